@@ -1,0 +1,43 @@
+"""What an agent is: a record of pure functions over codes of states and goals. No agent knows which learner made the goal code."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import flax.struct
+import jax
+
+
+@flax.struct.dataclass
+class AgentBatch:
+    """B transitions as codes; the agent's gradient flows back through `features` and `code` into the encoders.
+
+    features [B, F] and code [B, d] of the state and the desired goal, by the encoders that are trained; action: int32 [B].
+    next_features, next_code: after the last step, by the encoders that are trained, without gradient; target_features, target_code: by the target encoders.
+    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination; next_action_mask: bool [B, A].
+    """
+
+    features: jax.Array
+    code: jax.Array
+    action: jax.Array
+    next_features: jax.Array
+    next_code: jax.Array
+    target_features: jax.Array
+    target_code: jax.Array
+    reward: jax.Array
+    discount: jax.Array
+    next_action_mask: jax.Array
+
+
+class Agent(NamedTuple):
+    """A reinforcement-learning agent.
+
+    init(key, features [F], code [d]) -> params.
+    act(params, features [B, F], code [B, d], action_mask bool [B, A], key, epsilon) -> action int32 [B].
+    loss(params, target_params, batch: AgentBatch) -> (loss, metrics).
+    num_steps: environment steps that a sampled transition spans at most.
+    """
+
+    init: Callable[[jax.Array, jax.Array, jax.Array], Any]
+    act: Callable[..., jax.Array]
+    loss: Callable[[Any, Any, AgentBatch], tuple[jax.Array, dict[str, jax.Array]]]
+    num_steps: int

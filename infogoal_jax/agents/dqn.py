@@ -1,0 +1,63 @@
+"""DQN with a universal value function Q(s, g, a): double Q-learning, target network, n-step returns and action masks."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from infogoal_jax import networks
+from infogoal_jax.agents.agent import Agent, AgentBatch
+from infogoal_jax.errors import require
+
+
+@dataclasses.dataclass(frozen=True)
+class DQNConfig:
+    """Sizes and switches of DQN."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Widths of the value head's layers [A]."""
+    num_steps: int = 3
+    """Steps of the n-step return [A]."""
+    huber: bool = True
+    """Huber loss with threshold 1 instead of the squared error."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(all(width > 0 for width in self.hidden), "agent.hidden", self.hidden, "give widths greater than 0, for example 128 128")
+        require(0 < self.num_steps <= config.env.episode_length, "agent.num_steps", self.num_steps,
+                f"must lie between 1 and the episode length, {config.env.episode_length}")
+
+
+def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
+    """The allowed action of the highest value: values float32 and action_mask bool [..., A] to int32 [...]."""
+    return jnp.where(action_mask, values, -jnp.inf).argmax(-1)
+
+
+def make(config: DQNConfig, num_actions: int) -> Agent:
+    """The DQN agent for this configuration."""
+    head = networks.MLP(config.hidden, num_actions)
+
+    def values(params, features, code):
+        return head.apply(params, jnp.concatenate([features, code], axis=-1))
+
+    def init(key, features, code):
+        return head.init(key, jnp.concatenate([features, code], axis=-1))
+
+    def act(params, features, code, action_mask, key, epsilon):
+        """Epsilon-greedy among the allowed actions."""
+        choose, pick = jax.random.split(key)
+        best = greedy(values(params, features, code), action_mask)
+        random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape), -1.0).argmax(-1)
+        return jnp.where(jax.random.uniform(choose, best.shape) < epsilon, random, best).astype(jnp.int32)
+
+    def loss(params, target_params, batch: AgentBatch):
+        """Temporal-difference error of double Q-learning (van Hasselt et al. 2016, Eq. 4) over n steps."""
+        chosen = greedy(values(params, batch.next_features, batch.next_code), batch.next_action_mask)
+        following = jnp.take_along_axis(values(target_params, batch.target_features, batch.target_code), chosen[:, None], axis=1)[:, 0]
+        target = jax.lax.stop_gradient(batch.reward + batch.discount * following)
+        value = jnp.take_along_axis(values(params, batch.features, batch.code), batch.action[:, None], axis=1)[:, 0]
+        error = optax.huber_loss(value, target) if config.huber else optax.l2_loss(value, target)
+        return error.mean(), {"td_error": jnp.abs(value - target).mean(), "value": value.mean()}
+
+    return Agent(init, act, loss, config.num_steps)

@@ -1,0 +1,318 @@
+"""Reader of the Active Vision Dataset (Ammirato et al., ICRA 2017) as scenes to search objects in.
+
+The paper's object search (section V-B) turns the dataset into a graph: a state is an image, an action one of the six
+annotated moves, and a goal is reached where the object's box is large enough for "a clear view". The same reader
+serves the real scenes and the synthetic house that is written in their format. Each image is read once, shrunk to a
+small grey square and cached, so that a training run holds a kilobyte an image.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import scipy.io
+
+from infogoal_jax.errors import UserError, nearest
+
+ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
+# A box counts as a clear view where its shorter side is this share of the image height (97 pixels of the real 1080).
+DEFAULT_MIN_BOX_SIZE = 0.09
+MAX_DIFFICULTY = 4
+CACHE_VERSION = 1
+SHIPPED_HOUSE = Path(__file__).parent / "files" / "house"
+CHECK_HINT = "`infogoal data check {}` lists everything that is wrong"
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchScenes:
+    """S states (images) of one or more scenes and N objects.
+
+    Attributes:
+      images: uint8 [S, H, W], grey.
+      next_state: int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move.
+      visible: bool [S, N], whether the object is in clear view.
+      position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where unknown.
+      scene: int32 [S], index into `scene_names`.
+      image_names, scene_names, object_names: S file names, scene folders, N object names.
+      source: what was read, in words, for reports.
+    """
+
+    images: np.ndarray
+    next_state: np.ndarray
+    visible: np.ndarray
+    position: np.ndarray
+    scene: np.ndarray
+    image_names: tuple[str, ...]
+    scene_names: tuple[str, ...]
+    object_names: tuple[str, ...]
+    source: str
+
+
+def load(
+    root: str | os.PathLike,
+    *,
+    objects: Iterable[str],
+    scenes: Iterable[str] | None = None,
+    image_size: int = 32,
+    min_box_size: float = DEFAULT_MIN_BOX_SIZE,
+    max_difficulty: int = MAX_DIFFICULTY,
+    cache_dir: str | os.PathLike | None = None,
+) -> SearchScenes:
+    """Read scenes in the dataset's on-disk format.
+
+    Args:
+      root: folder that holds the scene folders and `all_instance_id_map.txt` (or `instance_id_map.txt`).
+      objects: names of the objects that can be goals, as in that map; their order is that of `visible`.
+      scenes: names of scene folders; all that are found by default.
+      image_size: side of the grey images in pixels, 4 to 512.
+      min_box_size: least shorter side of a box in image heights, so that it means the same at every resolution.
+      max_difficulty: boxes of a higher annotated difficulty (1 easy to 5 hard) do not count.
+      cache_dir: folder of the cache; by default `infogoal` in $XDG_CACHE_HOME or ~/.cache. One file a scene.
+
+    Raises:
+      UserError: where an argument cannot be used, the dataset is incomplete, or no state shows one of the objects.
+    """
+    root, objects = Path(root), tuple(objects)
+    if not 4 <= image_size <= 512:
+        raise UserError(f"image_size = {image_size!r}: must be 4 to 512 pixels")
+    if not 0 <= min_box_size < 1:
+        raise UserError(f"min_box_size = {min_box_size!r}: must be a share of the image height, from 0 to below 1")
+    identities = read_instance_map(root)
+    for name in objects:
+        if name not in identities:
+            raise UserError(f"objects: {name!r} is not in the instance map of {root}.{nearest(name, list(identities))}")
+    if not objects or len(set(objects)) < len(objects):
+        raise UserError(f"objects = {objects!r}: give at least one, each once")
+    columns = {identities[name]: column for column, name in enumerate(objects)}
+    found = find_scenes(root)
+    names = found if scenes is None else tuple(scenes)
+    if not names or len(set(names)) < len(names) or not set(names) <= set(found):
+        raise UserError(f"scenes = {names!r}: give each once; {root} has {', '.join(found)}")
+
+    parts, image_names, start = [], [], 0
+    for index, name in enumerate(names):
+        annotations = read_annotations(root / name)
+        images, sizes, position = _scene_pictures(root / name, sorted(annotations), image_size, cache_dir)
+        visible = _in_clear_view(annotations, sizes, columns, min_box_size, max_difficulty)
+        next_state = _moves(root / name, annotations) + start
+        parts.append((images, next_state, visible, position, np.full(len(images), index, np.int32)))
+        image_names.extend(sorted(annotations))
+        start += len(images)
+    images, next_state, visible, position, scene = (np.concatenate(column) for column in zip(*parts, strict=True))
+    unseen = [name for name, seen in zip(objects, visible.any(0), strict=True) if not seen]
+    if unseen:
+        raise UserError(
+            f"objects: {', '.join(unseen)} in clear view from no image of {', '.join(names)}; leave out, add scenes, "
+            f"or lower min_box_size = {min_box_size} (max_difficulty = {max_difficulty})"
+        )
+    source = f"{_origin(root)}: {len(names)} scene{'s' if len(names) > 1 else ''}, {len(images)} images"
+    return SearchScenes(images, next_state, visible, position, scene, tuple(image_names), tuple(names), objects, source)
+
+
+def read_instance_map(root: Path) -> dict[str, int]:
+    """Object name -> instance id, from the map at the dataset's root."""
+    if not root.is_dir():
+        raise UserError(f"dataset {root}: no such folder; give the folder that holds the scenes (Home_001_1, ...)")
+    for name in ("all_instance_id_map.txt", "instance_id_map.txt"):
+        if (root / name).is_file():
+            try:
+                pairs = [line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()]
+                return {object_name: int(identity) for object_name, identity in pairs}
+            except (OSError, ValueError) as error:
+                raise UserError(f"{root / name}: wants lines of `name id` ({error}); {CHECK_HINT.format(root)}") from error
+    raise UserError(f"dataset {root}: has no all_instance_id_map.txt; {CHECK_HINT.format(root)}")
+
+
+def find_scenes(root: Path) -> tuple[str, ...]:
+    """Names of the folders under `root` that hold a scene, sorted."""
+    found = tuple(sorted(p.name for p in root.iterdir() if (p / "annotations.json").exists() or (p / "jpg_rgb").is_dir()))
+    if not found:
+        raise UserError(f"dataset {root}: no scene folder (one with annotations.json and jpg_rgb) in it")
+    return found
+
+
+def read_annotations(scene: Path) -> dict[str, dict]:
+    """Image name -> moves and boxes of one scene, checked for the fields that are used."""
+    path = scene / "annotations.json"
+    try:
+        with open(path, encoding="utf-8") as file:
+            annotations = json.load(file)
+        for record in annotations.values():
+            for action in ACTIONS:
+                record[action].startswith("")
+            for box in record["bounding_boxes"]:
+                _, _, _, _, _, _ = (value + 0 for value in box)
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror or error}; {CHECK_HINT.format(scene.parent)}") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = f"has no field {error}" if isinstance(error, KeyError) else f"damaged or cut short ({error})"
+        raise UserError(f"{path}: {reason}; {CHECK_HINT.format(scene.parent)}") from error
+    if not annotations:
+        raise UserError(f"{path}: names no image; {CHECK_HINT.format(scene.parent)}")
+    return annotations
+
+
+def decode_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height of a complete JPEG from its headers alone; None where it is none or is cut short."""
+    if data[:2] != b"\xff\xd8" or b"\xff\xd9" not in data[-1024:]:
+        return None
+    at = 2
+    while at + 9 < len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):  # start of frame
+            height, width = int.from_bytes(data[at + 5 : at + 7], "big"), int.from_bytes(data[at + 7 : at + 9], "big")
+            return (width, height) if width and height else None
+        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
+
+
+def _moves(scene: Path, annotations: Mapping[str, dict]) -> np.ndarray:
+    """Successor of each state under each action, the state itself where there is no edge: int32 [S, 6]."""
+    number = {name: index for index, name in enumerate(sorted(annotations))}
+    moves = np.empty((len(number), len(ACTIONS)), np.int32)
+    for name, index in number.items():
+        for column, action in enumerate(ACTIONS):
+            target = annotations[name][action]
+            if target and target not in number:
+                raise UserError(
+                    f"{scene}: {action} of {name} leads to {target}, which is not annotated; {CHECK_HINT.format(scene.parent)}"
+                )
+            moves[index, column] = number[target] if target else index
+    return moves
+
+
+def _in_clear_view(
+    annotations: Mapping[str, dict], sizes: np.ndarray, columns: Mapping[int, int], min_box_size: float, max_difficulty: int
+) -> np.ndarray:
+    """Which objects each image shows large enough: bool [S, N]. `sizes` int [S, 2] are widths and heights in pixels."""
+    visible = np.zeros((len(annotations), len(columns)), bool)
+    for index, name in enumerate(sorted(annotations)):
+        for left, top, right, bottom, identity, difficulty in annotations[name]["bounding_boxes"]:
+            large = min(right - left, bottom - top) >= min_box_size * sizes[index, 1]
+            if large and difficulty <= max_difficulty and identity in columns:
+                visible[index, columns[identity]] = True
+    return visible
+
+
+def _scene_pictures(
+    scene: Path, names: list[str], image_size: int, cache_dir: str | os.PathLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grey images uint8 [S, H, W], original sizes int32 [S, 2] and positions float32 [S, 3], from the cache if it fits."""
+    key = _cache_key(scene, names, image_size)
+    path = _cache_folder(cache_dir) / f"active_vision_{scene.name}_{key}.npz"
+    shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
+    try:
+        with np.load(path, allow_pickle=False) as cached:
+            content = cached["images"], cached["sizes"], cached["position"]
+        if tuple(array.shape for array in content) == shapes:
+            return content
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        pass  # absent or damaged: it is made again below
+    images, sizes = np.empty(shapes[0], np.uint8), np.empty(shapes[1], np.int32)
+    for index, name in enumerate(names):
+        images[index], sizes[index] = _read_grey(scene / "jpg_rgb" / name, image_size)
+    position = read_positions(scene, names)
+    _write_cache(path, images=images, sizes=sizes, position=position)
+    return images, sizes, position
+
+
+def _read_grey(path: Path, image_size: int) -> tuple[np.ndarray, tuple[int, int]]:
+    """One image as a small grey square, and its own width and height."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror or error}; {CHECK_HINT.format(path.parents[2])}") from error
+    size = decode_size(data)
+    flag = cv2.IMREAD_GRAYSCALE
+    # The decoder itself can skip detail: a full HD frame is read at an eighth, sixty times less memory.
+    for factor, reduced in ((8, cv2.IMREAD_REDUCED_GRAYSCALE_8), (4, cv2.IMREAD_REDUCED_GRAYSCALE_4)):
+        if size and min(size) // factor >= 2 * image_size:
+            flag = reduced
+            break
+    grey = cv2.imdecode(np.frombuffer(data, np.uint8), flag) if size else None
+    if grey is None:
+        raise UserError(f"{path}: not a whole JPEG image; {CHECK_HINT.format(path.parents[2])}")
+    return cv2.resize(grey, (image_size, image_size), interpolation=cv2.INTER_AREA), size
+
+
+def read_positions(scene: Path, names: list[str]) -> np.ndarray:
+    """Plan position (metres) and heading (radians) of each image from image_structs.mat; NaN where it says nothing."""
+    position = np.full((len(names), 3), np.nan, np.float32)
+    path = scene / "image_structs.mat"
+    if not path.is_file():
+        return position
+    try:
+        content = scipy.io.loadmat(path)
+        scale, records = float(content["scale"].ravel()[0]), content["image_structs"].ravel()
+        number = {name: index for index, name in enumerate(names)}
+        for record in records:
+            index = number.get(str(np.ravel(record["image_name"])[0]))
+            world, direction = np.ravel(record["world_pos"]), np.ravel(record["direction"])
+            if index is None or len(world) != 3 or len(direction) != 3:
+                continue
+            # world_pos * scale is in millimetres; height is the middle component.
+            position[index, :2] = world[[0, 2]] * scale / 1000
+            position[index, 2] = np.arctan2(direction[2], direction[0])
+    except Exception as error:  # scipy raises errors of many kinds for a damaged file
+        raise UserError(f"{path}: cannot be read ({error}); {CHECK_HINT.format(scene.parent)}") from error
+    return position
+
+
+def _cache_folder(cache_dir: str | os.PathLike | None) -> Path:
+    if cache_dir is not None:
+        return Path(cache_dir)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal"
+
+
+def _cache_key(scene: Path, names: list[str], image_size: int) -> str:
+    """Digest of what decides a scene's pictures: its path, and name, size and time of every file that is read."""
+    digest = hashlib.sha256(f"{CACHE_VERSION} {image_size} {scene.resolve()}".encode())
+    try:
+        with os.scandir(scene / "jpg_rgb") as entries:
+            stamps = {entry.name: entry.stat() for entry in entries}
+    except OSError as error:
+        raise UserError(f"{scene / 'jpg_rgb'}: {error.strerror or error}; {CHECK_HINT.format(scene.parent)}") from error
+    missing = [name for name in names if name not in stamps]
+    if missing:
+        raise UserError(
+            f"{scene / 'jpg_rgb'}: {len(missing)} of {len(names)} annotated images are missing, the first {missing[0]}; "
+            f"{CHECK_HINT.format(scene.parent)}"
+        )
+    for name in names:
+        digest.update(f"{name} {stamps[name].st_size} {stamps[name].st_mtime_ns}\n".encode())
+    for path in (scene / "annotations.json", scene / "image_structs.mat"):
+        if path.is_file():
+            digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}\n".encode())
+    return digest.hexdigest()[:24]
+
+
+def _write_cache(path: Path, **arrays: np.ndarray) -> None:
+    """Write beside and rename, so that nobody reads half a file. A folder that cannot be written costs only the cache."""
+    beside = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+            beside = file.name
+            np.savez(file, **arrays)
+        os.replace(beside, path)
+    except OSError:
+        if beside is not None and os.path.exists(beside):
+            os.unlink(beside)
+
+
+def _origin(root: Path) -> str:
+    """What a dataset calls itself: the builder of the synthetic house leaves a note at its root."""
+    try:
+        note = json.loads((root / "synthetic.json").read_text(encoding="utf-8"))
+        return f"synthetic house, seed {note['seed']} ({root})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return f"Active Vision Dataset ({root})"

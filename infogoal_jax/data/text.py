@@ -1,0 +1,196 @@
+"""Goals given as text: sentence embeddings, kept in one file with the texts they belong to.
+
+The paper's text goals are names of objects ("Coca-Cola glass bottle") seen through SBERT, all-MiniLM-L6-v2, 384-D.
+The embeddings of the objects of the Active Vision Dataset are shipped, so that nothing but numpy is needed to
+use them; `sentence_encoder` embeds other texts.
+"""
+
+import dataclasses
+import difflib
+import io
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from infogoal_jax.errors import UserError
+
+EMBEDDING_SIZE = 384
+SHIPPED_FILE = Path(__file__).parent / "files" / "text_embeddings.npz"
+
+_FIELDS = ("texts", "vectors", "weights_sha256", "model")
+
+
+@dataclasses.dataclass(frozen=True)
+class TextEmbeddings:
+    """Texts and their sentence embeddings, all from the same weights.
+
+    Attributes:
+      texts: M texts, as they were given to the encoder.
+      vectors: float32 [M, 384], each of length 1; read-only.
+      weights_sha256: checksum of the weights file that made the vectors; embeddings of different weights do not
+        share a space and are never mixed.
+      model: name of the model.
+
+    Raises:
+      UserError: where the parts do not belong together, or a vector is not finite or not of length 1.
+    """
+
+    texts: tuple[str, ...]
+    vectors: np.ndarray
+    weights_sha256: str
+    model: str
+
+    def __post_init__(self):
+        vectors = np.array(self.vectors, np.float32)
+        if vectors.shape != (len(self.texts), EMBEDDING_SIZE):
+            raise UserError(
+                f"text embeddings of {len(self.texts)} texts must have the shape "
+                f"({len(self.texts)}, {EMBEDDING_SIZE}), not {vectors.shape}"
+            )
+        # Written so that NaN fails too.
+        if not np.all(np.abs(np.linalg.norm(vectors, axis=1) - 1.0) < 1e-3):
+            raise UserError("text embeddings must be finite vectors of length 1")
+        vectors.flags.writeable = False
+        object.__setattr__(self, "vectors", vectors)
+
+
+def clean(text: str) -> str:
+    """The text as it goes into the encoder: underscores, as in names of data sets, become spaces; no double spaces."""
+    return " ".join(text.replace("_", " ").split())
+
+
+def load_shipped() -> TextEmbeddings:
+    """The embeddings that come with the package: 33 objects of the Active Vision Dataset, 34 spellings.
+
+    The paper writes "Coca-Cola glass bottle" where the data set has coca_cola_glass_bottle; both are there.
+    """
+    return load(SHIPPED_FILE)
+
+
+def load(path: str | os.PathLike) -> TextEmbeddings:
+    """Reads a file of text embeddings written by `save`.
+
+    Raises:
+      UserError: no such file, or a file that is damaged or something else.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise UserError(f"no file of text embeddings at {path}; {_remedy(['a red mug'], path)}") from None
+    except OSError as error:
+        raise UserError(f"cannot read the text embeddings {path}: {error.strerror}") from error
+    try:
+        # From memory: numpy leaves a file open when it finds it damaged.
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            texts, vectors, weights_sha256, model = (archive[field] for field in _FIELDS)
+        if texts.dtype.kind != "U" or texts.ndim != 1 or vectors.dtype != np.float32:
+            raise UserError("its arrays are not texts [M] and float32 vectors [M, 384]")
+        return TextEmbeddings(tuple(texts.tolist()), vectors, str(weights_sha256[()]), str(model[()]))
+    except Exception as error:  # numpy and zipfile raise a dozen types between them on a damaged file
+        raise UserError(
+            f"{path} is damaged or no file of text embeddings ({error}); "
+            f"take it away and {_remedy(['a red mug'], path)}"
+        ) from error
+
+
+def save(path: str | os.PathLike, embeddings: TextEmbeddings) -> None:
+    """Writes text embeddings to an npz file. The file at `path` is always whole: the old one or the new one."""
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(beside, "wb") as file:
+            np.savez(
+                file,
+                texts=np.array(embeddings.texts, dtype=np.str_),
+                vectors=embeddings.vectors,
+                weights_sha256=np.array(embeddings.weights_sha256),
+                model=np.array(embeddings.model),
+            )
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except OSError as error:
+        raise UserError(f"cannot write the text embeddings {path}: {error.strerror}") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def merge(first: TextEmbeddings, *others: TextEmbeddings) -> TextEmbeddings:
+    """All texts of all arguments, in order; of a text that comes twice, the first.
+
+    Raises:
+      UserError: the embeddings come from different weights.
+    """
+    vectors = {}
+    for embeddings in (first, *others):
+        if embeddings.weights_sha256 != first.weights_sha256:
+            raise UserError(
+                f"text embeddings of different weights cannot be mixed: {first.model} (sha256 {first.weights_sha256}) "
+                f"and {embeddings.model} (sha256 {embeddings.weights_sha256})"
+            )
+        for text, vector in zip(embeddings.texts, embeddings.vectors, strict=True):
+            vectors.setdefault(text, vector)
+    return dataclasses.replace(
+        first, texts=tuple(vectors), vectors=np.reshape(list(vectors.values()), (-1, EMBEDDING_SIZE))
+    )
+
+
+def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) -> np.ndarray:
+    """Looks up the embeddings of known texts. Nothing is computed and nothing is made up.
+
+    Case, repeated white space, and underscores or hyphens in place of spaces make no difference, except where the file
+    has both spellings: then the closer one is taken ("Coca-Cola glass bottle" and "coca cola glass bottle" are
+    two texts to the encoder, cosine 0.99).
+
+    Args:
+      texts: N texts.
+      embeddings: where to look; the shipped ones if None.
+
+    Returns:
+      float32 [N, 384], each row of length 1.
+
+    Raises:
+      UserError: a text that is not there, with the closest known texts and the command that embeds it.
+    """
+    if isinstance(texts, str):
+        raise UserError(f"embed_known takes a list of texts, not one text: [{texts!r}]")
+    if embeddings is None:
+        embeddings = load_shipped()
+    exact, loose = {}, {}
+    for row, text in enumerate(embeddings.texts):
+        exact.setdefault(spelling(text), row)
+        loose.setdefault(_without_hyphens(text), row)
+    rows = [exact.get(spelling(text), loose.get(_without_hyphens(text))) for text in texts]
+    unknown = list(dict.fromkeys(text for text, row in zip(texts, rows, strict=True) if row is None))
+    if unknown:
+        raise UserError(_unknown_message(unknown, embeddings, loose))
+    return embeddings.vectors[np.array(rows, np.int64)]
+
+
+def spelling(text: str) -> str:
+    """What two texts have in common that the encoder cannot tell apart (it is uncased)."""
+    return clean(text).lower()
+
+
+def _without_hyphens(text: str) -> str:
+    return spelling(text.replace("-", " "))
+
+
+def _unknown_message(unknown: list[str], embeddings: TextEmbeddings, loose: dict[str, int]) -> str:
+    lines = []
+    for text in unknown:
+        closest = difflib.get_close_matches(_without_hyphens(text), loose, n=3, cutoff=0.5)
+        names = ", ".join(repr(embeddings.texts[loose[name]]) for name in closest)
+        lines.append(
+            f"no embedding of the text {text!r} is known; " + (f"closest: {names}" if names else "none is close")
+        )
+    return "\n".join([*lines, _remedy(unknown, "my_embeddings.npz")])
+
+
+def _remedy(texts: Sequence[str], out: str | os.PathLike) -> str:
+    return f"to embed it: infogoal data embed {shlex.join(texts)} --out {shlex.quote(str(out))}"

@@ -1,0 +1,33 @@
+"""Environments: pytrees of arrays with pure functions over them. `load` makes one by name; `registry` is the one place where a new one is named."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from infogoal_jax.envs import object_search
+from infogoal_jax.errors import UserError, nearest
+
+
+class Entry(NamedTuple):
+    """The configuration class of a task and the function that makes its environment."""
+
+    config: type
+    make: Callable[[Any], Any]
+
+
+registry: dict[str, Entry] = {"object_search": Entry(object_search.ObjectSearchConfig, object_search.make)}
+
+
+def entry(task: str) -> Entry:
+    """The registered task of this name, or a `UserError` with the nearest one."""
+    if task not in registry:
+        raise UserError(f"task = {task!r}: no such task.{nearest(task, list(registry))} Known: {', '.join(registry)}")
+    return registry[task]
+
+
+def load(task: str, config: Any = None):
+    """The environment of this name: `env.reset(key)`, `env.step(state, action)`, batched by `jax.vmap`.
+
+    config: the task's configuration record; None for its defaults. Raises `UserError` for an unknown name or an unusable dataset.
+    """
+    found = entry(task)
+    return found.make(found.config() if config is None else config)

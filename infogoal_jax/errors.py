@@ -1,0 +1,19 @@
+"""The one error a user is meant to read: what was given, why it cannot be used, and what would be right."""
+
+
+class UserError(ValueError):
+    """A mistake in what the user gave: a field, a file, a name. The command line prints its text alone."""
+
+
+def require(condition: bool, field: str, value: object, remedy: str) -> None:
+    """Raise `UserError` naming the field, its value and the remedy, unless the condition holds."""
+    if not condition:
+        raise UserError(f"{field} = {value!r}: {remedy}")
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """`" Did you mean 'x'?"` for the known name closest to `name`, or an empty string."""
+    import difflib
+
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    return f" Did you mean {close[0]!r}?" if close else ""

@@ -1,0 +1,157 @@
+"""InfoGoal (paper, Sec. IV): a goal code that tells similar goals from dissimilar ones and forgets the rest.
+
+Similar goals were achieved within a window of one trajectory. Their codes are pulled together against dissimilar goals by a contrastive bound on
+mutual information (Theorem 3), and squeezed towards N(0, I) by beta, which grows as long as the code still tells the two apart (Eq. 15).
+"""
+
+import dataclasses
+from typing import Literal
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, PairRequest
+from infogoal_jax.pairs import GoalPairs
+
+SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
+SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
+
+
+@dataclasses.dataclass(frozen=True)
+class InfoGoalConfig:
+    """Switches and sizes of InfoGoal."""
+
+    latent_size: int = 32
+    """Latent dimension d [A]. The scale of beta holds for 32 only."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers [A]."""
+    window: int = 4
+    """Steps within which two achieved goals count as similar [M]; the authors' 10 spans two rooms of a small house."""
+    num_pairs: int = 256
+    """Positive pairs in an update."""
+    num_negatives: int = 1
+    """Negatives for each positive pair [A]; more shift the scale of beta."""
+    loss: Literal["nce", "ratio"] = "nce"
+    """`nce`: Eq. 13 with the positive in the denominator; `ratio`: the authors' bounded exp(D+ - D-), with the KL in bits."""
+    score: Literal["distance", "bilinear"] = "distance"
+    """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the paper's jointly optimised score."""
+    negatives: Literal["anchored", "independent"] = "anchored"
+    """Whether a negative is compared with the positive's anchor (Algorithm 1), or with a goal of its own [A]."""
+    beta_rule: Literal["linear", "sign", "fixed"] = "linear"
+    """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.fixed-beta` (ablation of Fig. 15)."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        for name in ("latent_size", "num_pairs", "num_negatives"):
+            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        require(0 <= self.window <= config.env.episode_length, "learner.window", self.window,
+                f"must lie between 0 and the episode length, {config.env.episode_length}")
+        require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")
+        require(self.score in ("distance", "bilinear"), "learner.score", self.score, "give distance or bilinear")
+        require(self.loss == "nce" or self.score == "distance", "learner.loss", self.loss, "the ratio form needs the bounded score: --learner.score distance")
+        require(self.negatives in ("anchored", "independent"), "learner.negatives", self.negatives, "give anchored or independent")
+        require(self.beta_rule in ("linear", "sign", "fixed"), "learner.beta_rule", self.beta_rule, "give linear, sign or fixed")
+
+
+@flax.struct.dataclass
+class InfoGoalState:
+    """beta: the Lagrange multiplier; scale: running mean of the distance between codes, which normalises the intrinsic reward. Scalars."""
+
+    beta: jax.Array
+    scale: jax.Array
+
+
+def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
+    """log f(z, z') for codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' / sqrt(d)."""
+    if "score" in params:
+        return jnp.einsum("...i,ij,...j->...", first, params["score"], second) / jnp.sqrt(first.shape[-1])
+    return -jnp.abs(first - second).mean(-1)
+
+
+def kl_to_standard_normal(code: GoalCode) -> jax.Array:
+    """KL(N(mean, std^2) || N(0, I)) in nats, summed over the last axis (Eq. 11)."""
+    return 0.5 * (code.mean**2 + code.std**2 - 1.0 - 2.0 * jnp.log(code.std)).sum(-1)
+
+
+def contrastive_bound(positive: jax.Array, negative: jax.Array) -> jax.Array:
+    """log f+ / (f+ + sum f-): Theorem 3's term for log scores [B] and [B, K]. Add log(K + 1) for the InfoNCE bound on the mutual information."""
+    return positive - jax.nn.logsumexp(jnp.concatenate([positive[..., None], negative], axis=-1), axis=-1)
+
+
+def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
+    """Mean under weights that may all be 0 (then 0)."""
+    return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)
+
+
+def make(config: InfoGoalConfig) -> Learner:
+    """The InfoGoal learner for this configuration."""
+    encoder = networks.GaussianEncoder(config.hidden, config.latent_size)
+
+    def init(key, goal_inputs, hyper):
+        params = {"encoder": encoder.init(key, goal_inputs[:1])}
+        if config.score == "bilinear":
+            params["score"] = jnp.eye(config.latent_size)
+        start = 0.0 if config.beta_rule == "fixed" else hyper.beta_start
+        return params, InfoGoalState(beta=jnp.asarray(start, jnp.float32), scale=jnp.ones(()))
+
+    def encode(params, goal_inputs):
+        return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
+
+    def loss(params, state, encode: Encode, pairs: GoalPairs, key):
+        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of every code that took part."""
+        codes = [encode(goals) for goals in (pairs.anchor, pairs.positive, pairs.contrast, pairs.negative)]
+        keys = jax.random.split(key, 4)
+        anchor, positive, contrast, negative = (code.sample(k) for code, k in zip(codes, keys, strict=True))
+        if config.negatives == "anchored":
+            contrast = jnp.broadcast_to(anchor[:, None], negative.shape)
+        log_positive, log_negative = log_score(params, anchor, positive), log_score(params, contrast, negative)
+        weights = pairs.positive_weight[:, None] * pairs.negative_weight
+        any_negative = pairs.positive_weight * (pairs.negative_weight.sum(1) > 0)
+        took_part = [code for code, name in zip(codes, ("anchor", "positive", "contrast", "negative"), strict=True)
+                     if name != "contrast" or config.negatives == "independent"]
+        kl = sum(kl_to_standard_normal(code).mean() for code in took_part) / len(took_part)
+        if config.loss == "nce":
+            infomax = -weighted_mean(contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf)), any_negative)
+            infomin = kl
+        else:
+            infomax = weighted_mean(jnp.exp(log_negative - log_positive[:, None]), weights)
+            infomin = kl / jnp.log(2.0)
+        accuracy = weighted_mean(log_positive[:, None] > log_negative, weights)  # Eq. 14, on the noisy codes; ties count as wrong.
+        metrics = {
+            "accuracy": accuracy,
+            "beta": state.beta,
+            "kl": kl,
+            "infomax": infomax,
+            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
+            "no_negative": 1.0 - weighted_mean(pairs.negative_weight.max(1), pairs.positive_weight),
+        }
+        return infomax + jax.lax.stop_gradient(state.beta) * infomin, metrics
+
+    def update(state, metrics, hyper):
+        """The Lagrange multiplier after an update: Eq. 15, clipped to [0, 1] because a negative beta would reward a growing KL."""
+        surplus = metrics["accuracy"] - hyper.beta_threshold
+        if config.beta_rule == "linear":
+            beta = state.beta + hyper.beta_step * surplus
+        elif config.beta_rule == "sign":
+            beta = state.beta + SIGN_STEP * jnp.sign(surplus)
+        else:
+            beta = jnp.minimum(state.beta + SIGN_STEP, hyper.fixed_beta)
+        return state.replace(beta=jnp.clip(beta, 0.0, 1.0))
+
+    def intrinsic_reward(state, encode: Encode, desired, achieved):
+        """Eq. 16 with its minus sign: minus the distance between mean codes over its running mean; the farthest of the batch where nothing is achieved."""
+        target = encode(desired).mean[:, None, None]
+        distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)
+        nearest = jnp.where(achieved >= 0, distance, jnp.inf).min(-1)
+        found = jnp.isfinite(nearest)
+        farthest = jnp.where(found, nearest, 0.0).max()
+        distance = jax.lax.stop_gradient(jnp.where(found, nearest, farthest))
+        scale = state.scale + SCALE_RATE * (distance.mean() - state.scale)
+        return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
+
+    request = PairRequest(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
+    return Learner(init, encode, request, loss, update, intrinsic_reward)

@@ -1,0 +1,42 @@
+"""No goal-representation learning: a plain encoder trained by the agent's loss alone (the paper's bare DQN, HRAC and CQL)."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.learners.learner import GoalCode, Learner, PairRequest
+
+
+@dataclasses.dataclass(frozen=True)
+class NoneConfig:
+    """Sizes of the plain goal encoder; the same as InfoGoal's, so that the two differ in the loss alone."""
+
+    latent_size: int = 32
+    """Size of the goal code."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
+        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+
+
+def make(config: NoneConfig) -> Learner:
+    """The learner that learns nothing by itself."""
+    encoder = networks.VectorEncoder(config.hidden, config.latent_size)
+
+    def encode(params, goal_inputs):
+        mean = encoder.apply(params, goal_inputs)
+        return GoalCode(mean, jnp.zeros_like(mean))
+
+    return Learner(
+        init=lambda key, goal_inputs, hyper: (encoder.init(key, goal_inputs[:1]), ()),
+        encode=encode,
+        pairs=PairRequest(num_pairs=0, window=0, num_negatives=0, anchored=True),
+        loss=lambda params, state, encode, pairs, key: (jnp.zeros(()), {}),
+        update=lambda state, metrics, hyper: state,
+        intrinsic_reward=lambda state, encode, desired, achieved: (jnp.zeros(achieved.shape[:2]), state),
+    )

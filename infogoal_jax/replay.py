@@ -1,0 +1,113 @@
+"""Replay buffer of rows of consecutive primitive steps: indices and small vectors, no pixels; pure functions over a `Replay`.
+
+A row holds T + 1 observations and the T transitions between them. A row may hold several episodes: the transition from the last observation of
+one to the first of the next is marked invalid, and nothing below ever looks across it.
+"""
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+
+@flax.struct.dataclass
+class Rows:
+    """R rows of T transitions.
+
+    observation, record: pytrees of [R, T + 1, ...] (what the agent saw; what was achieved there).
+    action, goal: int32 [R, T]; valid, terminated, truncated: bool [R, T] of the transition t -> t + 1.
+    """
+
+    observation: jax.Array
+    record: jax.Array
+    action: jax.Array
+    goal: jax.Array
+    valid: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+
+    def episode(self) -> jax.Array:
+        """Number of the episode that each observation belongs to, int32 [R, T + 1], counted from 0 in each row."""
+        return jnp.pad(jnp.cumsum((~self.valid).astype(jnp.int32), axis=1), ((0, 0), (1, 0)))
+
+
+@flax.struct.dataclass
+class Transitions:
+    """B transitions of up to n steps that stay within one episode.
+
+    observation, next_observation: [B, ...] at the start and after the last step; action, goal: int32 [B].
+    records: [B, n, ...] achieved after each step; mask: float32 [B, n], 1 for a step that was taken; terminated: bool [B] after the last.
+    """
+
+    observation: jax.Array
+    next_observation: jax.Array
+    action: jax.Array
+    goal: jax.Array
+    records: jax.Array
+    mask: jax.Array
+    terminated: jax.Array
+
+
+def empty(example: Rows, buffer_epochs: int) -> Rows:
+    """A buffer with room for `buffer_epochs` times the rows of `example` (shapes only are read), all invalid."""
+    return jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0] * buffer_epochs, *leaf.shape[1:]), leaf.dtype), example)
+
+
+def add(buffer: Rows, rows: Rows, epoch: jax.Array) -> Rows:
+    """The buffer with the rows of this epoch in place of its oldest. The place follows from `epoch`, which is not batched over seeds."""
+    capacity, new = buffer.valid.shape[0], rows.valid.shape[0]
+    start = (epoch * new) % capacity
+    return jax.tree.map(lambda old, row: jax.lax.dynamic_update_slice_in_dim(old, row, start, axis=0), buffer, rows)
+
+
+def running_count(mask: jax.Array) -> jax.Array:
+    """Running count over a flattened mask: made once an epoch, it turns every uniform draw among the true entries into a binary search."""
+    return jnp.cumsum(mask.reshape(-1).astype(jnp.int32))
+
+
+def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Array, jax.Array]:
+    """`num` positions (row, column) drawn uniformly among the true entries of the mask [R, width] that `count` was made from."""
+    rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1))
+    flat = jnp.minimum(jnp.searchsorted(count, rank, side="right"), count.shape[0] - 1)
+    return flat // width, flat % width
+
+
+def sample_transitions(key: jax.Array, buffer: Rows, valid_count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
+    """Transitions whose first step is uniform over all valid ones, followed for at most `num_steps` steps of the same episode."""
+    length = buffer.valid.shape[1]
+    row, first = draw(key, valid_count, batch_size, length)
+    step = first[:, None] + jnp.arange(num_steps)
+    inside = step < length
+    step = jnp.minimum(step, length - 1)
+    going_on = inside & buffer.valid[row[:, None], step]
+    mask = jnp.cumprod(going_on, axis=1)
+    last = first + mask.sum(1) - 1
+    return Transitions(
+        observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
+        next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),
+        action=buffer.action[row, first],
+        goal=buffer.goal[row, first],
+        records=jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record),
+        mask=mask.astype(jnp.float32),
+        terminated=buffer.terminated[row, last],
+    )
+
+
+def sample_within_window(key: jax.Array, buffer: Rows, achieved: jax.Array, count: jax.Array, num: int, window: int):
+    """Pairs of steps of one episode at most `window` apart, at both of which a goal was achieved (Algorithm 1, lines 16 and 17).
+
+    achieved: bool [R, T + 1], where some goal was achieved; count: `running_count(achieved)`.
+    The first step is uniform over those, the second uniform over those in its window, itself included (lag 0).
+    Returns the records of both, pytrees of [num, ...].
+    """
+    choose_first, choose_second = jax.random.split(key)
+    width = achieved.shape[1]
+    row, first = draw(choose_first, count, num, width)
+    around = first[:, None] + jnp.arange(-window, window + 1)
+    inside = (around >= 0) & (around < width)
+    around = jnp.clip(around, 0, width - 1)
+    breaks = jnp.pad(jnp.cumsum(~buffer.valid[row], axis=1), ((0, 0), (1, 0)))  # [num, T + 1] number of the episode
+    same_episode = jnp.take_along_axis(breaks, around, axis=1) == jnp.take_along_axis(breaks, first[:, None], axis=1)
+    possible = inside & same_episode & achieved[row[:, None], around]
+    preference = jnp.where(possible, jax.random.uniform(choose_second, around.shape), -1.0)
+    second = jnp.take_along_axis(around, preference.argmax(1)[:, None], axis=1)[:, 0]
+    return (jax.tree.map(lambda leaf: leaf[row, first], buffer.record), jax.tree.map(lambda leaf: leaf[row, second], buffer.record))

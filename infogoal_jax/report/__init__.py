@@ -1,0 +1,1 @@
+"""Tables and figures, made from what a run left on disk."""

@@ -1,0 +1,46 @@
+"""A run as read back from its folder: configuration, seeds, tables and parameters."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import presets
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import checkpoint
+from infogoal_jax.train.program import Train
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What config.json of a run says. data: what the dataset was, in words (a stand-in is called one)."""
+
+    folder: Path
+    config: TrainConfig
+    seeds: list[int]
+    data: str
+    versions: dict[str, str]
+    device: str
+
+
+def read_run(folder: Path) -> Run:
+    """The run in this folder. Raises `UserError` if there is none, or its config.json cannot be read."""
+    path = folder / "config.json"
+    try:
+        values = json.loads(path.read_text())
+        return Run(folder, presets.from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"])
+    except FileNotFoundError as error:
+        raise UserError(f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`") from error
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise UserError(f"{path}: is damaged or from another version of infogoal ({error}); train again, or bring back a copy of the file") from error
+
+
+def read_params(run: Run, train: Train) -> dict[str, Any]:
+    """Parameters of all seeds, {"goal", "state", "agent"} with leaves [seeds, ...]. Raises `UserError` for a damaged or missing file."""
+    keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
+    shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
+    return checkpoint.load(run.folder / "policy", shapes)[1]

@@ -1,0 +1,236 @@
+"""The host loop: the training program in chunks, with progress, metrics, checkpoints and a clean stop between them."""
+
+import dataclasses
+import json
+import math
+import platform
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import infogoal_jax
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.train import checkpoint, files
+from infogoal_jax.train.program import Train, make_train
+
+MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
+WORKING_COPIES = 3  # Copies of a seed's state that a compiled chunk holds at its peak: carried, updated, and batches and activations.
+
+
+@dataclasses.dataclass
+class Progress:
+    """What the loop tells its listeners after each chunk: numbers of this run, and the tables' new rows."""
+
+    epoch: int
+    num_epochs: int
+    compile_seconds: float
+    run_seconds: float
+    env_steps_per_second: float
+    updates_per_second: float
+    epochs: list[dict]
+    evaluations: list[dict]
+
+
+Listener = Callable[[Progress], None]
+
+
+@dataclasses.dataclass
+class Sweep:
+    """A finished or stopped run. diverged: seeds whose metrics stopped being finite, with the epoch; stopped: by Ctrl-C before the end."""
+
+    folder: Path
+    train: Train
+    params: Any
+    diverged: dict[int, int]
+    stopped: bool
+    compile_seconds: float
+    run_seconds: float
+
+
+class StopRequest:
+    """Set by the first Ctrl-C or SIGTERM; a second one stops at once."""
+
+    def __init__(self):
+        self.requested = False
+
+    def __call__(self, number, frame):
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+        print("\nStopping after this chunk, with a checkpoint. Press Ctrl-C again to stop at once.", flush=True)
+
+
+@contextmanager
+def stop_on_signal() -> Iterator[StopRequest]:
+    """Turn Ctrl-C and SIGTERM into a request that the loop reads between chunks. Outside the main thread nothing is changed."""
+    request = StopRequest()
+    try:
+        before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # Not the main thread: Python keeps signals there.
+        before = {}
+    try:
+        yield request
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def bytes_of(tree: Any) -> int:
+    """Bytes that the arrays of a pytree (or of its shapes) take."""
+    return sum(leaf.size * np.dtype("uint32").itemsize * 2 if checkpoint.is_key(leaf) else leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
+
+
+def device_memory(device) -> int:
+    """Bytes of memory that the device has."""
+    statistics = device.memory_stats()
+    if statistics and "bytes_limit" in statistics:
+        return statistics["bytes_limit"]
+    import os
+
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def seeds_at_once(state_shapes: Any, env: Any, num_seeds: int, device) -> int:
+    """How many seeds fit beside each other in `MEMORY_SHARE` of the device. Raises `UserError` if not even their states do."""
+    seed_bytes, room = bytes_of(state_shapes), MEMORY_SHARE * device_memory(device) - bytes_of(env)
+    fitting = int((room - num_seeds * seed_bytes) // ((WORKING_COPIES - 1) * seed_bytes))
+    require(fitting > 0, "seeds", num_seeds, f"a seed takes {seed_bytes / 2**20:.0f} MiB and the device has {device_memory(device) / 2**30:.1f} GiB: "
+            f"give at most {max(0, int(room // (WORKING_COPIES * seed_bytes)))}, or a smaller buffer_steps")
+    return min(num_seeds, fitting)
+
+
+def over_seeds(function: Callable, num_seeds: int, at_once: int) -> Callable:
+    """The function of one seed's first argument as a function of all seeds', vmapped, in slices where memory asks for it."""
+    if at_once >= num_seeds:
+        return lambda batched, *shared: jax.vmap(lambda one: function(one, *shared))(batched)
+    return lambda batched, *shared: jax.lax.map(lambda one: function(one, *shared), batched, batch_size=at_once)
+
+
+def seed_sharding(num_seeds: int):
+    """Seeds spread over as many devices as divide their number."""
+    devices = jax.devices()
+    used = max(count for count in range(1, len(devices) + 1) if num_seeds % count == 0)
+    mesh = jax.sharding.Mesh(np.asarray(devices[:used]), ("seeds",))
+    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("seeds")), jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
+
+
+def describe(config: TrainConfig, env: Any, seeds: list[int]) -> dict[str, Any]:
+    """What config.json says beside the configuration: seeds, data and versions."""
+    return {
+        "config": dataclasses.asdict(config), "seeds": seeds, "data": env.source,
+        "versions": {"infogoal_jax": infogoal_jax.__version__, "jax": jax.__version__, "numpy": np.__version__, "python": platform.python_version()},
+        "device": str(jax.devices()[0].device_kind),
+    }
+
+
+def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
+    """Metrics {name: [seeds, epochs, ...]} as rows: seed and epoch first, then every name; arrays become lists."""
+    names = sorted(metrics)
+    return [
+        {"seed": seed, "epoch": int(number)} | {name: metrics[name][i, j].tolist() for name in names}
+        for j, number in enumerate(epoch_numbers) for i, seed in enumerate(seeds)
+    ]
+
+
+def note_diverged(rows: list[dict], watched: tuple[str, ...], diverged: dict[int, int]) -> None:
+    """Record the first epoch at which each seed's watched metrics were not finite."""
+    for row in rows:
+        if any(not math.isfinite(row[name]) for name in watched if name in row):
+            diverged.setdefault(row["seed"], row["epoch"])
+
+
+def differences(first: dict, second: dict, prefix: str = "") -> list[str]:
+    """The fields in which two nested dictionaries differ, as `field: first value, now second value`."""
+    found = []
+    for name in sorted(first.keys() | second.keys()):
+        left, right = first.get(name), second.get(name)
+        if isinstance(left, dict) and isinstance(right, dict):
+            found += differences(left, right, f"{prefix}{name}.")
+        elif json.dumps(left) != json.dumps(right):
+            found.append(f"{prefix}{name} was {left!r}, now {right!r}")
+    return found
+
+
+def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = False, listeners: tuple[Listener, ...] = (), env: Any = None) -> Sweep:
+    """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its checkpoint.
+
+    Raises `UserError` before any compilation for a folder that holds another run, a damaged checkpoint, or one of another configuration.
+    """
+    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
+    require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
+    saved = folder / "checkpoint"
+    if not resume and (folder / "config.json").exists():
+        raise UserError(f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder")
+    train = make_train(config, env)
+    keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+    one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
+    at_once = seeds_at_once(one_seed, train.env, len(seeds), jax.devices()[0])
+    states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
+    by_seed, everywhere = seed_sharding(len(seeds))
+    description = describe(config, train.env, seeds)
+    done, states = 0, None
+    if resume:
+        header, states = resume_from(saved, states_shape, description)
+        done = header["epoch"]
+        states = jax.device_put(states, by_seed)
+        files.cut_back(folder, done)
+    folder.mkdir(parents=True, exist_ok=True)
+    files.write_atomically(folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode()))
+
+    started = time.perf_counter()
+    shared = jax.device_put((config.hyper, train.env), everywhere)
+    if states is None:
+        states = jax.jit(over_seeds(train.initial, len(seeds), at_once), out_shardings=by_seed)(jax.device_put(keys, by_seed), *shared)
+
+    def chunk(states, numbers, hyper, env):
+        return over_seeds(lambda state, *rest: train.chunk(state, *rest), len(seeds), at_once)(states, numbers, hyper, env)
+
+    numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
+    compiled = jax.jit(chunk, donate_argnums=0).lower(states, numbers, *shared).compile()
+    compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
+    diverged: dict[int, int] = {}
+    with stop_on_signal() as stop:
+        while done < config.num_epochs and not stop.requested:
+            started = time.perf_counter()
+            states, epoch_metrics, metrics = compiled(states, numbers + done, *shared)
+            epoch_metrics, metrics = jax.device_get((epoch_metrics, metrics))
+            run_seconds += time.perf_counter() - started
+            epochs = rows_of(range(done + 1, done + len(numbers) + 1), seeds, epoch_metrics)
+            done, this_session = done + len(numbers), this_session + len(numbers)
+            evaluations = rows_of([done], seeds, {name: value[:, None] for name, value in metrics.items()})
+            note_diverged(epochs, ("agent/loss", "agent/gradient_norm"), diverged)
+            files.append_rows(folder, "epochs", epochs)
+            files.append_rows(folder, "evaluations", evaluations)
+            checkpoint.save(saved, {"epoch": done, **description}, states)
+            for listener in listeners:
+                listener(Progress(
+                    epoch=done, num_epochs=config.num_epochs, compile_seconds=compile_seconds, run_seconds=run_seconds,
+                    env_steps_per_second=this_session * config.num_envs * config.rollout_steps * len(seeds) / run_seconds,
+                    updates_per_second=this_session * config.updates_per_epoch * len(seeds) / run_seconds, epochs=epochs, evaluations=evaluations,
+                ))
+        stopped = done < config.num_epochs
+    params = jax.device_get(states.params)
+    checkpoint.save(folder / "policy", {"epoch": done, **description}, params)
+    for row in files.read_table(folder, "epochs"):
+        note_diverged([row], ("agent/loss", "agent/gradient_norm"), diverged)
+    return Sweep(folder, train, params, dict(sorted(diverged.items())), stopped, compile_seconds, run_seconds)
+
+
+def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
+    """The header and states of a checkpoint, if it is of this configuration; a longer `num_epochs` is all that may differ."""
+    header, _ = checkpoint.read_header(saved)
+    then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in (header, json.loads(json.dumps(description))))
+    different = differences(then, now)
+    if different:
+        raise UserError(f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or start a new run")
+    if header["epoch"] > description["config"]["num_epochs"]:
+        raise UserError(f"num_epochs = {description['config']['num_epochs']}: the run is already at epoch {header['epoch']}; give at least that")
+    return checkpoint.load(saved, states_shape)

@@ -1,0 +1,72 @@
+"""Collecting experience and running evaluation episodes: the batched environment inside a scan, under a policy that is fixed for its length."""
+
+from collections.abc import Callable
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.replay import Rows
+
+Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+"""Stored observations [E], goals int32 [E] and a key to actions int32 [E]."""
+
+
+def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
+    """`num_steps` steps of E environments. A finished one is reset by its next step, which is marked invalid and is no transition.
+
+    Returns the environments' states [E] and the rows [E, num_steps] that they went through.
+    """
+    num_envs = env_states.terminated.shape[0]
+
+    def step(states, step_key):
+        act_key, reset_key = jax.random.split(step_key)
+        finished = states.terminated | states.truncated
+        actions = policy(env.observe(states), states.goal, act_key)
+        stepped = jax.vmap(env.step)(states, actions)
+        fresh = jax.vmap(env.reset)(jax.random.split(reset_key, num_envs))
+        following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
+        outcome = {
+            "observation": env.observe(states), "record": env.achieved(states), "action": actions, "goal": states.goal, "valid": ~finished,
+            "terminated": ~finished & stepped.terminated, "truncated": ~finished & stepped.truncated,
+        }
+        return following, outcome
+
+    env_states, outcomes = jax.lax.scan(step, env_states, jax.random.split(key, num_steps))
+    last = {"observation": env.observe(env_states), "record": env.achieved(env_states)}
+    rows = {name: jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), value) for name, value in outcomes.items()}
+    for name, final in last.items():
+        rows[name] = jax.tree.map(lambda leaf, end: jnp.concatenate([leaf, end[:, None]], axis=1), rows[name], final)
+    return env_states, Rows(**rows)
+
+
+def expand(mask: jax.Array, like: jax.Array) -> jax.Array:
+    """The mask [E] with trailing axes of length 1, so that it broadcasts against `like` [E, ...]."""
+    return mask.reshape(mask.shape + (1,) * (like.ndim - mask.ndim))
+
+
+@flax.struct.dataclass
+class Episodes:
+    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E]; shortest: int32 [E] steps of a shortest path from the start.
+
+    observations: [E, T + 1, ...] stored observations; after the end of an episode the last one is repeated.
+    """
+
+    steps: jax.Array
+    success: jax.Array
+    shortest: jax.Array
+    observations: jax.Array
+
+
+def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
+    """One episode from each of the E start states, to its end. The key is shared by all: nothing is drawn from seeds."""
+
+    def step(states, step_key):
+        finished = states.terminated | states.truncated
+        stepped = jax.vmap(env.step)(states, policy(env.observe(states), states.goal, step_key))
+        following = jax.tree.map(lambda old, new: jnp.where(expand(finished, old), old, new), states, stepped)
+        return following, env.observe(following)
+
+    states, observations = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))
+    observations = jax.tree.map(lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations)
+    return Episodes(steps=states.time, success=states.terminated, shortest=jax.vmap(env.shortest_path)(starts), observations=observations)

@@ -1,0 +1,124 @@
+"""One gradient update (Algorithm 1, lines 16 to 22): sample, encode, add the losses, step, then beta and the targets."""
+
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import optax
+
+from infogoal_jax import pairs as goal_pairs
+from infogoal_jax import replay
+from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.learners.learner import Encode, encode_goals
+from infogoal_jax.pairs import GoalPairs
+from infogoal_jax.replay import Rows, Transitions
+
+
+@flax.struct.dataclass
+class Experience:
+    """What an epoch's updates sample from; fixed while they run.
+
+    buffer: Rows; valid_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
+    known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
+    """
+
+    buffer: Rows
+    valid_count: jax.Array
+    achieved: jax.Array
+    achieved_count: jax.Array
+    known: jax.Array
+    usable: jax.Array
+    dissimilarity: jax.Array
+
+
+def usable_goals(env, record, usable: jax.Array) -> jax.Array:
+    """Goals achieved in these records that may enter representation learning: int32 [..., K], padded with -1."""
+    goals = env.goals_of(record)
+    return jnp.where((goals >= 0) & usable[goals], goals, -1)
+
+
+def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPairs:
+    """Goal pairs for the contrastive bound, as the learner's `PairRequest` asks (Algorithm 1, lines 16 to 20)."""
+    keys = jax.random.split(key, 5)
+    records = replay.sample_within_window(
+        keys[0], experience.buffer, experience.achieved, experience.achieved_count, request.num_pairs, request.window
+    )
+    anchor, positive = (goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable)) for k, record in zip(keys[1:3], records, strict=True))
+    positive_weight = ((anchor >= 0) & (positive >= 0)).astype(jnp.float32)
+    anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
+    contrast = jnp.broadcast_to(anchor[:, None], (request.num_pairs, request.num_negatives))
+    if not request.anchored:
+        contrast = goal_pairs.choose_from_mask(keys[3], experience.known, contrast.shape)
+    negative, negative_weight = goal_pairs.sample_negatives(keys[4], experience.dissimilarity, experience.known, contrast)
+    return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
+
+
+def returns(learner, learner_state, encode: Encode, env, hyper, batch: Transitions) -> tuple[jax.Array, Any, dict]:
+    """Discounted reward of each transition's steps, float32 [B]: 1 for reaching the goal (Eq. 5), plus the intrinsic reward (Eq. 16)."""
+    external = env.reached(batch.records, batch.goal[:, None]).astype(jnp.float32)
+    intrinsic, learner_state = learner.intrinsic_reward(learner_state, encode, batch.goal, env.goals_of(batch.records))
+    step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
+    discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
+    metrics = {"external_reward": external.mean(), "intrinsic_reward": intrinsic.mean()}
+    return (step_reward * batch.mask * discounts).sum(1), learner_state, metrics
+
+
+def agent_batch(parts, env, hyper, params, target_params, encode: Encode, batch: Transitions, reward, key) -> AgentBatch:
+    """The transitions as codes, each occurrence of a goal with noise of its own."""
+    keys = jax.random.split(key, 3)
+    frozen = jax.lax.stop_gradient(params)
+    images, next_images = env.render(batch.observation), env.render(batch.next_observation)
+    code = encode(batch.goal)
+    target_encode = encode_goals(parts.learner, target_params["goal"], env.goals, parts.table_limit)
+    code = jax.lax.stop_gradient(code) if parts.stop_encoder_gradient else code
+    return AgentBatch(
+        features=parts.state_encoder.apply(params["state"], images),
+        code=code.sample(keys[0]),
+        action=batch.action,
+        next_features=parts.state_encoder.apply(frozen["state"], next_images),
+        next_code=jax.lax.stop_gradient(code).sample(keys[1]),
+        target_features=parts.state_encoder.apply(target_params["state"], next_images),
+        target_code=target_encode(batch.goal).sample(keys[2]),
+        reward=reward,
+        discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
+        next_action_mask=env.action_mask(batch.next_observation),
+    )
+
+
+def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
+    """Shares of the positive pairs whose two goals lie in one region (two different goals), and in different regions."""
+    total = jnp.maximum(pairs.positive_weight.sum(), 1.0)
+    same = regions[pairs.anchor] == regions[pairs.positive]
+    within = ((same & (pairs.anchor != pairs.positive)) * pairs.positive_weight).sum() / total
+    return {"positives_within": within, "positives_between": (~same * pairs.positive_weight).sum() / total}
+
+
+def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
+    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part."""
+    learner, agent = parts.learner, parts.agent
+    transition_key, pair_key, loss_key, code_key = jax.random.split(key, 4)
+    batch = replay.sample_transitions(transition_key, experience.buffer, experience.valid_count, parts.batch_size, agent.num_steps)
+    pairs = sample_pairs(learner.pairs, env, experience, pair_key) if learner.pairs.num_pairs else None
+    encode_now = encode_goals(learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
+    reward, learner_state, reward_metrics = returns(learner, state.learner, encode_now, env, hyper, batch)
+
+    def total_loss(params):
+        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit)
+        learner_loss, learner_metrics = learner.loss(params["goal"], learner_state, encode, pairs, loss_key)
+        codes = agent_batch(parts, env, hyper, params, state.target_params, encode, batch, reward, code_key)
+        agent_loss, agent_metrics = agent.loss(params["agent"], state.target_params["agent"], codes)
+        return agent_loss + hyper.learner_weight * learner_loss, (learner_metrics, agent_metrics | {"loss": agent_loss})
+
+    gradient, (learner_metrics, agent_metrics) = jax.grad(total_loss, has_aux=True)(state.params)
+    norm = optax.global_norm(gradient)
+    scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
+    direction, optimizer_state = parts.optimizer.update(jax.tree.map(lambda leaf: leaf * scale, gradient), state.optimizer_state)
+    params = jax.tree.map(lambda leaf, step: leaf - hyper.learning_rate * step, state.params, direction)
+    target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
+    state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state,
+                          learner=learner.update(learner_state, learner_metrics, hyper))
+    metrics = {f"agent/{name}": value for name, value in (agent_metrics | reward_metrics | {"gradient_norm": norm}).items()}
+    if pairs is not None:
+        learner_metrics |= positive_regions(pairs, env.goals.regions)
+    return state, metrics | {f"{parts.method}/{name}": value for name, value in learner_metrics.items()}

@@ -1,0 +1,58 @@
+"""A search task small enough to check by hand: four rooms, each a corridor of three places, around one crossing; four headings a place.
+
+    room 1          place 0 is the crossing; room r has places 1 + 3 r, 2 + 3 r, 3 + 3 r from the crossing outwards.
+      |             Heading h looks along room h. Each room has two objects, one commanded in training and one in the test; both are in view
+  2 --+-- 0         from the two outer places while looking outwards.
+      |
+    room 3
+"""
+
+import numpy as np
+
+from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
+from infogoal_jax.data.splits import make_split
+from infogoal_jax.envs.object_search import ObjectSearch, lay_out
+
+ROOMS, DEPTH = 4, 3
+SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
+
+
+def place_ahead(place: int, heading: int) -> int:
+    """The place one step along a heading, or the same place where the way is closed."""
+    if place == 0:
+        return 1 + DEPTH * heading
+    room, depth = divmod(place - 1, DEPTH)
+    if heading == room:
+        return place + 1 if depth + 1 < DEPTH else place
+    if heading == (room + 2) % 4:
+        return place - 1 if depth else 0
+    return place
+
+
+def scenes(image_size: int = 8) -> SearchScenes:
+    """The four rooms as scenes; state 4 * place + heading; each image random but fixed."""
+    places = 1 + ROOMS * DEPTH
+    turn = {"forward": 0, "left": 1, "backward": 2, "right": 3}
+    next_state = np.zeros((4 * places, len(ACTIONS)), np.int32)
+    visible = np.zeros((4 * places, 2 * ROOMS), bool)
+    for place in range(places):
+        for heading in range(4):
+            state = 4 * place + heading
+            for column, action in enumerate(ACTIONS):
+                if action in turn:
+                    next_state[state, column] = 4 * place_ahead(place, (heading + turn[action]) % 4) + heading
+                else:
+                    next_state[state, column] = 4 * place + (heading + (1 if action == "rotate_ccw" else -1)) % 4
+            room, depth = divmod(place - 1, DEPTH)
+            if place and depth >= 1 and heading == room:
+                visible[state, [room, ROOMS + room]] = True
+    images = np.random.default_rng(0).integers(0, 256, (4 * places, image_size, image_size), dtype=np.uint8)
+    position = np.zeros((4 * places, 3), np.float32)
+    names = tuple(f"{state:06d}.jpg" for state in range(4 * places))
+    return SearchScenes(images, next_state, visible, position, np.zeros(4 * places, np.int32), names, ("hand-made",), SPLIT.objects, "hand-made graph")
+
+
+def environment(episode_length: int = 20) -> ObjectSearch:
+    """The hand-made task; a goal's input is a random but fixed unit vector of 16 numbers."""
+    inputs = np.random.default_rng(1).normal(size=(2 * ROOMS, 16)).astype(np.float32)
+    return lay_out(scenes(), SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length)
