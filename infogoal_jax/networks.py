@@ -45,7 +45,7 @@ class VectorEncoder(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """psi(s) for grey images uint8 [..., H, W], H and W multiples of `patch`: each patch by one matrix, then all of them by another, to [..., features]."""
+    """psi(s): grey images uint8 [..., H, W], H and W multiples of `patch`, to [..., features]. One matrix for every patch, one for all of them."""
 
     patch: int
     channels: int

@@ -37,7 +37,7 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
 
     goals: int32 [R, T, K] achieved at each step; episode: int32 [R, T] number of the episode within its row, steps of one episode adjacent.
     """
-    num_goals, (rows, steps, _) = dissimilarity.shape[0], goals.shape
+    num_goals, steps = dissimilarity.shape[0], goals.shape[1]
     goals = jnp.where(goals < 0, num_goals, goals)  # Outside the matrix: dropped by the scatter.
 
     def remove_at_lag(lag, matrix):

@@ -9,9 +9,11 @@
 
 import numpy as np
 
+from infogoal_jax import presets
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
-from infogoal_jax.envs.object_search import ObjectSearch, lay_out
+from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -49,10 +51,20 @@ def scenes(image_size: int = 8) -> SearchScenes:
     images = np.random.default_rng(0).integers(0, 256, (4 * places, image_size, image_size), dtype=np.uint8)
     position = np.zeros((4 * places, 3), np.float32)
     names = tuple(f"{state:06d}.jpg" for state in range(4 * places))
-    return SearchScenes(images, next_state, visible, position, np.zeros(4 * places, np.int32), names, ("hand-made",), SPLIT.objects, "hand-made graph")
+    scene = np.zeros(4 * places, np.int32)
+    return SearchScenes(images, next_state, visible, position, scene, names, ("hand-made",), SPLIT.objects, "hand-made graph")
 
 
 def environment(episode_length: int = 20) -> ObjectSearch:
     """The hand-made task; a goal's input is a random but fixed unit vector of 16 numbers."""
     inputs = np.random.default_rng(1).normal(size=(2 * ROOMS, 16)).astype(np.float32)
     return lay_out(scenes(), SPLIT, inputs / np.linalg.norm(inputs, axis=1, keepdims=True), episode_length)
+
+
+def config(method: str = "infogoal", **changes) -> TrainConfig:
+    """A configuration that trains on the hand-made task in seconds."""
+    small = {
+        "env": ObjectSearchConfig(episode_length=20, image_size=8), "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 40,
+        "updates_per_epoch": 10, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 3,
+    }
+    return presets.load("object_search", method, **(small | changes))

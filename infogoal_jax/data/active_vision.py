@@ -24,8 +24,8 @@ import scipy.io
 from infogoal_jax.errors import UserError, nearest
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
-# A box counts as a clear view where its shorter side is this share of the image height (97 pixels of the real 1080).
-DEFAULT_MIN_BOX_SIZE = 0.09
+# A box counts as a clear view where its shorter side is this share of the image height (119 pixels of the real 1080).
+DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
 CACHE_VERSION = 1
 SHIPPED_HOUSE = Path(__file__).parent / "files" / "house"

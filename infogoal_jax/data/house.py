@@ -11,7 +11,7 @@ Difficulty, whose real scale is undocumented, is 1 to 5 by the visible share of 
 
 from __future__ import annotations
 
-import dataclasses
+import io
 import json
 import os
 import re
@@ -28,6 +28,8 @@ from infogoal_jax.errors import UserError
 
 GENERATOR_VERSION = 1
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
+# Metres of wall that one texture covers: longer than any wall it is on, so that no pattern comes twice.
+WALL_TILE, CORRIDOR_TILE = 5.0, 13.0
 LEAST_PIXELS = 4  # objects with fewer visible pixels are not annotated
 # COLMAP's arbitrary unit: positions in image_structs.mat times this are millimetres. Not 1000, so that a reader which forgets it is wrong.
 POSITION_SCALE = 800.0
@@ -57,7 +59,7 @@ def build_house(
     *,
     node_spacing: float = 0.6,
     image_width: int = 160,
-    jpeg_quality: int = 80,
+    jpeg_quality: int = 70,
 ) -> Path:
     """Build one scene under `out_dir`, which may hold other scenes already; returns the scene's folder.
 
@@ -155,33 +157,41 @@ def furnish(house: House, seed: int) -> tuple[house_render.Boxes, list[str]]:
 def _add_walls(add, house: House) -> None:
     thick, high = house_layout.WALL_THICKNESS, house_layout.WALL_HEIGHT
     half = house_layout.CORRIDOR_WIDTH / 2
-    tile = (2.4, high)
 
     def floor_and_ceiling(low, up, name):
         add([*low, -0.1], [*up, 0], f"floor:{name}", (1.2, 1.2))
         add([*low, high], [*up, high + 0.1], f"ceiling:{name}", (1.2, 1.2))
 
+    def wall_with_doors(first, last, doors, low, up, surface, tile):
+        """A wall along x in layers, so that its two sides differ; the cut faces are door frames."""
+        faces = ("plain:60", "plain:60", surface, surface, "plain:60", "plain:60")
+        edges = [first, *(x for door in sorted(doors) for x in (door - door_half, door + door_half)), last]
+        for index in range(len(edges) - 1):
+            bottom = house_layout.DOOR_HEIGHT if index % 2 else 0
+            add([edges[index], low, bottom], [edges[index + 1], up, high], faces, tile)
+
+    door_half = house_layout.DOOR_WIDTH / 2
     floor_and_ceiling((0, -half), (house.length, half), "corridor")
     for x, side in ((-thick, "west"), (house.length, "east")):
-        add([x, -half, 0], [x + thick, half, high], f"wall:corridor:{side}", tile)
+        add([x, -half, 0], [x + thick, half, high], f"wall:corridor:{side}", (CORRIDOR_TILE, high))
+    for door_side, side, low in (("south", "north", half), ("north", "south", -half - thick / 2)):
+        doors = [room.door for room in house.rooms if room.door_side == door_side]
+        wall_with_doors(-thick, house.length + thick, doors, low, low + thick / 2, f"wall:corridor:{side}", (CORRIDOR_TILE, high))
     for room in house.rooms:
         (left, low), (right, up) = room.lower, room.upper
-        far_side = "north" if room.door_side == "south" else "south"
-        floor_and_ceiling(room.lower, room.upper, room.name)
         wall = {side: f"wall:{room.name}:{side}" for side in house_layout.SIDES}
-        far = (up, up + thick) if far_side == "north" else (low - thick, low)
-        add([left - thick / 2, far[0], 0], [right + thick / 2, far[1], high], wall[far_side], tile)
-        # Neighbours share a partition: each draws its own half of it.
-        add([left - thick / 2, low, 0], [left, up, high], wall["west"], tile)
-        add([right, low, 0], [right + thick / 2, up, high], wall["east"], tile)
-        (door_left, near), (door_right, beyond) = house_layout.doorway(room)
-        towards_room, towards_corridor = wall[room.door_side], f"wall:corridor:{far_side}"
-        across = (towards_corridor, towards_room) if room.door_side == "south" else (towards_room, towards_corridor)
-        faces = ("plain:60", "plain:60", *across, "plain:60", "plain:60")
-        add([left - thick / 2, near, 0], [door_left, beyond, high], faces, tile)
-        add([door_right, near, 0], [right + thick / 2, beyond, high], faces, tile)
-        add([door_left, near, house_layout.DOOR_HEIGHT], [door_right, beyond, high], faces, tile)
-        floor_and_ceiling((door_left, near), (door_right, beyond), "corridor")
+        tile = (WALL_TILE, high)
+        floor_and_ceiling(room.lower, room.upper, room.name)
+        floor_and_ceiling(*house_layout.doorway(room), "corridor")
+        add([left - thick, low, 0], [left, up, high], wall["west"], tile)
+        add([right, low, 0], [right + thick, up, high], wall["east"], tile)
+        if room.door_side == "south":
+            near, far = (low - thick / 2, low), (up, up + thick)
+        else:
+            near, far = (up, up + thick / 2), (low - thick, low)
+        far_side = "north" if room.door_side == "south" else "south"
+        add([left - thick, far[0], 0], [right + thick, far[1], high], wall[far_side], tile)
+        wall_with_doors(left - thick, right + thick, [room.door], *near, wall[room.door_side], tile)
 
 
 def _add_furniture(add, index: int, furniture: house_layout.Furniture) -> None:
@@ -207,25 +217,42 @@ def _add_furniture(add, index: int, furniture: house_layout.Furniture) -> None:
 
 
 def _add_decoration(add, house: House, rng: np.random.Generator) -> None:
-    """A picture or a window on each wall of the rooms, and two pictures in the corridor."""
+    """Pictures and windows on the walls: they tell one stretch of a wall from the next."""
+
+    def hang(name, side, low, up, wall):
+        """Put something flat on a wall, somewhere between `low` and `up` along it; `wall` is where its surface is."""
+        along = 0 if side in ("south", "north") else 1
+        width, bottom = min(rng.uniform(0.6, 1.1), up - low), rng.uniform(1.2, 1.6)
+        start = rng.uniform(low, up - width)
+        inward = wall + (0.02 if side in ("west", "south") else -0.02)
+        lower, upper = np.empty(3), np.empty(3)
+        lower[[along, 1 - along, 2]] = start, min(wall, inward), bottom
+        upper[[along, 1 - along, 2]] = start + width, max(wall, inward), bottom + rng.uniform(0.5, 0.8)
+        add(lower, upper, name)
+
+    clear = house_layout.DOOR_WIDTH / 2 + 0.1
     for room in house.rooms:
         for side in house_layout.SIDES:
             along = 0 if side in ("south", "north") else 1
-            kind = "window" if side != room.door_side and rng.random() < 0.4 else "picture"
-            width, height = rng.uniform(0.6, 1.1), rng.uniform(0.5, 0.8)
-            low, high = room.lower[along] + 0.2, room.upper[along] - 0.2 - width
-            start = rng.uniform(low, high)
-            if side == room.door_side:  # beside the door, where there is more wall
-                left_space, right_space = room.door - low, high + width - room.door
-                start = (low if left_space > right_space else high) + rng.uniform(0, 0.05)
+            low, up = room.lower[along] + 0.1, room.upper[along] - 0.1
             wall = (room.lower if side in ("west", "south") else room.upper)[1 - along]
-            inward = 0.02 if side in ("west", "south") else -0.02
-            bottom = rng.uniform(1.25, 1.6)
-            lower, upper = np.empty(3), np.empty(3)
-            lower[along], upper[along] = start, start + width
-            lower[1 - along], upper[1 - along] = min(wall, wall + inward), max(wall, wall + inward)
-            lower[2], upper[2] = bottom, bottom + height
-            add(lower, upper, f"{kind}:{room.name}:{side}")
+            kind = "window" if side != room.door_side and rng.random() < 0.4 else "picture"
+            if side == room.door_side:  # beside the door, where there is more wall
+                low, up = (low, room.door - clear) if room.door - low > up - room.door else (room.door + clear, up)
+                hang(f"{kind}:{room.name}:{side}", side, low, up, wall)
+            else:
+                middle = (low + up) / 2
+                hang(f"{kind}:{room.name}:{side}", side, low, middle - 0.1, wall)
+                hang(f"picture:{room.name}:{side}:second", side, middle + 0.1, up, wall)
+    half = house_layout.CORRIDOR_WIDTH / 2
+    for side, door_side, wall in (("north", "south", half), ("south", "north", -half)):
+        doors = sorted(room.door for room in house.rooms if room.door_side == door_side)
+        stretches = ((0.1, doors[0] - clear), (doors[0] + clear, doors[1] - clear), (doors[1] + clear, house.length - 0.1))
+        for number, (low, up) in enumerate(stretches):
+            # About one picture for every two metres of corridor wall.
+            cuts = np.linspace(low, up, max(2, round((up - low) / 1.8) + 1))
+            for place, (first, last) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+                hang(f"picture:corridor:{side}:{number}:{place}", side, first + 0.05, max(last - 0.05, first + 0.3), wall)
 
 
 def _photograph(house: House, boxes, levels, camera):
@@ -277,7 +304,11 @@ def _write_image_structs(folder: Path, house: House, camera, names: list[str], a
             float(index + 1), 1.0, float(node + 1), edges["rotate_cw"], edges["rotate_ccw"],
             edges["forward"], edges["backward"], edges["right"], edges["left"],
         )  # fmt: skip
-    scipy.io.savemat(folder / "image_structs.mat", {"image_structs": records, "scale": POSITION_SCALE}, do_compression=True)
+    content = io.BytesIO()
+    scipy.io.savemat(content, {"image_structs": records, "scale": POSITION_SCALE}, do_compression=True)
+    # The first 116 bytes are free text, where scipy puts the time of day: the same seed shall write the same file.
+    header = b"MATLAB 5.0 MAT-file, infogoal_jax.data.house".ljust(116)
+    (folder / "image_structs.mat").write_bytes(header + content.getvalue()[116:])
 
 
 def _quaternion(heading: int) -> np.ndarray:

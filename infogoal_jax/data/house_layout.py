@@ -14,7 +14,8 @@ import numpy as np
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 
 WALL_THICKNESS, WALL_HEIGHT = 0.12, 2.5
-CORRIDOR_WIDTH, HOUSE_LENGTH, ROOM_DEPTH = 1.6, 8.9, 3.75
+CORRIDOR_WIDTH, HOUSE_LENGTH, ROOM_DEPTH = 1.6, 12.0, 3.75
+CLOSET_WIDTH = 3.4  # a closed space between the two rooms of a side: the way from room to room is long enough to matter
 DOOR_WIDTH, DOOR_HEIGHT = 1.0, 2.1
 ROBOT_RADIUS, PASSING_CLEARANCE = 0.22, 0.12
 HEADINGS = 12
@@ -216,10 +217,10 @@ def _draw_rooms(rng: np.random.Generator, length: float, columns: np.ndarray) ->
     rooms = []
     for row, door_side in enumerate(("south", "north")):
         depth = ROOM_DEPTH + rng.uniform(-0.15, 0.25)
-        split = length / 2 + rng.uniform(-0.25, 0.25)
+        middle = length / 2 + rng.uniform(-0.25, 0.25)
         near = CORRIDOR_WIDTH / 2 + WALL_THICKNESS
         low, high = (near, near + depth) if door_side == "south" else (-near - depth, -near)
-        for place, (left, right) in enumerate(((0.0, split - WALL_THICKNESS / 2), (split + WALL_THICKNESS / 2, length))):
+        for place, (left, right) in enumerate(((0.0, middle - CLOSET_WIDTH / 2), (middle + CLOSET_WIDTH / 2, length))):
             fits = columns[(columns > left + DOOR_WIDTH / 2 + 0.1) & (columns < right - DOOR_WIDTH / 2 - 0.1)]
             # A door in the middle of a column of nodes: the robot passes it on the grid.
             rooms.append(Room(str(names[2 * row + place]), (left, low), (right, high), float(rng.choice(fits)), door_side))
@@ -238,11 +239,9 @@ def _place_piece(rng: np.random.Generator, room: Room, piece: Piece, others: lis
         if side in ("west", "east") or (not side and rng.random() < 0.5):
             size = size[::-1]
         corner = rng.uniform(low, high - size) if side else (low + high - size) / 2 + rng.uniform(-0.4, 0.4, 2)
-        if side in ("west", "south"):
-            corner[side == "south"] = low[int(side == "south")]
-        elif side:
-            axis = int(side == "north")
-            corner[axis] = high[axis] - size[axis]
+        if side:  # flush with its wall
+            axis = int(side in ("south", "north"))
+            corner[axis] = low[axis] if side in ("west", "south") else high[axis] - size[axis]
         placed = Furniture(room.name, piece, corner, corner + size, side)
         overlaps = any((placed.lower < o.upper + 0.05).all() and (placed.upper > o.lower - 0.05).all() for o in others)
         blocks_door = (placed.lower < door_high).all() and (placed.upper > door_low).all()

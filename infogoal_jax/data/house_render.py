@@ -12,8 +12,8 @@ import dataclasses
 import cv2
 import numpy as np
 
-TEXTURE_SIZE = 64
-LEVELS = 5  # a texture is stored at full size and averaged over 2, 4, 8 and 16 texels, so that far patterns do not flicker
+TEXTURE_SIZE = 128
+LEVELS = 6  # a texture is stored at full size and averaged over 2, 4, ... 32 texels, so that far patterns do not flicker
 NEAR = 0.05
 # How bright the faces -x, +x, -y, +y, -z, +z are: a light from one side makes corners visible in grey.
 FACE_LIGHT = np.array([0.80, 0.95, 0.88, 1.0, 0.70, 1.0], np.float32)

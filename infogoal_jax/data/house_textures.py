@@ -18,23 +18,23 @@ from infogoal_jax.data.house_render import TEXTURE_SIZE
 SIZE = TEXTURE_SIZE
 CORRIDOR = "corridor"
 ROW, COLUMN = np.mgrid[0:SIZE, 0:SIZE]
-# Patterns as masks; on a wall the texture covers 2.4 m by the wall's height, so that a period of 16 texels is 0.6 m.
+# Patterns as masks. A wall's texture covers 5 m by 2.5 m, so a period of 16 columns by 32 rows is 0.6 m by 0.6 m.
 PATTERNS = (
     COLUMN % 16 < 8,  # broad upright stripes
-    ROW % 16 < 8,  # broad level stripes
-    (ROW // 16 + COLUMN // 16) % 2 == 0,  # checks
-    (ROW % 16 < 2) | ((COLUMN + 16 * (ROW // 16 % 2)) % 32 < 2),  # bricks
-    (ROW > 40) & ~((ROW > 44) & (ROW < 60) & (COLUMN % 16 > 2) & (COLUMN % 16 < 14)),  # panels below
-    (ROW + COLUMN) % 32 < 16,  # slanted stripes
-    (ROW % 16 - 8) ** 2 + (COLUMN % 16 - 8) ** 2 < 25,  # dots
-    (COLUMN % 32 < 4) | (ROW > 52),  # narrow posts over a dark base
+    ROW % 32 < 16,  # broad level stripes
+    (ROW // 32 + COLUMN // 16) % 2 == 0,  # checks
+    (ROW % 32 < 4) | ((COLUMN + 8 * (ROW // 32 % 2)) % 16 < 2),  # bricks
+    (ROW > 80) & ~((ROW > 88) & (ROW < 120) & (COLUMN % 16 > 2) & (COLUMN % 16 < 14)),  # panels below
+    (ROW + 2 * COLUMN) % 64 < 32,  # slanted stripes
+    ((ROW % 32 - 16) / 2) ** 2 + (COLUMN % 16 - 8) ** 2 < 25,  # dots
+    (COLUMN % 24 < 3) | (ROW > 104),  # narrow posts over a dark base
 )
 FLOOR_PATTERNS = (
-    (ROW // 16 + COLUMN // 16) % 2 == 0,
-    ROW % 8 < 1,
+    (ROW // 32 + COLUMN // 32) % 2 == 0,
+    ROW % 16 < 2,
     np.zeros((SIZE, SIZE), bool),
-    (ROW % 16 < 1) | (COLUMN % 16 < 1),
-    (COLUMN % 16 < 2) | ((ROW + 32 * (COLUMN // 16 % 2)) % 64 < 2),
+    (ROW % 32 < 2) | (COLUMN % 32 < 2),
+    (COLUMN % 32 < 4) | ((ROW + 64 * (COLUMN // 32 % 2)) % 128 < 4),
 )
 
 
@@ -47,7 +47,7 @@ def paint(surfaces: Sequence[str], room_names: Sequence[str], seed: int) -> np.n
         # A surface has its own stream of random numbers: a picture more changes no other.
         rng = np.random.default_rng([seed, 2, *surface.encode()])
         if kind == "wall":
-            painted.append(_two_tone(*walls[rest]))
+            painted.append(_faded(rng, _two_tone(*walls[rest])))
         elif kind in ("floor", "ceiling"):
             painted.append(_floor(rng, list(room_names).index(rest), kind))
         else:
@@ -66,7 +66,7 @@ def _wall_styles(room_names: Sequence[str], seed: int) -> dict[str, tuple]:
         for place, side in enumerate(SIDES):
             pattern = PATTERNS[order[(4 * index + place) % len(PATTERNS)]]
             light = (place + index // 2) % 2 == 0
-            ground = rng.uniform(185, 215) if light else rng.uniform(60, 90)
+            ground = rng.uniform(165, 195) if light else rng.uniform(60, 90)
             if room == CORRIDOR:
                 ground = rng.uniform(125, 150)
             figure = ground + (-1 if light else 1) * rng.uniform(60, 80)
@@ -77,6 +77,13 @@ def _wall_styles(room_names: Sequence[str], seed: int) -> dict[str, tuple]:
 def _two_tone(pattern: np.ndarray, ground: np.ndarray, figure: np.ndarray) -> np.ndarray:
     picture = np.where(pattern[..., None], figure, ground)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
+def _faded(rng: np.random.Generator, picture: np.ndarray) -> np.ndarray:
+    """Light that changes along the wall, so that the same pattern a metre on is not the same picture."""
+    left, middle, right = rng.permutation([0.75, 0.95, 1.15])
+    light = np.interp(np.arange(SIZE), [0, SIZE / 2, SIZE], [left, middle, right])
+    return np.clip(np.rint(picture * light[None, :, None]), 0, 255).astype(np.uint8)
 
 
 def _floor(rng: np.random.Generator, index: int, kind: str) -> np.ndarray:
@@ -94,11 +101,11 @@ def _furniture_front(rng: np.random.Generator, name: str) -> np.ndarray:
     """Drawers, doors or shelves: a grid of dark outlines on one colour."""
     colour = rng.uniform(50, 200) * rng.uniform(0.8, 1.2, 3)
     picture = np.broadcast_to(np.clip(colour, 0, 255), (SIZE, SIZE, 3)).copy()
-    rows, columns = rng.integers(1, 4), rng.integers(1, 5)
-    lines = (ROW % (SIZE // rows) < 3) | (COLUMN % (SIZE // columns) < 3)
+    rows, columns = rng.integers(2, 5), rng.integers(2, 5)
+    lines = (ROW % (SIZE // rows) < 5) | (COLUMN % (SIZE // columns) < 5)
     if name == "bookcase":
-        picture *= rng.uniform(0.4, 1.6, SIZE // 4).repeat(4)[None, :, None]
-        lines = ROW % 21 < 3
+        picture *= rng.uniform(0.4, 1.6, SIZE // 8).repeat(8)[None, :, None]
+        lines = ROW % 42 < 5
     picture[lines] *= 0.4
     return np.clip(picture, 0, 255).astype(np.uint8)
 
@@ -112,21 +119,21 @@ def _picture(rng: np.random.Generator, name: str) -> np.ndarray:
     picture = np.ascontiguousarray(_plain(rng.uniform(40, 220), rng))
     for _ in range(4):
         colour = tuple(int(c) for c in rng.integers(0, 256, 3))
-        x, y, size = (int(v) for v in rng.integers((0, 0, 8), (SIZE, SIZE, 26)))
+        x, y, size = (int(v) for v in rng.integers((0, 0, 16), (SIZE, SIZE, 52)))
         if rng.random() < 0.5:
             cv2.circle(picture, (x, y), size, colour, -1)
         else:
             cv2.rectangle(picture, (x - size, y - size // 2), (x + size, y + size // 2), colour, -1)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (20, 20, 20), 5)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (20, 20, 20), 10)
     return picture
 
 
 def _window(rng: np.random.Generator, name: str) -> np.ndarray:
     """Bright sky over a darker ground behind a white cross."""
     picture = np.ascontiguousarray(np.broadcast_to(np.array([255, 245, 235], np.uint8), (SIZE, SIZE, 3)))
-    picture[int(rng.uniform(35, 50)) :] = (90, 140, 110)
-    cv2.line(picture, (SIZE // 2, 0), (SIZE // 2, SIZE), (255, 255, 255), 4)
-    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (250, 250, 250), 4)
+    picture[int(rng.uniform(70, 100)) :] = (90, 140, 110)
+    cv2.line(picture, (SIZE // 2, 0), (SIZE // 2, SIZE), (255, 255, 255), 8)
+    cv2.rectangle(picture, (0, 0), (SIZE - 1, SIZE - 1), (250, 250, 250), 8)
     return picture
 
 
@@ -135,15 +142,14 @@ def _label(rng: np.random.Generator, name: str) -> np.ndarray:
     hue = np.array([[[int(rng.integers(0, 180)), int(rng.integers(120, 256)), int(rng.integers(90, 256))]]], np.uint8)
     first = cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0].astype(float)
     picture = _two_tone(PATTERNS[rng.integers(len(PATTERNS))], first, 255 - first).copy()
-    for line, word in enumerate(name.split("_")[:3]):
-        top = 8 + 18 * line
-        cv2.rectangle(picture, (4, top - 4), (SIZE - 5, top + 12), (245, 245, 245), -1)
-        cv2.putText(picture, word[:7].upper(), (6, top + 10), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (10, 10, 10), 1)
+    cv2.rectangle(picture, (8, 44), (SIZE - 9, 84), (245, 245, 245), -1)
+    for line, word in enumerate(name.split("_")[:2]):
+        cv2.putText(picture, word[:8].upper(), (12, 61 + 19 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (10, 10, 10), 2)
     return picture
 
 
 def _screen(rng: np.random.Generator, name: str) -> np.ndarray:
-    return _two_tone((ROW > 4) & (ROW < 58) & (COLUMN > 3) & (COLUMN < 60), np.full(3, 70.0), np.full(3, 20.0))
+    return _two_tone((ROW > 8) & (ROW < 116) & (COLUMN > 6) & (COLUMN < 120), np.full(3, 70.0), np.full(3, 20.0))
 
 
 PAINTERS = {

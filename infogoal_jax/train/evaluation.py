@@ -30,15 +30,15 @@ def summarise(env, episodes: Episodes, suffix: str = "") -> dict[str, jax.Array]
     return metrics
 
 
-def evaluate(env, policies: dict[str, Policy], num_starts: int) -> dict[str, jax.Array]:
-    """Metrics of each policy (its name is the suffix), and of the first policy when each goal was first reached.
+def evaluate(env, policies: dict[str, Policy], num_starts: int, seed: int = EVALUATION_SEED) -> dict[str, jax.Array]:
+    """Metrics of each policy (its name is the suffix), and of the first policy when each goal was first reached. seed: of starts and noise.
 
     `first_reached`: int32 [N, num_starts] steps, episode_length + 1 where it never was; success within t steps is `first_reached <= t`.
     """
-    starts = goal_starts(env, num_starts)
+    starts = goal_starts(env, num_starts, seed)
     metrics = {}
     for suffix, policy in policies.items():
-        episodes = run_episodes(env, starts, policy, jax.random.key(EVALUATION_SEED + 1))
+        episodes = run_episodes(env, starts, policy, jax.random.key(seed + 1))
         metrics |= summarise(env, episodes, suffix)
         if "first_reached" not in metrics:
             reached = jnp.where(episodes.success, episodes.steps, env.episode_length + 1)

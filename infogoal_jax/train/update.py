@@ -111,7 +111,7 @@ def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
         return agent_loss + hyper.learner_weight * learner_loss, (learner_metrics, agent_metrics | {"loss": agent_loss})
 
     gradient, (learner_metrics, agent_metrics) = jax.grad(total_loss, has_aux=True)(state.params)
-    norm = optax.global_norm(gradient)
+    norm = optax.tree.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
     direction, optimizer_state = parts.optimizer.update(jax.tree.map(lambda leaf: leaf * scale, gradient), state.optimizer_state)
     params = jax.tree.map(lambda leaf, step: leaf - hyper.learning_rate * step, state.params, direction)

@@ -1,0 +1,27 @@
+# `make train` and `make test` do all the set-up. PYTHON names the interpreter that the environment is made from.
+PYTHON ?= python3
+SEEDS ?= 5
+ENVIRONMENT := .venv
+READY := $(ENVIRONMENT)/.ready
+
+.PHONY: train test test-long lint clean
+
+train: $(READY)
+	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
+
+test: $(READY) lint
+	$(ENVIRONMENT)/bin/python -m pytest -q
+
+test-long: $(READY)
+	$(ENVIRONMENT)/bin/python -m pytest -q -m "long or not long"
+
+lint: $(READY)
+	$(ENVIRONMENT)/bin/ruff check .
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(ENVIRONMENT)
+	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(ENVIRONMENT) build *.egg-info

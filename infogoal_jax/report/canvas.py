@@ -1,0 +1,92 @@
+"""What all figures share: a canvas without a display, the line that says what was drawn, colours, and curves with their intervals.
+
+Figures are made as objects and never through pyplot, so that drawing changes no state of the user's and needs no screen.
+"""
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from infogoal_jax.report.runs import Run
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.report.tables import Table
+from infogoal_jax.train import files
+from infogoal_jax.train.program import Train
+
+DOTS_PER_INCH = 130
+# Okabe and Ito's colours, which colour-blind readers can tell apart.
+ROOM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")
+USE_COLOURS = {"train": "#0072B2", "validation": "#009E73", "test": "#D55E00"}
+USE_TITLES = {"train": "training goals", "validation": "validation goals", "test": "test goals"}
+SUCCESS, FAILURE, NOTHING = "#1A9641", "#D7191C", "#DDDDDD"
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """What the figures of a run are about. The tables leave out the seeds that diverged; params: of one seed, None if the run holds none yet."""
+
+    run: Run
+    train: Train
+    epochs: Table
+    evaluations: Table
+    diverged: dict[int, int]
+    params: Any
+    params_seed: int
+
+
+def room_colour(region: int) -> str:
+    """The colour of a room."""
+    return ROOM_COLOURS[region % len(ROOM_COLOURS)]
+
+
+def in_words(name: str, longest: int = 44) -> str:
+    """The name of a goal for people, cut where it is too long."""
+    words = name.replace("_", " ")
+    return words if len(words) <= longest else words[: longest - 3].rstrip() + "..."
+
+
+def data_in_brief(run: Run) -> str:
+    """What the data was, without its path; the synthetic house says that it is a stand-in."""
+    brief = re.sub(r" \([^()]*[/\\][^()]*\)", "", run.data)
+    return f"{brief} (a stand-in)" if brief.startswith("synthetic") else brief
+
+
+def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
+    """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below. shown: instead of the seeds."""
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    config, count = subject.run.config, len(subject.evaluations.seeds)
+    seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
+    left_out = "".join(f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items())
+    figure.suptitle(f"{config.task.replace('_', ' ')}, {config.method}: {title}", fontsize=12)
+    figure.supxlabel(f"{seeds}{left_out}\ndata: {data_in_brief(subject.run)}", fontsize=8, color="#444444")
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG. Raises `UserError` if the disk refuses."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white"))
+
+
+def draw_curve(axes: Axes, x: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
+    """Mean over seeds with its 95 % band, and every seed as a thin line: x [T], values [seeds, T]."""
+    interval = mean_interval(values)
+    # A run of one evaluation has points, but no lines.
+    axes.plot(x, interval.mean, color=colour, linewidth=2, label=label, marker="o" if len(x) == 1 else None)
+    if interval.count > 1:
+        axes.fill_between(x, interval.low, interval.high, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(x, values.T, color=colour, linewidth=0.6, alpha=0.5)
+
+
+def finish_share_axis(axes: Axes, label: str) -> None:
+    """A vertical axis for a share from 0 to 1, with a grid."""
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.3, linewidth=0.6)

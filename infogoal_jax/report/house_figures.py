@@ -1,0 +1,248 @@
+"""Plan views of a search task: trajectories of the trained policy (paper, Fig. 10) and the intrinsic reward over the house (Fig. 12).
+
+Rooms have no outlines in the data: what is drawn are the places where images were taken and the moves between them.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Wedge
+from matplotlib.patheffects import withStroke
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from infogoal_jax.data.active_vision import ACTIONS
+from infogoal_jax.learners.learner import encode_goals
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, in_words, new_figure, room_colour
+from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
+from infogoal_jax.train.rollout import run_episodes
+
+ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]
+SIGHT, PATH = "#E69F00", "#30305C"
+STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A house from above.
+
+    position: [S, 3] x and y in metres and heading in radians; known: bool [S], where they are; place: int [S], shared by images of one spot;
+    part: int [S], shared by images that moves lead between; moves: int [M, 2] from image to image; spacing: metres of a typical move.
+    """
+
+    position: np.ndarray
+    known: np.ndarray
+    place: np.ndarray
+    part: np.ndarray
+    moves: np.ndarray
+    spacing: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """One episode of the policy. nodes: int [steps + 1] images that it went through; shortest: steps of a shortest path."""
+
+    goal: int
+    nodes: np.ndarray
+    success: bool
+    shortest: int
+
+
+def linked(next_node: np.ndarray) -> np.ndarray:
+    """Which images can be walked between by these actions, int [S] numbers of the groups: next_node [S, A]."""
+    number = len(next_node)
+    source = np.repeat(np.arange(number), next_node.shape[1])
+    return connected_components(coo_array((np.ones(len(source)), (source, next_node.ravel())), shape=(number, number)), directed=False)[1]
+
+
+def make_plan(env) -> Plan | None:
+    """The plan of a search task; None where the task has no positions, or none is known."""
+    position = np.asarray(getattr(env, "position", np.zeros((0, 3))))
+    known = np.isfinite(position).all(1)
+    if not known.any():
+        return None
+    next_node = np.asarray(env.next_node)
+    moves = np.stack([np.repeat(np.arange(len(next_node)), len(ACTIONS)), next_node.ravel()], 1)
+    moves = moves[known[moves].all(1) & (moves[:, 0] < moves[:, 1])]
+    length = np.linalg.norm(position[moves[:, 0], :2] - position[moves[:, 1], :2], axis=1)
+    if not (length > 1e-3).any():
+        return None
+    return Plan(position, known, linked(next_node[:, ROTATIONS]), linked(next_node), moves, float(np.median(length[length > 1e-3])))
+
+
+def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
+    """Places as dots, moves as lines and rooms by name, for one part of the house."""
+    shown = plan.known & (plan.part == part)
+    moves = plan.moves[shown[plan.moves[:, 0]]]
+    axes.add_collection(LineCollection(plan.position[moves, :2], colors=NOTHING, linewidths=0.7, zorder=0))
+    axes.scatter(*plan.position[shown, :2].T, s=3, color="#BBBBBB", zorder=1)
+    in_view, regions = np.asarray(env.in_view), np.asarray(env.goals.regions)
+    for region, name in enumerate(env.goals.region_names):
+        seeing = shown & in_view[:, regions == region].any(1)
+        if seeing.any():
+            axes.text(
+                *np.median(plan.position[seeing, :2], axis=0), name, color=room_colour(region), fontsize=9, weight="bold", ha="center", va="center",
+                zorder=9, path_effects=[withStroke(linewidth=3, foreground="white")],
+            )
+    low, high = plan.position[shown, :2].min(0) - plan.spacing, plan.position[shown, :2].max(0) + plan.spacing
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+
+
+def draw_arrows(axes: Axes, plan: Plan, nodes: np.ndarray, length: float, colour_by: np.ndarray | None = None, **style) -> None:
+    """An arrow in the direction of view at each of these images, whose positions are known; length in typical moves."""
+    x, y, heading = plan.position[nodes].T
+    reach = length * plan.spacing
+    style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.005, "headwidth": 4, "headlength": 4, "headaxislength": 3.6} | style
+    axes.quiver(x, y, reach * np.cos(heading), reach * np.sin(heading), *(() if colour_by is None else (colour_by,)), **style)
+
+
+def walks_of_policy(subject: Subject) -> list[list[Walk]]:
+    """The episodes of the last evaluation of one seed: for each goal, one walk from each start."""
+    env, run = subject.train.env, subject.run
+    num_starts = run.config.evaluation_starts
+
+    @jax.jit
+    def episodes(params, env):
+        policy = subject.train.policy(params, run.config.hyper.test_epsilon, env)
+        return run_episodes(env, goal_starts(env, num_starts), policy, jax.random.key(EVALUATION_SEED + 1))
+
+    found = jax.device_get(episodes(subject.params, env))
+    walks = [
+        Walk(index // num_starts, nodes[: steps + 1], bool(success), int(shortest))
+        for index, (nodes, steps, success, shortest) in enumerate(zip(found.observations, found.steps, found.success, found.shortest, strict=True))
+    ]
+    return [walks[goal * num_starts : (goal + 1) * num_starts] for goal in range(env.goals.num_goals)]
+
+
+def one_goal_a_room(env, mask) -> list[int]:
+    """The first goal of each room among those of the mask: a rule that looks at no result."""
+    regions, mask = np.asarray(env.goals.regions), np.asarray(mask)
+    return [int(np.flatnonzero(mask & (regions == region))[0]) for region in np.unique(regions[mask])]
+
+
+def panels(subject: Subject, title: str, count: int, shown: str) -> tuple[Figure, list[Axes]]:
+    """A figure with a plan for each of `count` goals, two in a row."""
+    rows = -(-count // 2)
+    figure = new_figure(subject, title, (11, 1.3 + 4.6 * rows), shown=shown)
+    grid = np.ravel(figure.subplots(rows, 2))
+    for axes in grid[count:]:
+        axes.set_visible(False)
+    return figure, list(grid[:count])
+
+
+def draw_walk(axes: Axes, plan: Plan, walk: Walk, longest: int | None = None) -> None:
+    """One walk: its path, an arrow at each step (coloured by time, from 0 to `longest`, if that is given), and the pose at its end."""
+    steps = np.flatnonzero(plan.known[walk.nodes])
+    if not len(steps):
+        return
+    nodes = walk.nodes[steps]
+    axes.plot(*plan.position[nodes, :2].T, color=PATH, linewidth=1.2, zorder=4)
+    axes.plot(*plan.position[nodes[0], :2], marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", zorder=5)
+    if longest is not None:
+        draw_arrows(axes, plan, nodes[:-1], 0.55, colour_by=steps[:-1], cmap=STEP_COLOURS, norm=Normalize(0, longest), zorder=6)
+    draw_arrows(axes, plan, nodes[-1:], 0.95, color=SUCCESS if walk.success else FAILURE, width=0.011, zorder=8)
+
+
+def trajectories(subject: Subject) -> Figure | None:
+    """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None without positions or parameters."""
+    env, plan = subject.train.env, make_plan(subject.train.env)
+    goals = one_goal_a_room(env, env.goals.test_mask)
+    if plan is None or subject.params is None or not goals:
+        return None
+    walks = walks_of_policy(subject)
+    chosen = [max(walks[goal], key=lambda walk: walk.shortest) for goal in goals]
+    shown = (f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of {len(walks[0])} "
+             f"evaluation starts; at most {env.episode_length} steps")
+    longest = max(len(walk.nodes) for walk in chosen)
+    figure, grid = panels(subject, "trajectories to test goals", len(chosen), shown)
+    for axes, walk in zip(grid, chosen, strict=True):
+        draw_plan(axes, env, plan, plan.part[walk.nodes[0]])
+        seeing = np.asarray(env.in_view)[:, walk.goal] & plan.known & (plan.part == plan.part[walk.nodes[0]])
+        draw_arrows(axes, plan, np.flatnonzero(seeing), 0.4, color=SIGHT, width=0.004, zorder=2)
+        draw_walk(axes, plan, walk, longest)
+        outcome = f"reached in {len(walk.nodes) - 1} steps" if walk.success else f"not reached in {len(walk.nodes) - 1} steps"
+        axes.set_title(f"{in_words(env.goals.names[walk.goal])}\n{outcome}, shortest path {walk.shortest}", fontsize=9)
+        for spine in axes.spines.values():
+            spine.set(color=SUCCESS if walk.success else FAILURE, linewidth=2.5)
+    entries = [
+        Line2D([], [], linestyle="", marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", label="start"),
+        Line2D([], [], color=PATH, label="path"),
+        *(Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label)
+          for colour, label in ((SUCCESS, "goal reached"), (FAILURE, "time is up"), (SIGHT, "goal in view from here"))),
+    ]
+    figure.legend(handles=entries, fontsize=9, loc="outside right upper")
+    colours = ScalarMappable(Normalize(0, longest), STEP_COLOURS)
+    figure.colorbar(colours, ax=grid, label="step (arrows: direction of view)", shrink=0.5, anchor=(0, 0))
+    return figure
+
+
+def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
+    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN where no goal is in view.
+
+    The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view takes its place.
+    """
+    env, learner = subject.train.env, subject.train.parts.learner
+    state = learner.init(jax.random.key(0), env.goals.inputs, subject.run.config.hyper)[1]
+    encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
+    achieved = env.goals_of(jnp.arange(env.num_observations))
+    reward = np.asarray(learner.intrinsic_reward(state, encode, jnp.asarray([goal]), achieved[None])[0][0], float)
+    reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
+    return reward / max(np.abs(np.nanmean(reward)), 1e-12)
+
+
+def draw_views(axes: Axes, plan: Plan, values: np.ndarray, shown: np.ndarray, norm: Normalize):
+    """A small pie at each place, with a slice for each image that was taken there, coloured by its value; returns it for the colour bar.
+
+    values: float [S], NaN is grey; shown: bool [S].
+    """
+    images = np.flatnonzero(shown & plan.known)
+    views = np.bincount(plan.place[images], minlength=plan.place.max() + 1)[plan.place[images]]
+    wedges = [
+        Wedge(plan.position[image, :2], 0.46 * plan.spacing, angle - 180 / count, angle + 180 / count)
+        for image, angle, count in zip(images, np.degrees(plan.position[images, 2]), views, strict=True)
+    ]
+    colours = colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
+    pies = PatchCollection(wedges, cmap=colours, norm=norm, linewidths=0, zorder=1)
+    pies.set_array(np.ma.masked_invalid(values[images]))
+    return axes.add_collection(pies)
+
+
+def intrinsic_reward(subject: Subject) -> Figure | None:
+    """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper, Fig. 12).
+
+    None without positions or parameters, and for methods that have no intrinsic reward.
+    """
+    env, plan = subject.train.env, make_plan(subject.train.env)
+    if plan is None or subject.params is None:
+        return None
+    goals = one_goal_a_room(env, env.goals.train_mask)
+    rewards = [reward_of_images(subject, goal) for goal in goals]
+    if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
+        return None
+    walks = walks_of_policy(subject)
+    shown = (f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the farthest of {len(walks[0])} "
+             "evaluation starts; a slice is a view, grey where no goal is in view")
+    figure, grid = panels(subject, "intrinsic reward", len(goals), shown)
+    norm = Normalize(min(np.nanmin(reward) for reward in rewards), 0)
+    for axes, goal, reward in zip(grid, goals, rewards, strict=True):
+        walk = max(walks[goal], key=lambda walk: walk.shortest)
+        part = plan.part[walk.nodes[0]]
+        draw_plan(axes, env, plan, part)
+        pies = draw_views(axes, plan, reward, plan.part == part, norm)
+        draw_walk(axes, plan, walk)
+        axes.set_title(in_words(env.goals.names[goal]), fontsize=9)
+    figure.colorbar(pies, ax=grid, label="intrinsic reward (its mean is -1)", shrink=0.6)
+    return figure

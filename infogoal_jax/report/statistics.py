@@ -1,0 +1,63 @@
+"""Means over seeds and how sure they are: 95 % intervals of Student's t, and differences of two methods that ran on the same seeds."""
+
+import dataclasses
+
+import numpy as np
+from scipy import stats
+
+from infogoal_jax.errors import require
+
+CONFIDENCE = 0.95
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """A mean over `count` seeds, with half the width of its confidence interval; floats, or arrays [...] of one shape.
+
+    The half width is NaN for fewer than two seeds: one seed says nothing about the others. The mean is NaN for none.
+    """
+
+    mean: np.ndarray
+    half_width: np.ndarray
+    count: int
+
+    @property
+    def low(self) -> np.ndarray:
+        """The interval's lower end."""
+        return self.mean - self.half_width
+
+    @property
+    def high(self) -> np.ndarray:
+        """The interval's upper end."""
+        return self.mean + self.half_width
+
+    def show(self, decimals: int = 2) -> str:
+        """`0.52 ± 0.03`; `0.52` where there is no interval; `-` where there is no seed. For a single number."""
+        if not np.isfinite(self.mean):
+            return "-"
+        interval = f" ± {self.half_width:.{decimals}f}" if np.isfinite(self.half_width) else ""
+        return f"{self.mean:.{decimals}f}{interval}"
+
+
+def mean_interval(values) -> Interval:
+    """Mean and 95 % confidence interval (Student's t) over the first axis, the seeds: values [seeds, ...] to an interval of arrays [...]."""
+    values = np.asarray(values, float)
+    count = len(values)
+    if count == 0:
+        nothing = np.full(values.shape[1:], np.nan)
+        return Interval(nothing, nothing, 0)
+    if count == 1:
+        return Interval(values[0], np.full(values.shape[1:], np.nan), 1)
+    standard_error = values.std(axis=0, ddof=1) / np.sqrt(count)
+    return Interval(values.mean(axis=0), stats.t.ppf((1 + CONFIDENCE) / 2, count - 1) * standard_error, count)
+
+
+def paired_difference(first, second) -> Interval:
+    """Mean of `first - second` and its 95 % interval, for values [seeds, ...] of two methods on the same seeds in the same order.
+
+    Seeds share the starts of evaluation and much of their luck, so that the difference is known better than either mean.
+    Raises `UserError` if the numbers of seeds differ.
+    """
+    first, second = np.asarray(first, float), np.asarray(second, float)
+    require(len(first) == len(second), "seeds", (len(first), len(second)), "a paired difference needs the same seeds of both methods")
+    return mean_interval(first - second)

@@ -1,0 +1,138 @@
+"""What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is from, what went wrong."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from infogoal_jax.errors import require
+from infogoal_jax.report import tables
+from infogoal_jax.report.runs import Run, read_params, read_run
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.train import checkpoint, files, host
+from infogoal_jax.train.evaluation import evaluate
+from infogoal_jax.train.program import make_train
+
+CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
+GROUPS = {"train": "training", "validation": "validation", "test": "test"}
+COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}  # Title and decimals.
+LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
+
+
+def data_in_words(run: Run) -> str:
+    """What the data was; the synthetic house says that it stands in for something."""
+    return f"{run.data}, a stand-in for the Active Vision Dataset" if run.data.startswith("synthetic") else run.data
+
+
+def seeds_in_words(count: int) -> str:
+    """`1 seed (no interval)`, or `5 seeds, mean ± 95 % interval`."""
+    return "1 seed, no interval" if count == 1 else f"{count} seeds, mean ± 95 % interval"
+
+
+def diverged_in_words(diverged: dict[int, int]) -> list[str]:
+    """A sentence for each seed that diverged."""
+    return [f"seed {seed} diverged at epoch {epoch}; its numbers are left out" for seed, epoch in diverged.items()]
+
+
+def score_table(scores: dict[str, np.ndarray]) -> Table:
+    """Success rate, SPL and episode length of each group of goals, for scores {name: [seeds]} with the names of `evaluation.summarise`."""
+    table = Table()
+    for column in ("goals", "code", *(title for title, _ in COLUMNS.values())):
+        table.add_column(column, justify="left" if column in ("goals", "code") else "right")
+    for group, group_title in GROUPS.items():
+        for suffix, code in CODES.items():
+            names = [f"{group}_goal{suffix}/{column}" for column in COLUMNS]
+            if names[0] in scores:
+                cells = [mean_interval(scores[name]).show(decimals) for name, (_, decimals) in zip(names, COLUMNS.values(), strict=True)]
+                table.add_row(group_title, code, *cells)
+    return table
+
+
+def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
+    """Print what a run of the host loop came to, with the time that it took."""
+    times = f"compiling {sweep.compile_seconds:.1f} s, running {sweep.run_seconds:.1f} s"
+    show(read_run(sweep.folder), sweep.diverged, times, console or Console())
+
+
+def print_run(folder: Path, console: Console | None = None) -> None:
+    """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
+    show(read_run(folder), tables.diverged_seeds(folder), "", console or Console())
+
+
+def show(run: Run, diverged: dict[int, int], times: str, console: Console) -> None:
+    """Print the table of the last evaluation, then a line for each of the other things to know."""
+    evaluations, epochs = (tables.read(run.folder, name, diverged) for name in ("evaluations", "epochs"))
+    left = len(evaluations.seeds)
+    last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0
+    head = f"{run.config.task}, {run.config.method}: epoch {last_epoch} of {run.config.num_epochs}"
+    if left and evaluations.values:
+        last = evaluations.last()
+        num_goals, num_starts = last["first_reached"].shape[1:]
+        steps = f"{last['env_steps'].mean():,.0f} environment steps a seed"
+        console.print(f"{head}, {steps}\n{num_goals} goals x {num_starts} starts; {seeds_in_words(left)}", style="bold", soft_wrap=True)
+        console.print(score_table(last))
+    else:
+        console.print(f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold")
+    for sentence in diverged_in_words(diverged):
+        console.print(sentence, style="bold red", soft_wrap=True)
+    lines = {"data": data_in_words(run), "protocol": f"known goals: {run.config.known_goals}; trained on training goals only", "device": run.device}
+    if numbers := learner_numbers(run, epochs):
+        lines[run.config.method] = f"{numbers} (mean of the last epoch)"
+    if times:
+        lines["time"] = times
+    lines["files"] = f"{run.folder}: config.json, epochs.csv, evaluations.csv, policy, checkpoint"
+    for label, text in lines.items():
+        console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
+
+
+def learner_numbers(run: Run, epochs: tables.Table) -> str:
+    """Beta, accuracy and KL of the last epoch, for the methods that have them."""
+    if not epochs.values or not epochs.seeds:
+        return ""
+    last, names = epochs.last(), {f"{run.config.method}/{name}": shown for name, shown in LEARNER_NUMBERS.items()}
+    return ", ".join(f"{title} {mean_interval(last[name]).show(decimals)}" for name, (title, decimals) in names.items() if name in last)
+
+
+def evaluate_run(
+    folder: Path, starts: int, start_seed: int, test_epsilon: float, env: Any = None, console: Console | None = None
+) -> dict[str, np.ndarray]:
+    """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
+
+    starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random actions, negative for the
+    run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
+    Raises `UserError` for values out of range, a folder without a run, or damaged parameters.
+    """
+    require(starts > 0, "starts", starts, "give a whole number greater than 0")
+    require(start_seed >= 0, "start_seed", start_seed, "give 0 or more")
+    require(test_epsilon <= 1, "test_epsilon", test_epsilon, "give a share from 0 to 1, or a negative number for the run's own")
+    run, console = read_run(folder), console or Console()
+    train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
+    params = read_params(run, train)
+    epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]
+    epsilon = run.config.hyper.test_epsilon if test_epsilon < 0 else test_epsilon
+
+    def evaluate_seed(params, env):
+        policies = {suffix: train.policy(params, epsilon, env, use_mean=suffix == "_mean_code") for suffix in CODES}
+        return evaluate(env, policies, starts, start_seed)
+
+    metrics = jax.device_get(jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None)))(params, train.env))
+    kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
+    seeds = [run.seeds[index] for index in kept]
+    scores = {name: value[kept] for name, value in metrics.items()}
+    written = {
+        "epoch": epoch, "starts": starts, "start_seed": start_seed, "test_epsilon": float(epsilon), "seeds": seeds, "diverged": diverged,
+        "data": run.data, "metrics": {name: value.tolist() for name, value in scores.items()},
+    }
+    files.write_atomically(folder / "evaluation.json", lambda file: file.write((json.dumps(written) + "\n").encode()))
+    protocol = f"{train.env.goals.num_goals} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
+    head = f"{run.config.task}, {run.config.method}: epoch {epoch} of {run.config.num_epochs}"
+    console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
+    console.print(score_table(scores))
+    for sentence in diverged_in_words(diverged):
+        console.print(sentence, style="bold red", soft_wrap=True)
+    console.print(f"data        {data_in_words(run)}\nfile        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
+    return {name: value for name, value in scores.items() if name != "first_reached"}

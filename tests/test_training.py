@@ -1,0 +1,132 @@
+"""`make_train(config)` returns a pure function of a key that can be jitted, vmapped over seeds and compiled once."""
+
+import dataclasses
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import Hyperparameters, make_train
+
+
+@pytest.fixture(scope="session")
+def train():
+    return make_train(hand_made.config(), hand_made.environment())
+
+
+@pytest.fixture(scope="session")
+def sweep_function(train):
+    """Seeds and their hyperparameters side by side, in one compiled program."""
+    return jax.jit(jax.vmap(train))
+
+
+def repeated(hyper: Hyperparameters, times: int) -> Hyperparameters:
+    """The hyperparameters as arrays with a leading axis of seeds."""
+    return jax.tree.map(lambda value: jnp.full(times, value), hyper)
+
+
+@pytest.fixture(scope="session")
+def sweep(train, sweep_function):
+    return sweep_function(jax.random.split(jax.random.key(0), 3), repeated(train.config.hyper, 3))
+
+
+def plain(tree):
+    """A pytree with typed keys as their data, so that bits can be compared."""
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf, tree)
+
+
+def assert_same_bits(first, second):
+    jax.tree.map(np.testing.assert_array_equal, plain(first), plain(second))
+
+
+def test_metrics_have_an_axis_of_seeds_and_one_of_evaluations(train, sweep):
+    assert sweep.metrics["test_goal/success_rate"].shape == (3, train.config.num_evaluations)
+    assert sweep.epochs["agent/loss"].shape == (3, train.config.num_epochs)
+    assert sweep.metrics["first_reached"].shape == (3, train.config.num_evaluations, 8, 3)
+    for name, values in {**sweep.metrics, **sweep.epochs}.items():
+        assert np.isfinite(values).all(), name
+
+
+def test_same_key_gives_the_same_bits_and_another_key_another_run(train, sweep, sweep_function):
+    again = sweep_function(jax.random.split(jax.random.key(0), 3), repeated(train.config.hyper, 3))
+    assert_same_bits(sweep, again)
+    losses = np.asarray(sweep.epochs["agent/loss"])
+    assert len({row.tobytes() for row in losses}) == 3
+
+
+def test_hyperparameters_change_the_run_without_compiling_again(train, sweep, sweep_function):
+    other = repeated(dataclasses.replace(train.config.hyper, discount=0.5, learning_rate=3e-3), 3)
+    changed = sweep_function(jax.random.split(jax.random.key(0), 3), other)
+    assert not np.array_equal(changed.epochs["agent/loss"], sweep.epochs["agent/loss"])
+    assert sweep_function._cache_size() == 1
+
+
+def test_a_seed_driven_to_nan_leaves_the_bits_of_the_others_alone(train, sweep, sweep_function):
+    hyper = repeated(train.config.hyper, 3)
+    poisoned = sweep_function(jax.random.split(jax.random.key(0), 3), hyper.replace(learning_rate=hyper.learning_rate.at[1].set(jnp.nan)))
+    assert np.isnan(poisoned.epochs["agent/loss"][1, -1])
+    for seed in (0, 2):
+        assert_same_bits(*(jax.tree.map(lambda leaf, seed=seed: leaf[seed], result) for result in (sweep, poisoned)))
+
+
+def test_vmapped_seeds_start_like_single_runs_bit_by_bit(train):
+    keys = jax.random.split(jax.random.key(5), 3)
+    together = jax.jit(jax.vmap(lambda key: train.initial(key, train.config.hyper, train.env)))(keys)
+    alone = jax.jit(lambda key: train.initial(key, train.config.hyper, train.env))(keys[1])
+    assert_same_bits(jax.tree.map(lambda leaf: leaf[1], together), alone)
+
+
+def test_first_five_updates_of_vmapped_seeds_equal_single_runs():
+    short = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=5)
+    train = make_train(short, hand_made.environment())
+    keys = jax.random.split(jax.random.key(5), 3)
+    together, alone = jax.jit(jax.vmap(train))(keys), jax.jit(train)(keys[1])
+    same = jax.tree.map(lambda leaf: leaf[1], together)
+    assert_same_bits(same.state.buffer, alone.state.buffer)  # Every draw of the rollout: goals, starts, actions.
+    assert_same_bits(same.state.dissimilarity, alone.state.dissimilarity)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, atol=1e-4), same.params, alone.params)
+    np.testing.assert_allclose(same.epochs["agent/loss"], alone.epochs["agent/loss"], atol=1e-4)
+
+
+def test_the_environment_may_travel_as_an_argument(train):
+    """Large datasets are passed, not compiled in; the result is the same run."""
+    passed = jax.jit(train)(jax.random.key(1), None, train.env)
+    closed = jax.jit(train)(jax.random.key(1))
+    np.testing.assert_allclose(passed.epochs["agent/loss"][:1], closed.epochs["agent/loss"][:1], rtol=1e-4)
+
+
+def test_only_training_goals_are_commanded(train, sweep):
+    buffer = sweep.state.buffer
+    commanded = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
+    assert set(commanded) <= set(np.flatnonzero(np.asarray(train.env.goals.train_mask)))
+
+
+def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(train, sweep):
+    buffer = sweep.state.buffer
+    steps = train.config.num_epochs * train.config.num_envs * train.config.rollout_steps
+    resets = steps - np.asarray(sweep.metrics["env_steps"])[:, -1]
+    assert (resets > 0).all() and steps <= buffer.valid[0].size
+    np.testing.assert_array_equal(np.asarray(buffer.valid).sum((1, 2)), sweep.metrics["env_steps"][:, -1])
+    ended = np.asarray(buffer.terminated | buffer.truncated).sum((1, 2))
+    assert (abs(ended - resets) <= train.config.num_envs).all()  # All but those that ended with the last step.
+
+
+@pytest.mark.parametrize("known_goals", ["train", "visited", "all"])
+def test_learns_the_hand_made_rooms(known_goals):
+    """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it nothing to know the others by."""
+    long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
+    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **long), hand_made.environment()))(jax.random.key(0))
+    assert result.metrics["train_goal/success_rate"][-1] >= 0.85
+    test_success = result.metrics["test_goal/success_rate"][-1]
+    assert test_success >= 0.85 if known_goals != "train" else test_success < 0.85
+    left = result.epochs["infogoal/dissimilar_between"][-1]
+    assert left >= (24 if known_goals != "train" else 6)  # Rooms two apart are never seen within the window of 4.
+
+
+def test_bare_dqn_learns_its_training_goals_only():
+    long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
+    result = jax.jit(make_train(hand_made.config("none", **long), hand_made.environment()))(jax.random.key(0))
+    assert result.metrics["train_goal/success_rate"][-1] >= 0.9
+    assert result.metrics["test_goal/success_rate"][-1] < 0.6
