@@ -211,7 +211,7 @@ def _scene_pictures(
     path = _cache_folder(cache_dir) / f"active_vision_{scene.name}_{key}.npz"
     shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
     try:
-        with np.load(path, allow_pickle=False) as cached:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as cached:
             content = cached["images"], cached["sizes"], cached["position"]
         if tuple(array.shape for array in content) == shapes:
             return content

@@ -12,6 +12,7 @@ Difficulty, whose real scale is undocumented, is 1 to 5 by the visible share of 
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import os
 import re
@@ -251,7 +252,7 @@ def _add_decoration(add, house: House, rng: np.random.Generator) -> None:
         for number, (low, up) in enumerate(stretches):
             # About one picture for every two metres of corridor wall.
             cuts = np.linspace(low, up, max(2, round((up - low) / 1.8) + 1))
-            for place, (first, last) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+            for place, (first, last) in enumerate(itertools.pairwise(cuts)):
                 hang(f"picture:corridor:{side}:{number}:{place}", side, first + 0.05, max(last - 0.05, first + 0.3), wall)
 
 

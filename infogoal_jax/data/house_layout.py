@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.errors import UserError
 
 WALL_THICKNESS, WALL_HEIGHT = 0.12, 2.5
 CORRIDOR_WIDTH, HOUSE_LENGTH, ROOM_DEPTH = 1.6, 12.0, 3.75
@@ -147,7 +148,7 @@ def layout(seed: int, node_spacing: float = 0.6) -> House:
         house = _draw(rng, node_spacing)
         if house is not None:
             return house
-    raise ValueError(f"node_spacing = {node_spacing}: no passable house found; 0.4 to 1.2 metres work")
+    raise UserError(f"node_spacing = {node_spacing}: no house found that a robot can pass; try another seed, or 0.6 metres")
 
 
 def move_targets(house: House) -> dict[str, np.ndarray]:

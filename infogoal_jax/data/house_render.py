@@ -93,8 +93,8 @@ def _project(boxes: Boxes, camera: Camera, position: np.ndarray, heading: float)
     crosses = (first[..., 2] > NEAR) != (second[..., 2] > NEAR)
     rise = np.where(crosses, second[..., 2] - first[..., 2], 1)
     cut = first + ((NEAR - first[..., 2]) / rise)[..., None] * (second - first)
+    counts = np.concatenate([points[..., 2] > NEAR, crosses], 1)
     points = np.concatenate([points, cut], 1)
-    counts = np.concatenate([corners @ camera_axes(heading)[2] > NEAR, crosses], 1)
     depth = np.where(counts, np.maximum(points[..., 2], NEAR), 1)[..., None]
     middle = np.array([camera.width / 2, camera.height / 2], np.float32)
     return points[..., :2] / depth * np.float32(camera.focal_length) + middle, counts

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
@@ -22,9 +23,8 @@ from infogoal_jax.report.canvas import (
     room_colour,
     save,
 )
-from infogoal_jax.report.house_figures import intrinsic_reward, trajectories
+from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.runs import read_params, read_run
-from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train.evaluation import goal_starts
 from infogoal_jax.train.program import make_train
 
@@ -38,14 +38,14 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
     Raises `UserError` for a folder without a run, a damaged file, or a disk that refuses.
     """
     subject = read_subject(folder, env)
-    paths = []
-    for draw in (learning_curves, beta_and_accuracy, representations, trajectories, intrinsic_reward, success_by_length, success_by_goal):
-        figure = draw(subject) if subject.evaluations.values else None
-        if figure is not None:
-            path = folder / "figures" / f"{draw.__name__}.png"
-            save(figure, path)
-            paths.append(path)
-    return paths
+    if not subject.evaluations.values:
+        return []
+    drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
+    figures = {draw.__name__: draw(subject) for draw in drawings} | draw_plans(subject)
+    paths = {folder / "figures" / f"{name}.png": figure for name, figure in figures.items() if figure is not None}
+    for path, figure in paths.items():
+        save(figure, path)
+    return list(paths)
 
 
 def read_subject(folder: Path, env: Any = None) -> Subject:
@@ -71,6 +71,7 @@ def learning_curves(subject: Subject) -> Figure:
             draw_curve(axes, steps, values[f"{group}_goal/{name}"], USE_COLOURS[group], USE_TITLES[group])
         finish_share_axis(axes, label)
         axes.set_xlabel("environment steps")
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
         axes.set_xlim(0, steps[-1] * 1.02)
         axes.legend(loc="best")
     return figure
@@ -98,6 +99,7 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     accuracy_axes.legend(loc="lower right")
     for axes in (beta_axes, accuracy_axes):
         axes.set_xlabel(f"epochs of {config.updates_per_epoch} updates")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 
@@ -153,7 +155,7 @@ def success_by_length(subject: Subject) -> Figure:
     first_reached = subject.evaluations.last()["first_reached"]
     num_starts, longest = first_reached.shape[-1], env.episode_length
     shortest = np.asarray(jax.vmap(env.shortest_path)(goal_starts(env, num_starts))).reshape(env.goals.num_goals, num_starts)
-    figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (7.5, 4.6))
+    figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
     for group in env.goals.groups:
         mask, colour = np.asarray(getattr(env.goals, f"{group}_mask")), USE_COLOURS[group]
@@ -162,7 +164,7 @@ def success_by_length(subject: Subject) -> Figure:
     finish_share_axis(axes, "success rate")
     axes.set_xlabel("allowed episode length (steps)")
     axes.set_xlim(0, longest)
-    axes.legend(loc="lower right")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
@@ -174,26 +176,25 @@ def success_by_goal(subject: Subject) -> Figure | None:
         return None
     reached = (subject.evaluations.last()["first_reached"] <= env.episode_length).mean(-1)
     order = sorted(range(goals.num_goals), key=lambda goal: (regions[goal], not trained[goal], goals.names[goal]))
-    interval = mean_interval(reached[:, order])
     count, num_starts = len(reached), subject.evaluations.values["first_reached"].shape[-1]
-    shown = f"{num_starts} starts a goal; " + ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval")
+    shown = f"{num_starts} starts a goal; " + ("1 seed" if count == 1 else f"mean of {count} seeds, each seed a dot")
     title = f"success by goal, epoch {subject.evaluations.epochs[-1]}"
     figure = new_figure(subject, title, (9, 1.8 + 0.26 * goals.num_goals), shown=shown)
     axes = figure.subplots()
     # A gap between rooms; the first goal on top.
     places = [-(row + 0.7 * int(np.searchsorted(np.unique(regions), regions[goal]))) for row, goal in enumerate(order)]
-    for place, goal, mean in zip(places, order, interval.mean, strict=True):
-        colour = room_colour(regions[goal])
+    for place, goal in zip(places, order, strict=True):
+        colour, mean = room_colour(regions[goal]), reached[:, goal].mean()
         axes.barh(place, mean, height=0.8, color=colour if trained[goal] else "white", edgecolor=colour, hatch=None if trained[goal] else "////")
-    if count > 1:
-        clipped = np.clip([interval.low, interval.high], 0, 1)  # A success rate cannot leave [0, 1], though its t interval can.
-        axes.hlines(places, *clipped, color="black", linewidth=1.2)
+        if count > 1:  # Dots side by side, where seeds agree.
+            axes.scatter(reached[:, goal], place + np.linspace(-0.25, 0.25, count), s=9, color="black", linewidths=0, zorder=3)
     axes.set_yticks(places, [in_words(goals.names[goal]) for goal in order], fontsize=8)
     entries = [Patch(facecolor=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
     entries.append(Patch(facecolor="#888888", label="training goal"))
     entries.append(Patch(facecolor="white", edgecolor="#888888", hatch="////", label="not trained on"))
     axes.legend(handles=entries, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.set_xlim(0, 1.02)
+    axes.set_xlim(-0.015, 1.015)
+    axes.set_ylim(places[-1] - 0.7, places[0] + 0.7)
     axes.set_xlabel("success rate")
     axes.grid(axis="x", alpha=0.3, linewidth=0.6)
     return figure

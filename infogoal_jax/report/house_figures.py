@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Wedge
+from matplotlib.patches import Patch, Wedge
 from matplotlib.patheffects import withStroke
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -27,7 +27,7 @@ from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
 from infogoal_jax.train.rollout import run_episodes
 
 ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]
-SIGHT, PATH = "#E69F00", "#30305C"
+SIGHT, PATH = "#F0E442", "#30305C"
 STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
 
 
@@ -90,8 +90,8 @@ def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
         seeing = shown & in_view[:, regions == region].any(1)
         if seeing.any():
             axes.text(
-                *np.median(plan.position[seeing, :2], axis=0), name, color=room_colour(region), fontsize=9, weight="bold", ha="center", va="center",
-                zorder=9, path_effects=[withStroke(linewidth=3, foreground="white")],
+                *np.median(plan.position[seeing, :2], axis=0), name, color=room_colour(region), fontsize=8, weight="bold", ha="center", va="center",
+                zorder=7, path_effects=[withStroke(linewidth=3, foreground="white")],
             )
     low, high = plan.position[shown, :2].min(0) - plan.spacing, plan.position[shown, :2].max(0) + plan.spacing
     axes.set_xlim(low[0], high[0])
@@ -133,59 +133,83 @@ def one_goal_a_room(env, mask) -> list[int]:
     return [int(np.flatnonzero(mask & (regions == region))[0]) for region in np.unique(regions[mask])]
 
 
-def panels(subject: Subject, title: str, count: int, shown: str) -> tuple[Figure, list[Axes]]:
-    """A figure with a plan for each of `count` goals, two in a row."""
-    rows = -(-count // 2)
-    figure = new_figure(subject, title, (11, 1.3 + 4.6 * rows), shown=shown)
-    grid = np.ravel(figure.subplots(rows, 2))
-    for axes in grid[count:]:
-        axes.set_visible(False)
-    return figure, list(grid[:count])
+def panels(subject: Subject, plan: Plan, title: str, count: int, shown: str, entries: list) -> tuple[Figure, list[Axes]]:
+    """A figure with a plan for each of `count` goals, two in a row, under a legend of these entries."""
+    rows, extent = -(-count // 2), np.ptp(plan.position[plan.known, :2], axis=0) + 2 * plan.spacing
+    height = 4.2 * float(np.clip(extent[1] / extent[0], 0.4, 1.6)) + 0.8
+    figure = new_figure(subject, title, (11, 1.4 + height * rows), shown=shown)
+    grid = figure.add_gridspec(rows + 1, 2, height_ratios=[0.3, *[height] * rows])
+    # A row of its own: a legend outside of all axes would lie on the title.
+    legend_axes = figure.add_subplot(grid[0, :])
+    legend_axes.axis("off")
+    legend_axes.legend(handles=entries, fontsize=9, loc="center", ncols=len(entries))
+    return figure, [figure.add_subplot(grid[1 + index // 2, index % 2]) for index in range(count)]
 
 
-def draw_walk(axes: Axes, plan: Plan, walk: Walk, longest: int | None = None) -> None:
-    """One walk: its path, an arrow at each step (coloured by time, from 0 to `longest`, if that is given), and the pose at its end."""
+def legend_entries(*more) -> list:
+    """Legend of a walk, and more."""
+    arrows = ((SUCCESS, "goal reached"), (FAILURE, "time is up"))
+    return [
+        Line2D([], [], linestyle="", marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", label="start"),
+        Line2D([], [], color=PATH, label="path"),
+        *(Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label) for colour, label in arrows), *more,
+    ]
+
+
+def draw_walk(axes: Axes, env, plan: Plan, walk: Walk, longest: int | None = None) -> None:
+    """One walk under its outcome: path, an arrow at each step (coloured by time, from 0 to `longest`, if that is given), and the pose at its end."""
+    outcome = f"{'reached' if walk.success else 'not reached'} in {len(walk.nodes) - 1} steps, shortest path {walk.shortest}"
+    axes.set_title(f"{in_words(env.goals.names[walk.goal])} ({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}", fontsize=9)
     steps = np.flatnonzero(plan.known[walk.nodes])
     if not len(steps):
         return
     nodes = walk.nodes[steps]
-    axes.plot(*plan.position[nodes, :2].T, color=PATH, linewidth=1.2, zorder=4)
+    axes.plot(*plan.position[nodes, :2].T, color=PATH, linewidth=1.4, zorder=4, path_effects=[withStroke(linewidth=2.6, foreground="white")])
     axes.plot(*plan.position[nodes[0], :2], marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", zorder=5)
     if longest is not None:
-        draw_arrows(axes, plan, nodes[:-1], 0.55, colour_by=steps[:-1], cmap=STEP_COLOURS, norm=Normalize(0, longest), zorder=6)
+        draw_arrows(axes, plan, nodes[:-1], 0.5, colour_by=steps[:-1], cmap=STEP_COLOURS, norm=Normalize(0, longest), zorder=6)
     draw_arrows(axes, plan, nodes[-1:], 0.95, color=SUCCESS if walk.success else FAILURE, width=0.011, zorder=8)
 
 
-def trajectories(subject: Subject) -> Figure | None:
-    """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None without positions or parameters."""
-    env, plan = subject.train.env, make_plan(subject.train.env)
-    goals = one_goal_a_room(env, env.goals.test_mask)
-    if plan is None or subject.params is None or not goals:
-        return None
+def view_slices(plan: Plan, images: np.ndarray) -> list[Wedge]:
+    """A slice in the direction of view for each of these images, whose positions are known: those of one place make a pie."""
+    views = np.bincount(plan.place[plan.known])[plan.place[images]]
+    return [
+        Wedge(plan.position[image, :2], 0.46 * plan.spacing, angle - 180 / count, angle + 180 / count)
+        for image, angle, count in zip(images, np.degrees(plan.position[images, 2]), views, strict=True)
+    ]
+
+
+def draw_plans(subject: Subject) -> dict[str, Figure | None]:
+    """The figures of this file by name; none without parameters, or for a task without positions."""
+    plan = make_plan(subject.train.env)
+    if plan is None or subject.params is None:
+        return {}
     walks = walks_of_policy(subject)
+    return {draw.__name__: draw(subject, plan, walks) for draw in (trajectories, intrinsic_reward)}
+
+
+def trajectories(subject: Subject, plan: Plan, walks: list[list[Walk]]) -> Figure | None:
+    """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None for a task without test goals."""
+    env = subject.train.env
+    goals = one_goal_a_room(env, env.goals.test_mask)
+    if not goals:
+        return None
     chosen = [max(walks[goal], key=lambda walk: walk.shortest) for goal in goals]
     shown = (f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of {len(walks[0])} "
              f"evaluation starts; at most {env.episode_length} steps")
     longest = max(len(walk.nodes) for walk in chosen)
-    figure, grid = panels(subject, "trajectories to test goals", len(chosen), shown)
+    entries = legend_entries(Patch(color=SIGHT, label="view of the goal"))
+    figure, grid = panels(subject, plan, "trajectories to test goals", len(chosen), shown, entries)
     for axes, walk in zip(grid, chosen, strict=True):
-        draw_plan(axes, env, plan, plan.part[walk.nodes[0]])
-        seeing = np.asarray(env.in_view)[:, walk.goal] & plan.known & (plan.part == plan.part[walk.nodes[0]])
-        draw_arrows(axes, plan, np.flatnonzero(seeing), 0.4, color=SIGHT, width=0.004, zorder=2)
-        draw_walk(axes, plan, walk, longest)
-        outcome = f"reached in {len(walk.nodes) - 1} steps" if walk.success else f"not reached in {len(walk.nodes) - 1} steps"
-        axes.set_title(f"{in_words(env.goals.names[walk.goal])}\n{outcome}, shortest path {walk.shortest}", fontsize=9)
+        part = plan.part[walk.nodes[0]]
+        draw_plan(axes, env, plan, part)
+        seeing = np.asarray(env.in_view)[:, walk.goal] & plan.known & (plan.part == part)
+        axes.add_collection(PatchCollection(view_slices(plan, np.flatnonzero(seeing)), color=SIGHT, linewidths=0, zorder=2))
+        draw_walk(axes, env, plan, walk, longest)
         for spine in axes.spines.values():
             spine.set(color=SUCCESS if walk.success else FAILURE, linewidth=2.5)
-    entries = [
-        Line2D([], [], linestyle="", marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", label="start"),
-        Line2D([], [], color=PATH, label="path"),
-        *(Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label)
-          for colour, label in ((SUCCESS, "goal reached"), (FAILURE, "time is up"), (SIGHT, "goal in view from here"))),
-    ]
-    figure.legend(handles=entries, fontsize=9, loc="outside right upper")
-    colours = ScalarMappable(Normalize(0, longest), STEP_COLOURS)
-    figure.colorbar(colours, ax=grid, label="step (arrows: direction of view)", shrink=0.5, anchor=(0, 0))
+    figure.colorbar(ScalarMappable(Normalize(0, longest), STEP_COLOURS), ax=grid, label="step (an arrow shows the direction of view)", shrink=0.6)
     return figure
 
 
@@ -203,46 +227,29 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     return reward / max(np.abs(np.nanmean(reward)), 1e-12)
 
 
-def draw_views(axes: Axes, plan: Plan, values: np.ndarray, shown: np.ndarray, norm: Normalize):
-    """A small pie at each place, with a slice for each image that was taken there, coloured by its value; returns it for the colour bar.
-
-    values: float [S], NaN is grey; shown: bool [S].
-    """
-    images = np.flatnonzero(shown & plan.known)
-    views = np.bincount(plan.place[images], minlength=plan.place.max() + 1)[plan.place[images]]
-    wedges = [
-        Wedge(plan.position[image, :2], 0.46 * plan.spacing, angle - 180 / count, angle + 180 / count)
-        for image, angle, count in zip(images, np.degrees(plan.position[images, 2]), views, strict=True)
-    ]
-    colours = colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
-    pies = PatchCollection(wedges, cmap=colours, norm=norm, linewidths=0, zorder=1)
-    pies.set_array(np.ma.masked_invalid(values[images]))
-    return axes.add_collection(pies)
-
-
-def intrinsic_reward(subject: Subject) -> Figure | None:
+def intrinsic_reward(subject: Subject, plan: Plan, walks: list[list[Walk]]) -> Figure | None:
     """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper, Fig. 12).
 
-    None without positions or parameters, and for methods that have no intrinsic reward.
+    None for methods that have no intrinsic reward.
     """
-    env, plan = subject.train.env, make_plan(subject.train.env)
-    if plan is None or subject.params is None:
-        return None
+    env = subject.train.env
     goals = one_goal_a_room(env, env.goals.train_mask)
     rewards = [reward_of_images(subject, goal) for goal in goals]
     if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
         return None
-    walks = walks_of_policy(subject)
     shown = (f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the farthest of {len(walks[0])} "
-             "evaluation starts; a slice is a view, grey where no goal is in view")
-    figure, grid = panels(subject, "intrinsic reward", len(goals), shown)
-    norm = Normalize(min(np.nanmin(reward) for reward in rewards), 0)
+             "evaluation starts; each slice is a view")
+    entries = legend_entries(Patch(color=NOTHING, label="no goal in view"))
+    figure, grid = panels(subject, plan, "intrinsic reward for training goals", len(goals), shown, entries)
+    norm, colours = Normalize(min(np.nanmin(reward) for reward in rewards), 0), colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
     for axes, goal, reward in zip(grid, goals, rewards, strict=True):
         walk = max(walks[goal], key=lambda walk: walk.shortest)
         part = plan.part[walk.nodes[0]]
         draw_plan(axes, env, plan, part)
-        pies = draw_views(axes, plan, reward, plan.part == part, norm)
-        draw_walk(axes, plan, walk)
-        axes.set_title(in_words(env.goals.names[goal]), fontsize=9)
-    figure.colorbar(pies, ax=grid, label="intrinsic reward (its mean is -1)", shrink=0.6)
+        images = np.flatnonzero(plan.known & (plan.part == part))
+        pies = PatchCollection(view_slices(plan, images), cmap=colours, norm=norm, linewidths=0, zorder=1)
+        pies.set_array(np.ma.masked_invalid(reward[images]))
+        axes.add_collection(pies)
+        draw_walk(axes, env, plan, walk)
+    figure.colorbar(pies, ax=grid, label="intrinsic reward of a view (mean -1)", shrink=0.6)
     return figure

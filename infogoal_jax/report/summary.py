@@ -20,6 +20,7 @@ from infogoal_jax.train.program import make_train
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GROUPS = {"train": "training", "validation": "validation", "test": "test"}
 COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}  # Title and decimals.
+FILES = ("config.json", "epochs.csv", "evaluations.csv", "policy", "checkpoint", "evaluation.json", "figures")
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
 
 
@@ -79,12 +80,14 @@ def show(run: Run, diverged: dict[int, int], times: str, console: Console) -> No
         console.print(f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold")
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
-    lines = {"data": data_in_words(run), "protocol": f"known goals: {run.config.known_goals}; trained on training goals only", "device": run.device}
+    known = {"train": "training goals", "visited": "goals achieved so far", "all": "all goals"}[run.config.known_goals]
+    protocol = f"only training goals were commanded in training; {known} could enter the representation (known_goals = {run.config.known_goals})"
+    lines = {"data": data_in_words(run), "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[run.config.method] = f"{numbers} (mean of the last epoch)"
     if times:
         lines["time"] = times
-    lines["files"] = f"{run.folder}: config.json, epochs.csv, evaluations.csv, policy, checkpoint"
+    lines["files"] = f"{run.folder}: {', '.join(name for name in FILES if (run.folder / name).exists())}"
     for label, text in lines.items():
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
 

@@ -1,0 +1,261 @@
+"""The synthetic house: the same seed gives the same house, pictures respect occlusion, moves can be undone, and the task is not too easy."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+
+from infogoal_jax.data import active_vision, house, house_layout, house_render
+from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.errors import UserError
+
+SEEDS = (0, 1, 2, 100, 101)
+TINY = {"node_spacing": 1.2, "image_width": 64}
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    """Folder of a tiny house: 64 x 36 pixels, nodes 1.2 m apart."""
+    root = tmp_path_factory.mktemp("tiny_house")
+    house.build_house(root, seed=3, **TINY)
+    return root
+
+
+@pytest.fixture(scope="module")
+def annotations(tiny):
+    return json.loads((tiny / "Home_101_1" / "annotations.json").read_text())
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def plan(request):
+    return house_layout.layout(request.param)
+
+
+def files_of(root):
+    return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def test_the_same_seed_writes_the_same_bytes(tiny, tmp_path):
+    house.build_house(tmp_path, seed=3, **TINY)
+    assert files_of(tmp_path) == files_of(tiny)
+
+
+def test_another_seed_is_another_house():
+    first, second = house_layout.layout(0), house_layout.layout(1)
+    assert first.nodes.shape != second.nodes.shape or not np.allclose(first.nodes, second.nodes)
+
+
+def test_every_move_can_be_undone(annotations):
+    opposite = {"forward": "backward", "left": "right", "rotate_ccw": "rotate_cw"}
+    opposite |= {back: there for there, back in opposite.items()}
+    for name, record in annotations.items():
+        for action, back in opposite.items():
+            if record[action]:
+                assert annotations[record[action]][back] == name
+
+
+def test_twelve_turns_come_full_circle(annotations):
+    for turn in ("rotate_cw", "rotate_ccw"):
+        name = start = next(iter(annotations))
+        seen = []
+        for _ in range(12):
+            name = annotations[name][turn]
+            seen.append(name)
+        assert name == start
+        assert len(set(seen)) == 12
+
+
+def test_moves_go_where_they_say(tiny, annotations):
+    """A translation keeps the heading and lies within 15 degrees of the direction it is named after."""
+    names = sorted(annotations)
+    position = dict(zip(names, active_vision.read_positions(tiny / "Home_101_1", names).astype(float), strict=True))
+    for name, record in annotations.items():
+        for action, degrees in (("forward", 0), ("left", 90), ("backward", 180), ("right", -90)):
+            if record[action]:
+                step = position[record[action]] - position[name]
+                assert abs(step[2]) < 1e-6
+                wanted = position[name][2] + np.radians(degrees)
+                assert np.cos(np.arctan2(step[1], step[0]) - wanted) >= np.cos(np.radians(15)) - 1e-5
+        turn = position[record["rotate_ccw"]][2] - position[name][2]
+        np.testing.assert_allclose(np.exp(1j * turn), np.exp(1j * np.pi / 6), atol=1e-5)
+
+
+def test_nodes_and_moves_keep_clear_of_furniture(plan):
+    for index, neighbours in enumerate(plan.neighbours):
+        for other in neighbours[neighbours >= 0]:
+            path = np.linspace(plan.nodes[index], plan.nodes[other], 50)
+            for piece in plan.furniture:
+                assert not ((path > piece.lower) & (path < piece.upper)).all(1).any()
+
+
+def test_every_node_is_reached_from_every_node(plan):
+    reached = np.zeros(len(plan.nodes), bool)
+    reached[0] = True
+    for _ in plan.nodes:
+        reached[plan.neighbours[reached][plan.neighbours[reached] >= 0]] = True
+    assert reached.all()
+
+
+def test_objects_stand_in_the_authors_rooms_beside_training_objects(plan):
+    assert {placed.name for placed in plan.objects} == set(AUTHORS_SPLIT.objects)
+    assert len(plan.objects) == 24
+    for placed in plan.objects:
+        assert AUTHORS_SPLIT.room_names[AUTHORS_SPLIT.rooms[placed.name]] == placed.room
+    carriers = {placed.furniture for placed in plan.objects if placed.name in AUTHORS_SPLIT.train}
+    assert len(carriers) == 8, "the two training objects of a room stand on different furniture"
+    assert {placed.furniture for placed in plan.objects} == carriers, "a test object stands beside a training object"
+
+
+def test_objects_do_not_overlap_and_stand_on_their_furniture(plan):
+    for placed in plan.objects:
+        carrier = plan.furniture[placed.furniture]
+        assert (placed.foot[:2] - placed.size[:2] / 2 >= carrier.lower - 1e-9).all()
+        assert (placed.foot[:2] + placed.size[:2] / 2 <= carrier.upper + 1e-9).all()
+        for other in plan.objects:
+            if other is not placed and other.furniture == placed.furniture:
+                assert (np.abs(other.foot - placed.foot)[:2] >= (other.size + placed.size)[:2] / 2).any()
+
+
+def scene_of(*blocks):
+    """Boxes (lower, upper, instance) with one grey texture, seen from the origin along x by a camera of 90 degrees."""
+    lower, upper, instance = zip(*blocks, strict=True)
+    count = len(blocks)
+    boxes = house_render.Boxes(
+        np.array(lower, np.float32), np.array(upper, np.float32), np.zeros((count, 6), int), np.zeros((count, 2), np.float32), np.array(instance)
+    )
+    camera = house_render.Camera(80, 40, 90.0, 0.0)
+    levels = house_render.texture_levels(np.full((1, house_render.TEXTURE_SIZE, house_render.TEXTURE_SIZE, 3), 200, np.uint8))
+    return house_render.render(boxes, levels, camera, np.zeros(3, np.float32), 0.0, house_render.rays(camera, 0.0))
+
+
+OBJECT = ((2, -0.5, -0.25), (2.2, 0.5, 0.25), 7)
+
+
+def test_an_object_is_seen_where_the_pinhole_camera_has_it():
+    _, (sighting,) = scene_of(OBJECT)
+    assert sighting.instance == 7
+    assert sighting.box == (30, 15, 50, 25)  # 40 pixels of focal length, front face at 2 m
+    assert sighting.visible_fraction > 0.97
+
+
+@pytest.mark.parametrize("hidden_by", [0, 9], ids=["wall", "another object"])
+def test_what_hides_an_object_cuts_its_box(hidden_by):
+    hider = ((1, 0.0, -1), (1.1, 1, 1), hidden_by)  # covers the left half
+    _, sightings = scene_of(OBJECT, hider)
+    sighting = next(s for s in sightings if s.instance == 7)
+    assert sighting.box == (40, 15, 50, 25)
+    assert 0.45 < sighting.visible_fraction < 0.55
+    assert house.difficulty(sighting.visible_fraction) >= 3
+
+
+def test_a_hidden_object_is_not_seen():
+    _, sightings = scene_of(OBJECT, ((1, -1, -1), (1.1, 1, 1), 0))
+    assert sightings == []
+
+
+def test_an_object_partly_outside_the_frame_counts_as_partly_visible():
+    _, (sighting,) = scene_of(((2, 1.5, -0.25), (2.2, 2.5, 0.25), 7))
+    assert sighting.box[0] == 0
+    assert 0.4 < sighting.visible_fraction < 0.6
+
+
+def test_boxes_lie_in_the_picture_and_are_not_empty(annotations, tiny):
+    name = next(iter(annotations))
+    height, width = cv2.imread(str(tiny / "Home_101_1" / "jpg_rgb" / name)).shape[:2]
+    for record in annotations.values():
+        for left, top, right, bottom, identity, difficulty in record["bounding_boxes"]:
+            assert 0 <= left < right <= width
+            assert 0 <= top < bottom <= height
+            assert identity in house.INSTANCE_IDS.values()
+            assert 1 <= difficulty <= 5
+
+
+def test_pose_file_is_consistent(tiny):
+    """The matrices are rotations with the camera looking along `direction`, and t = -R position."""
+    content = scipy.io.loadmat(tiny / "Home_101_1" / "image_structs.mat")
+    records = content["image_structs"][0]
+    assert records.dtype.names == tuple(house.MATLAB_FIELDS)
+    for record in records[:24]:
+        np.testing.assert_allclose(record["R"] @ record["R"].T, np.eye(3), atol=1e-6)
+        assert np.linalg.det(record["R"]) > 0
+        np.testing.assert_allclose(record["R"] @ record["direction"], [[0], [0], [1]], atol=1e-6)
+        np.testing.assert_allclose(record["t"], -record["R"] @ record["world_pos"], atol=1e-6)
+        w, x, y, z = record["quat"].ravel()
+        np.testing.assert_allclose([x, z], 0, atol=1e-6)
+        np.testing.assert_allclose(record["R"][0, 2], 2 * w * y, atol=1e-6)
+        np.testing.assert_allclose(record["R"][0, 0], 1 - 2 * y**2, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("argument", "match"),
+    [({"scene": "Flat_1"}, "scene = 'Flat_1'"), ({"node_spacing": 3.0}, "node_spacing = 3.0"), ({"image_width": 8}, "image_width = 8")],
+)
+def test_bad_arguments_are_named(tmp_path, argument, match):
+    with pytest.raises(UserError, match=match):
+        house.build_house(tmp_path, **argument)
+
+
+def test_a_scene_is_not_overwritten(tiny):
+    with pytest.raises(UserError, match="exists already"):
+        house.build_house(tiny, **TINY)
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    return active_vision.load(active_vision.SHIPPED_HOUSE, objects=AUTHORS_SPLIT.objects, cache_dir=tmp_path_factory.mktemp("cache"))
+
+
+def steps_to(next_state, targets):
+    """Least number of moves from each state to one of the targets; -1 where there is no way."""
+    distance = np.where(targets, 0, -1)
+    for step in range(1, len(next_state)):
+        arrives = (distance[next_state] == step - 1).any(1) & (distance < 0)
+        if not arrives.any():
+            break
+        distance[arrives] = step
+    return distance
+
+
+def test_shipped_house_is_that_of_seed_0(shipped):
+    plan = house_layout.layout(0)
+    np.testing.assert_allclose(shipped.position[::12, :2], plan.nodes, atol=1e-4)
+
+
+def test_shipped_house_can_be_solved_but_not_by_chance(shipped):
+    """Every goal can be reached from everywhere, a shortest path is 10 to 16 steps, a random policy finds a goal in
+    fewer than a quarter of its episodes of 100 steps."""
+    states, objects = shipped.visible.shape
+    ways = shipped.next_state != np.arange(states)[:, None]
+    order = np.argsort(~ways, axis=1, kind="stable")
+    rng = np.random.default_rng(0)
+    lengths, found = [], []
+    for goal in range(objects):
+        seen = shipped.visible[:, goal]
+        distance = steps_to(shipped.next_state, seen)
+        assert (distance >= 0).all()
+        lengths.append(distance[~seen].mean())
+        state = rng.choice(np.flatnonzero(~seen), 200)
+        reached = np.zeros(200, bool)
+        for _ in range(100):
+            state = shipped.next_state[state, order[state, rng.integers(ways[state].sum(1))]]
+            reached |= seen[state]
+        found.append(reached.mean())
+    assert 10 < np.mean(lengths) < 16
+    assert np.mean(found) < 0.25
+    assert shipped.visible.sum(0).min() >= 10
+
+
+def test_places_of_the_shipped_house_look_different(shipped):
+    """No two pictures taken more than 1.5 m apart look the same to the agent (root mean square, of 255 grey levels)."""
+    pictures = shipped.images.reshape(len(shipped.images), -1).astype(np.float64)
+    square = (pictures**2).sum(1)
+    difference = (square[:, None] + square - 2 * pictures @ pictures.T) / pictures.shape[1]
+    apart = np.linalg.norm(shipped.position[:, None, :2] - shipped.position[:, :2], axis=-1) > 1.5
+    assert difference[apart].min() > 4**2
+
+
+def test_no_view_of_the_shipped_house_shows_goals_of_two_rooms(shipped):
+    room = np.array([AUTHORS_SPLIT.rooms[name] for name in shipped.object_names])
+    assert max(len(set(room[seen])) for seen in shipped.visible) == 1

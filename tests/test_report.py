@@ -1,0 +1,213 @@
+"""What a run reports: intervals over seeds, tables that leave out and name diverged seeds, and figures that show something."""
+
+import dataclasses
+import io
+import json
+import math
+import shutil
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+from scipy import stats
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.report import house_figures, tables
+from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, principal_components, read_subject, representations, success_within
+from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
+from infogoal_jax.train import host
+from infogoal_jax.train.program import make_train
+
+SEEDS = [3, 4, 5]
+FIGURES = {"learning_curves", "beta_and_accuracy", "representations", "trajectories", "intrinsic_reward", "success_by_length", "success_by_goal"}
+
+
+def house_from_above():
+    """The hand-made task with its plan: a cross of places 0.6 m apart, room r at r quarter turns."""
+    position = np.zeros((4 * (1 + hand_made.ROOMS * hand_made.DEPTH), 3), np.float32)
+    for state in range(len(position)):
+        place, heading = divmod(state, 4)
+        room, depth = divmod(place - 1, hand_made.DEPTH)
+        distance, angle = (0.6 * (depth + 1) if place else 0.0), room * math.pi / 2
+        position[state] = distance * math.cos(angle), distance * math.sin(angle), heading * math.pi / 2
+    return hand_made.environment().replace(position=jnp.asarray(position))
+
+
+@pytest.fixture(scope="module")
+def env():
+    return house_from_above()
+
+
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory, env):
+    return host.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
+
+
+@pytest.fixture
+def diverged_run(sweep, tmp_path):
+    """A copy of the run in which seed 4 diverged at epoch 3."""
+    folder = tmp_path / "run"
+    shutil.copytree(sweep.folder, folder)
+    rows = [json.loads(line) for line in (folder / "epochs.jsonl").read_text().splitlines()]
+    for row in rows:
+        if row["seed"] == 4 and row["epoch"] >= 3:
+            row["agent/loss"] = math.nan
+    (folder / "epochs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def printed(show, *arguments) -> str:
+    """What a function prints on a console of its own."""
+    console = Console(file=io.StringIO(), width=120)
+    show(*arguments, console=console)
+    return console.file.getvalue()
+
+
+def test_interval_is_students_t():
+    values = [0.2, 0.5, 0.6, 0.9]
+    interval = mean_interval(values)
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    np.testing.assert_allclose((interval.mean, interval.low, interval.high), (0.55, low, high))
+    # By hand: t(0.975, 1) = 12.706, and the standard error of two numbers is half of their difference.
+    assert mean_interval([1.0, 3.0]).half_width == pytest.approx(12.7062, abs=1e-4)
+
+
+def test_interval_is_taken_at_each_point_of_a_curve():
+    curves = np.random.default_rng(0).normal(size=(5, 7))
+    interval = mean_interval(curves)
+    assert interval.mean.shape == interval.half_width.shape == (7,)
+    assert interval.half_width[2] == pytest.approx(mean_interval(curves[:, 2]).half_width)
+
+
+def test_one_seed_has_no_interval_and_none_has_no_mean():
+    one, none = mean_interval([0.52]), mean_interval([])
+    assert one.mean == 0.52 and math.isnan(one.half_width) and one.show() == "0.52"
+    assert math.isnan(none.mean) and none.show() == "-"
+    assert mean_interval([0.5, 0.5]).show() == "0.50 ± 0.00"
+
+
+def test_paired_difference_is_first_minus_second_and_forgets_what_seeds_share():
+    luck = np.random.default_rng(1).normal(size=8)
+    difference = paired_difference(luck + 0.3 + 0.01 * np.arange(8), luck)
+    assert difference.mean == pytest.approx(0.335)
+    assert difference.low > 0 > paired_difference(luck, luck + 0.3 + 0.01 * np.arange(8)).high
+    assert difference.half_width < mean_interval(luck).half_width / 10
+    with pytest.raises(UserError, match="same seeds"):
+        paired_difference([1.0, 2.0], [1.0])
+
+
+def test_summary_names_data_seeds_and_times(sweep):
+    text = printed(print_summary, sweep)
+    scores = tables.read(sweep.folder, "evaluations").last()
+    for word in ("hand-made graph", "3 seeds", "compiling", "running", "beta", str(sweep.folder), mean_interval(scores["test_goal/spl"]).show()):
+        assert word in text
+    assert "diverged" not in text
+    from_disk = printed(print_run, sweep.folder)
+    assert [line for line in text.splitlines() if not line.startswith("time")] == from_disk.splitlines()
+
+
+def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
+    everything, left = tables.read(sweep.folder, "evaluations"), tables.read(diverged_run, "evaluations", tables.diverged_seeds(diverged_run))
+    assert tables.diverged_seeds(diverged_run) == {4: 3}
+    assert left.seeds == [3, 5]
+    name = "train_goal/episode_length"
+    np.testing.assert_array_equal(left.values[name], everything.values[name][[0, 2]])
+    text = printed(print_run, diverged_run)
+    assert "seed 4 diverged at epoch 3" in text and "2 seeds" in text
+    assert mean_interval(left.last()[name]).show(1) in text
+    scores = evaluate_run(diverged_run, 2, 1, -1.0, env=env, console=Console(file=io.StringIO()))
+    assert all(value.shape == (2,) for value in scores.values())
+
+
+def test_run_whose_seeds_all_diverged_still_reports(diverged_run, env):
+    rows = [json.loads(line) | {"agent/loss": math.inf} for line in (diverged_run / "epochs.jsonl").read_text().splitlines()]
+    (diverged_run / "epochs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    text = printed(print_run, diverged_run)
+    assert "every seed diverged" in text and all(f"seed {seed} diverged at epoch 1" in text for seed in SEEDS)
+    assert draw_figures(diverged_run, env=env) == []
+
+
+def test_evaluation_again_depends_on_its_seed_alone(sweep, env):
+    quiet = Console(file=io.StringIO())
+    first, again, other = (evaluate_run(sweep.folder, 4, seed, 0.5, env=env, console=quiet) for seed in (1, 1, 2))
+    assert {"train_goal/spl", "train_goal_mean_code/spl", "test_goal/success_rate", "test_goal_mean_code/episode_length"} <= first.keys()
+    assert all((first[name] == again[name]).all() for name in first)
+    assert any((first[name] != other[name]).any() for name in first)
+    written = json.loads((sweep.folder / "evaluation.json").read_text())
+    assert (written["starts"], written["start_seed"], written["test_epsilon"], written["seeds"]) == (4, 2, 0.5, SEEDS)
+    assert written["metrics"]["test_goal/spl"] == pytest.approx(other["test_goal/spl"].tolist())
+
+
+def test_evaluation_refuses_what_makes_no_sense(sweep, env):
+    for starts, seed, epsilon, field in ((0, 1, 0.0, "starts"), (5, -1, 0.0, "start_seed"), (5, 1, 1.5, "test_epsilon")):
+        with pytest.raises(UserError, match=field):
+            evaluate_run(sweep.folder, starts, seed, epsilon, env=env)
+
+
+def test_every_figure_is_drawn_and_shows_something(sweep, env):
+    paths = draw_figures(sweep.folder, env=env)
+    assert {path.stem for path in paths} == FIGURES
+    for path in paths:
+        picture = imread(path)[..., :3]
+        assert path.parent == sweep.folder / "figures" and min(picture.shape[:2]) > 300
+        assert (picture.min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
+
+
+def test_house_without_positions_has_no_plans(sweep, env):
+    unknown = read_subject(sweep.folder, env.replace(position=jnp.full_like(env.position, jnp.nan)))
+    assert house_figures.draw_plans(unknown) == {}
+
+
+def test_plan_knows_places_and_the_length_of_a_move(env):
+    plan = house_figures.make_plan(env)
+    assert len(np.unique(plan.place)) == 1 + hand_made.ROOMS * hand_made.DEPTH and len(np.unique(plan.part)) == 1
+    assert all(len(set(plan.place[4 * place : 4 * place + 4])) == 1 for place in range(13))
+    assert plan.spacing == pytest.approx(0.6)
+
+
+def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env):
+    subject = read_subject(sweep.folder, env)
+    reward, in_view = house_figures.reward_of_images(subject, 0), np.asarray(env.in_view)
+    np.testing.assert_array_equal(np.isnan(reward), ~in_view.any(1))
+    assert np.nanmean(reward) == pytest.approx(-1)
+    np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)
+
+
+def test_walks_are_those_of_the_last_evaluation(sweep, env):
+    subject = read_subject(sweep.folder, env)
+    first_reached = subject.evaluations.last()["first_reached"][0]
+    walks = house_figures.walks_of_policy(subject)
+    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in walks]
+    np.testing.assert_array_equal(steps, first_reached)
+
+
+def test_success_by_length_ends_at_the_success_rate(sweep, env):
+    scores = tables.read(sweep.folder, "evaluations").last()
+    curve = success_within(scores["first_reached"], np.asarray(env.goals.test_mask), env.episode_length)
+    assert curve.shape == (len(SEEDS), env.episode_length + 1)
+    np.testing.assert_allclose(curve[:, -1], scores["test_goal/success_rate"], atol=1e-6)
+    assert (np.diff(curve, axis=1) >= 0).all() and (curve[:, 0] == 0).all()
+
+
+def test_principal_components_find_the_plane_of_the_points():
+    plane = np.linalg.qr(np.random.default_rng(2).normal(size=(6, 2)))[0].T
+    coordinates = np.random.default_rng(3).normal(size=(20, 2)) * [5, 1]
+    centre, axes, shares = principal_components(3.0 + coordinates @ plane)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(((3.0 + coordinates @ plane) - centre) @ axes.T @ axes + centre, 3.0 + coordinates @ plane, atol=1e-12)
+    assert shares.sum() == pytest.approx(1) and shares[0] > shares[1]
+
+
+def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env):
+    config, subject = hand_made.config("none"), read_subject(sweep.folder, env)
+    train = make_train(config, env)
+    params = {"goal": train.parts.learner.init(jax.random.key(0), env.goals.inputs, config.hyper)[0]}
+    subject = dataclasses.replace(subject, run=dataclasses.replace(subject.run, config=config), train=train, params=params)
+    assert beta_and_accuracy(subject) is None
+    assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), []) is None
+    assert representations(subject) is not None
