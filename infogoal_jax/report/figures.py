@@ -72,6 +72,7 @@ def learning_curves(subject: Subject) -> Figure:
         finish_share_axis(axes, label)
         axes.set_xlabel("environment steps")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+        axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.set_xlim(0, steps[-1] * 1.02)
         axes.legend(loc="best")
     return figure
