@@ -69,8 +69,8 @@ class StateEncoderConfig:
     """Side of the square patches that an image is cut into, in pixels; must divide the image's side."""
     channels: int = 32
     """Numbers that each patch is reduced to."""
-    features: int = 128
-    """Size of the state's code."""
+    features: int = 256
+    """Size of the state's code [M]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""

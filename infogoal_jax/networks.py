@@ -59,4 +59,4 @@ class PatchEncoder(nn.Module):
         patches = jnp.moveaxis(patches, -3, -2).reshape(*batch, rows * columns, self.patch * self.patch)
         patches = patches.astype(jnp.float32) / 127.5 - 1.0
         patches = nn.relu(nn.Dense(self.channels)(patches))
-        return nn.relu(nn.Dense(self.features)(patches.reshape(*batch, rows * columns * self.channels)))
+        return nn.relu(nn.LayerNorm()(nn.Dense(self.features)(patches.reshape(*batch, rows * columns * self.channels))))

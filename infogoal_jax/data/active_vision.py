@@ -114,7 +114,7 @@ def load(
             f"objects: {', '.join(unseen)} in clear view from no image of {', '.join(names)}; leave out, add scenes, "
             f"or lower min_box_size = {min_box_size} (max_difficulty = {max_difficulty})"
         )
-    source = f"{_origin(root)}: {len(names)} scene{'s' if len(names) > 1 else ''}, {len(images)} images"
+    source = f"{_origin(root)}, {len(names)} scene{'s' if len(names) > 1 else ''}, {len(images)} images"
     return SearchScenes(images, next_state, visible, position, scene, tuple(image_names), tuple(names), objects, source)
 
 
@@ -310,9 +310,9 @@ def _write_cache(path: Path, **arrays: np.ndarray) -> None:
 
 
 def _origin(root: Path) -> str:
-    """What a dataset calls itself: the builder of the synthetic house leaves a note at its root."""
+    """What a dataset is, for reports: the builder of the synthetic house leaves a note at its root."""
     try:
         note = json.loads((root / "synthetic.json").read_text(encoding="utf-8"))
-        return f"synthetic house, seed {note['seed']} ({root})"
+        return f"synthetic house, seed {note['seed']} (a stand-in for the Active Vision Dataset)"
     except (OSError, ValueError, KeyError, TypeError):
-        return f"Active Vision Dataset ({root})"
+        return "Active Vision Dataset"

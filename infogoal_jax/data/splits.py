@@ -84,7 +84,7 @@ AUTHORS_SPLIT = make_split(
 def load_split(path: str | os.PathLike) -> Split:
     """Split from a JSON file {"objects": {name: {"room": "kitchen", "use": "train" | "validation" | "test"}}}.
 
-    Raises UserError, which names the entry, when the file is not like that or has no training or no test object.
+    Raises UserError, which names the entry, when the file is not like that or has no training object.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -107,9 +107,8 @@ def load_split(path: str | os.PathLike) -> Split:
             raise UserError(f"{field}: use is {entry['use']!r}; it must be one of {', '.join(USES)}")
         objects[name] = (entry["room"], entry["use"])
     split = make_split(objects)
-    for use in ("train", "test"):
-        if not getattr(split, use):
-            raise UserError(f"split {path}: no object has use {use!r}; at least one must")
+    if not split.train:
+        raise UserError(f"split {path}: no object has use 'train'; at least one must")
     return split
 
 

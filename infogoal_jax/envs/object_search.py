@@ -4,19 +4,17 @@ An observation is the index of an image, and so is the record of what was achiev
 """
 
 import dataclasses
-from pathlib import Path
+import hashlib
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import data
 from infogoal_jax.data import active_vision, splits, text
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 
-SHIPPED_HOUSE = Path(data.__file__).parent / "files" / "house"
 UNREACHABLE = np.iinfo(np.int16).max
 
 
@@ -159,7 +157,7 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
     embeddings = text.load(config.text_embeddings) if config.text_embeddings else text.load_shipped()
     inputs = text.embed_known([name.replace("_", " ") for name in names], embeddings)
     scenes = active_vision.load(
-        config.dataset or SHIPPED_HOUSE, objects=names, scenes=config.scenes or None,
+        config.dataset or active_vision.SHIPPED_HOUSE, objects=names, scenes=config.scenes or None,
         image_size=config.image_size, min_box_size=config.min_box_size, max_difficulty=config.max_difficulty,
     )
     return lay_out(scenes, split, inputs, config.episode_length)
@@ -177,6 +175,7 @@ def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.
     unreachable = [name for name, possible in zip(names, may_start, strict=True) if not possible.any()]
     require(not unreachable, "env.split", ", ".join(unreachable), f"can be reached from nowhere in {scenes.source}: take it out of the split, "
             "lower env.min_box_size, or run `infogoal data check` on the dataset")
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (scenes.images, scenes.next_state, scenes.visible, inputs)))
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
     goals = GoalSet(
         inputs=jnp.asarray(inputs), regions=jnp.asarray([split.rooms[name] for name in names], jnp.int32),
@@ -188,7 +187,7 @@ def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.
         images=jnp.asarray(scenes.images), next_node=jnp.asarray(scenes.next_state), achieved_goals=jnp.asarray(pad_true(scenes.visible)),
         in_view=jnp.asarray(scenes.visible), distance=jnp.asarray(distance), starts=jnp.asarray(np.maximum(pad_true(may_start), 0)),
         num_starts=jnp.asarray(may_start.sum(1), jnp.int32), position=jnp.asarray(scenes.position), goals=goals,
-        episode_length=episode_length, source=scenes.source,
+        episode_length=episode_length, source=f"{scenes.source}, content {digest.hexdigest()[:8]}",
     )
 
 

@@ -4,7 +4,6 @@ Figures are made as objects and never through pyplot, so that drawing changes no
 """
 
 import dataclasses
-import re
 from pathlib import Path
 from typing import Any
 
@@ -51,12 +50,6 @@ def in_words(name: str, longest: int = 44) -> str:
     return words if len(words) <= longest else words[: longest - 3].rstrip() + "..."
 
 
-def data_in_brief(run: Run) -> str:
-    """What the data was, without its path; the synthetic house says that it is a stand-in."""
-    brief = re.sub(r" \([^()]*[/\\][^()]*\)", "", run.data)
-    return f"{brief} (a stand-in)" if brief.startswith("synthetic") else brief
-
-
 def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
     """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below. shown: instead of the seeds."""
     figure = Figure(figsize=size, layout="constrained")
@@ -65,7 +58,7 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
     left_out = "".join(f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items())
     figure.suptitle(f"{config.task.replace('_', ' ')}, {config.method}: {title}", fontsize=12)
-    figure.supxlabel(f"{seeds}{left_out}\ndata: {data_in_brief(subject.run)}", fontsize=8, color="#444444")
+    figure.supxlabel(f"{seeds}{left_out}\ndata: {subject.run.data}", fontsize=8, color="#444444")
     return figure
 
 

@@ -44,3 +44,11 @@ def read_params(run: Run, train: Train) -> dict[str, Any]:
     keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
     shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
     return checkpoint.load(run.folder / "policy", shapes)[1]
+
+
+def read_timing(folder: Path) -> dict[str, float]:
+    """Seconds spent compiling and running in the last session of a run, and its rates; empty if no session got past a chunk."""
+    try:
+        return json.loads((folder / "timing.json").read_text())
+    except (FileNotFoundError, json.JSONDecodeError):
+        return {}

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from infogoal_jax.errors import require
 from infogoal_jax.report import tables
-from infogoal_jax.report.runs import Run, read_params, read_run
+from infogoal_jax.report.runs import Run, read_params, read_run, read_timing
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train import checkpoint, files, host
 from infogoal_jax.train.evaluation import evaluate
@@ -20,13 +20,8 @@ from infogoal_jax.train.program import make_train
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GROUPS = {"train": "training", "validation": "validation", "test": "test"}
 COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}  # Title and decimals.
-FILES = ("config.json", "epochs.csv", "evaluations.csv", "policy", "checkpoint", "evaluation.json", "figures")
+FILES = ("config.json", "timing.json", "epochs.csv", "evaluations.csv", "policy", "checkpoint", "evaluation.json", "figures")
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
-
-
-def data_in_words(run: Run) -> str:
-    """What the data was; the synthetic house says that it stands in for something."""
-    return f"{run.data}, a stand-in for the Active Vision Dataset" if run.data.startswith("synthetic") else run.data
 
 
 def seeds_in_words(count: int) -> str:
@@ -54,17 +49,16 @@ def score_table(scores: dict[str, np.ndarray]) -> Table:
 
 
 def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
-    """Print what a run of the host loop came to, with the time that it took."""
-    times = f"compiling {sweep.compile_seconds:.1f} s, running {sweep.run_seconds:.1f} s"
-    show(read_run(sweep.folder), sweep.diverged, times, console or Console())
+    """Print what a run of the host loop came to."""
+    show(read_run(sweep.folder), sweep.diverged, console or Console())
 
 
 def print_run(folder: Path, console: Console | None = None) -> None:
     """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
-    show(read_run(folder), tables.diverged_seeds(folder), "", console or Console())
+    show(read_run(folder), tables.diverged_seeds(folder), console or Console())
 
 
-def show(run: Run, diverged: dict[int, int], times: str, console: Console) -> None:
+def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     """Print the table of the last evaluation, then a line for each of the other things to know."""
     evaluations, epochs = (tables.read(run.folder, name, diverged) for name in ("evaluations", "epochs"))
     left = len(evaluations.seeds)
@@ -82,11 +76,12 @@ def show(run: Run, diverged: dict[int, int], times: str, console: Console) -> No
         console.print(sentence, style="bold red", soft_wrap=True)
     known = {"train": "training goals", "visited": "goals achieved so far", "all": "all goals"}[run.config.known_goals]
     protocol = f"only training goals were commanded in training; {known} could enter the representation (known_goals = {run.config.known_goals})"
-    lines = {"data": data_in_words(run), "protocol": protocol, "device": run.device}
+    lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[run.config.method] = f"{numbers} (mean of the last epoch)"
-    if times:
-        lines["time"] = times
+    if times := read_timing(run.folder):
+        lines["time"] = (f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
+                         f"{times['env_steps_per_second']:,.0f} environment steps/s, {times['updates_per_second']:,.0f} updates/s over all seeds")
     lines["files"] = f"{run.folder}: {', '.join(name for name in FILES if (run.folder / name).exists())}"
     for label, text in lines.items():
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
@@ -137,5 +132,5 @@ def evaluate_run(
     console.print(score_table(scores))
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
-    console.print(f"data        {data_in_words(run)}\nfile        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
+    console.print(f"data        {run.data}\nfile        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
     return {name: value for name, value in scores.items() if name != "first_reached"}

@@ -7,8 +7,6 @@ import numpy as np
 
 from infogoal_jax.train import files, host
 
-WATCHED = ("agent/loss", "agent/gradient_norm")  # What the host loop watches for seeds that diverge.
-
 
 @dataclasses.dataclass(frozen=True)
 class Table:
@@ -25,9 +23,7 @@ class Table:
 
 def diverged_seeds(folder: Path) -> dict[int, int]:
     """Seeds whose loss or gradient stopped being finite, with the first such epoch."""
-    diverged: dict[int, int] = {}
-    host.note_diverged(files.read_table(folder, "epochs"), WATCHED, diverged)
-    return dict(sorted(diverged.items()))
+    return host.diverged_seeds(files.read_table(folder, "epochs"))
 
 
 def read(folder: Path, name: str, leave_out=()) -> Table:

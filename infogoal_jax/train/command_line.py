@@ -33,7 +33,7 @@ Add --help to a command for its flags; every field of the configuration is one.
 class TrainCommand:
     """Train on a task, all seeds in one program, and leave metrics, figures and a checkpoint in a folder."""
 
-    config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes]
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")]
     seeds: int = 1
     """How many seeds to train side by side: 0, 1, 2, ..."""
     first_seed: int = 0

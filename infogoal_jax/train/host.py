@@ -6,7 +6,7 @@ import math
 import platform
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from infogoal_jax.train import checkpoint, files
 from infogoal_jax.train.program import Train, make_train
 
 MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
+WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
 WORKING_COPIES = 3  # Copies of a seed's state that a compiled chunk holds at its peak: carried, updated, and batches and activations.
 
 
@@ -140,11 +141,13 @@ def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> 
     ]
 
 
-def note_diverged(rows: list[dict], watched: tuple[str, ...], diverged: dict[int, int]) -> None:
-    """Record the first epoch at which each seed's watched metrics were not finite."""
+def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
+    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table `epochs`."""
+    diverged: dict[int, int] = {}
     for row in rows:
-        if any(not math.isfinite(row[name]) for name in watched if name in row):
+        if any(not math.isfinite(row[name]) for name in WATCHED):
             diverged.setdefault(row["seed"], row["epoch"])
+    return dict(sorted(diverged.items()))
 
 
 def differences(first: dict, second: dict, prefix: str = "") -> list[str]:
@@ -196,7 +199,6 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     compiled = jax.jit(chunk, donate_argnums=0).lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
-    diverged: dict[int, int] = {}
     with stop_on_signal() as stop:
         while done < config.num_epochs and not stop.requested:
             started = time.perf_counter()
@@ -206,22 +208,21 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
             epochs = rows_of(range(done + 1, done + len(numbers) + 1), seeds, epoch_metrics)
             done, this_session = done + len(numbers), this_session + len(numbers)
             evaluations = rows_of([done], seeds, {name: value[:, None] for name, value in metrics.items()})
-            note_diverged(epochs, ("agent/loss", "agent/gradient_norm"), diverged)
             files.append_rows(folder, "epochs", epochs)
             files.append_rows(folder, "evaluations", evaluations)
             checkpoint.save(saved, {"epoch": done, **description}, states)
+            timing = {
+                "compile_seconds": compile_seconds, "run_seconds": run_seconds,
+                "env_steps_per_second": this_session * config.num_envs * config.rollout_steps * len(seeds) / run_seconds,
+                "updates_per_second": this_session * config.updates_per_epoch * len(seeds) / run_seconds,
+            }
+            files.write_atomically(folder / "timing.json", lambda file, timing=timing: file.write((json.dumps(timing) + "\n").encode()))
             for listener in listeners:
-                listener(Progress(
-                    epoch=done, num_epochs=config.num_epochs, compile_seconds=compile_seconds, run_seconds=run_seconds,
-                    env_steps_per_second=this_session * config.num_envs * config.rollout_steps * len(seeds) / run_seconds,
-                    updates_per_second=this_session * config.updates_per_epoch * len(seeds) / run_seconds, epochs=epochs, evaluations=evaluations,
-                ))
+                listener(Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing))
         stopped = done < config.num_epochs
     params = jax.device_get(states.params)
     checkpoint.save(folder / "policy", {"epoch": done, **description}, params)
-    for row in files.read_table(folder, "epochs"):
-        note_diverged([row], ("agent/loss", "agent/gradient_norm"), diverged)
-    return Sweep(folder, train, params, dict(sorted(diverged.items())), stopped, compile_seconds, run_seconds)
+    return Sweep(folder, train, params, diverged_seeds(files.read_table(folder, "epochs")), stopped, compile_seconds, run_seconds)
 
 
 def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
