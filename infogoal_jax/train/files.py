@@ -33,6 +33,14 @@ def write_atomically(path: Path, write: Callable[[object], None]) -> None:
         raise disk_error(path, error) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of a run, if it is not there. Raises `UserError` if the disk refuses, or a file stands in the way."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(folder, error) from error
+
+
 def disk_error(path: Path, error: OSError) -> UserError:
     """The refusal of a disk in words: what was not written, why, and what is still there."""
     remedy = {
@@ -40,8 +48,11 @@ def disk_error(path: Path, error: OSError) -> UserError:
         errno.EFBIG: "raise the limit on file sizes, or write elsewhere",
         errno.EACCES: "choose a folder that you may write to",
         errno.EROFS: "choose a folder that you may write to",
+        errno.ENOTDIR: "choose a path that does not lead through a file",
+        errno.EEXIST: "choose another folder; a file stands there",
     }.get(error.errno, "look at the disk")
-    return UserError(f"{path}: could not be written ({error.strerror or error}): {remedy}, then go on with --resume. What was there before is unchanged.")
+    return UserError(f"{path}: could not be written ({error.strerror or error}): {remedy}. What was there before is unchanged; "
+                     "a run with a checkpoint goes on with --resume")
 
 
 def scalar_columns(rows: list[dict]) -> list[str]:

@@ -185,7 +185,7 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
         done = header["epoch"]
         states = jax.device_put(states, by_seed)
         files.cut_back(folder, done)
-    folder.mkdir(parents=True, exist_ok=True)
+    files.make_folder(folder)
     files.write_atomically(folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode()))
 
     started = time.perf_counter()

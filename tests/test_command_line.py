@@ -1,0 +1,171 @@
+"""The command line: a newcomer is understood, and a mistake is named with its field, its value and the remedy, before anything is compiled."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import jax
+import pytest
+
+from infogoal_jax.config import to_json
+from infogoal_jax.data.active_vision import SHIPPED_HOUSE
+from infogoal_jax.presets import from_dict, load
+from infogoal_jax.train.command_line import main
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def no_compilation(monkeypatch):
+    """Make ahead-of-time compilation of the training program fail the test."""
+
+    def refuse(*arguments, **options):
+        raise AssertionError("compiled before the mistake was found")
+
+    monkeypatch.setattr(jax.stages.Lowered, "compile", refuse)
+
+
+MISTAKES = [
+    ("train objct_search", ["task", "objct_search", "Did you mean 'object_search'"]),
+    ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
+    ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
+    ("train object_search --seeds 100000", ["seeds = 100000", "at most"]),
+    ("train object_search --num-envs 0", ["num_envs = 0", "greater than 0"]),
+    ("train object_search --batch-size -3", ["batch_size = -3", "greater than 0"]),
+    ("train object_search --num-epochs 25", ["num_epochs = 25", "multiple of epochs_per_evaluation = 10", "give 20"]),
+    ("train object_search --buffer-steps 10", ["buffer_steps = 10", "3200"]),
+    ("train object_search --learner.window 101", ["learner.window = 101", "episode length, 100"]),
+    ("train object_search --learner.window -1", ["learner.window = -1", "between 0"]),
+    ("train object_search --learner.loss ratio --learner.score bilinear", ["learner.loss = 'ratio'", "--learner.score distance"]),
+    ("train object_search --agent.num-steps 0", ["agent.num_steps = 0", "between 1 and"]),
+    ("train object_search --hyper.discount 1.5", ["hyper.discount = 1.5", "below 1"]),
+    ("train object_search --hyper.learning-rate nan", ["hyper.learning_rate = nan", "finite"]),
+    ("train object_search --env.image-size 30", ["env.image_size = 30", "multiple of state_encoder.patch = 8"]),
+    ("train object_search --env.min-box-size 2", ["env.min_box_size = 2.0", "from 0 to below 1"]),
+    ("train object_search --env.dataset not_there", ["not_there"]),
+    ("train object_search --env.scenes Home_999_1", ["Home_999_1", "Home_101_1"]),
+    ("train object_search --env.split not_there.json", ["not_there.json"]),
+    ("train object_search --env.min-box-size 0.9", ["min_box_size"]),
+    ("train object_search --env.text-embeddings not_there.npz", ["not_there.npz"]),
+    ("train object_search --resume not_there", ["run = 'not_there'", "config.json"]),
+    ("train object_search --out a_file/run", ["a_file/run", "could not be written", "does not lead through a file"]),
+    ("trian object_search", ["trian", "Did you mean 'train'"]),
+    ("evaluate not_there", ["run = 'not_there'"]),
+    ("report not_there", ["run = 'not_there'"]),
+    ("data build castle somewhere", ["castle", "Known: house"]),
+    ("data build house a_folder", ["a_folder", "not empty"]),
+    ("data chekc somewhere", ["chekc", "Did you mean 'check'"]),
+    ("data embed --out file.npz", ["text"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments for arguments, _ in MISTAKES])
+def test_a_mistake_is_named_with_its_value_and_the_remedy(arguments, expected, tmp_path, capsys, no_compilation):
+    (tmp_path / "a_file").write_text("kept")
+    (tmp_path / "a_folder").mkdir()
+    (tmp_path / "a_folder" / "kept").write_text("kept")
+    status = main(arguments.split())
+    printed = capsys.readouterr().err
+    assert status == 2
+    assert printed.startswith("infogoal: ")
+    for words in expected:
+        assert words in printed
+    assert (tmp_path / "a_file").read_text() == (tmp_path / "a_folder" / "kept").read_text() == "kept"
+    assert not (tmp_path / "runs").exists()
+
+
+def test_an_unknown_flag_is_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "object_search", "--learner.windw", "3"])
+    assert stopped.value.code == 2
+    assert "windw" in capsys.readouterr().err
+
+
+def spoil_annotations(house):
+    path = house / "Home_101_1" / "annotations.json"
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def spoil_image(house):
+    path = sorted((house / "Home_101_1" / "jpg_rgb").iterdir())[5]
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def spoil_by_removing_images(house):
+    for path in sorted((house / "Home_101_1" / "jpg_rgb").iterdir())[100:]:
+        path.unlink()
+
+
+@pytest.mark.parametrize("spoil", [spoil_annotations, spoil_image, spoil_by_removing_images])
+def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(spoil, tmp_path, capsys, no_compilation):
+    shutil.copytree(SHIPPED_HOUSE, tmp_path / "house")
+    spoil(tmp_path / "house")
+    assert main(["train", "object_search", "--env.dataset", "house"]) == 2
+    assert "infogoal data check" in capsys.readouterr().err
+    assert main(["data", "check", "house"]) == 1
+    assert " errors" in capsys.readouterr().out
+
+
+def test_an_object_that_the_dataset_does_not_have_is_named(tmp_path, capsys, no_compilation):
+    """More goals in the split than the dataset has."""
+    split = {"objects": {"red_bul": {"room": "kitchen", "use": "train"}, "advil_liqui_gels": {"room": "kitchen", "use": "test"}}}
+    (tmp_path / "split.json").write_text(json.dumps(split))
+    assert main(["train", "object_search", "--env.split", "split.json"]) == 2
+    assert "red bul" in capsys.readouterr().err.replace("_", " ")
+
+
+def test_no_traceback_and_a_failing_exit_status_in_a_process_of_its_own():
+    command = [sys.executable, "-m", "infogoal_jax.train.command_line", "train", "object_search", "--hyper.epsilon", "3"]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
+    assert done.returncode == 2
+    assert "hyper.epsilon = 3.0" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_help_names_every_command_and_every_field(capsys):
+    assert main(["--help"]) == 0
+    overview = capsys.readouterr().out
+    assert all(command in overview for command in ("train", "evaluate", "report", "data check", "data build", "data embed"))
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "object_search", "--help"])
+    assert stopped.value.code == 0
+    text = capsys.readouterr().out
+    for flag in ("--seeds", "--num-epochs", "--env.dataset", "--learner.window", "--agent.num-steps", "--hyper.discount", "--state-encoder.patch"):
+        assert flag in text
+
+
+def test_a_configuration_comes_back_from_its_json():
+    for method in ("infogoal", "none"):
+        config = load("object_search", method, num_envs=7)
+        assert from_dict(json.loads(to_json(config))) == config
+
+
+TINY = ("--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 --buffer-steps 100 "
+        "--evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16")
+
+
+def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
+    """The shipped house, two seeds: everything a run promises is there, and the run can be gone on with."""
+    assert main(f"train object_search --seeds 2 --out run --tensorboard {TINY}".split()) == 0
+    printed = capsys.readouterr().out
+    assert "a stand-in" in printed and "success rate" in printed
+    run = tmp_path / "run"
+    for name in ("config.json", "timing.json", "checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "figures/learning_curves.png"):
+        assert (run / name).stat().st_size > 0, name
+    assert list(run.glob("events.out.tfevents*"))
+    assert main(["evaluate", "run", "--starts", "2"]) == 0
+    assert main(f"train object_search --resume run --num-epochs 3 --no-figures {TINY.partition('--epochs-per')[1]}{TINY.partition('--epochs-per')[2]}".split()) == 0
+    assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [1, 1, 2, 2, 3, 3]
+    assert main(f"train object_search --out run {TINY}".split()) == 2  # The folder holds a run.
+    assert "--resume run" in capsys.readouterr().err
+
+
+def test_importing_the_package_starts_no_device_and_prints_nothing():
+    code = "import infogoal_jax, sys; from jax._src import xla_bridge; assert not xla_bridge._backends; assert 'wandb' not in sys.modules; assert 'tensorboardX' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "" and done.stderr == ""
