@@ -93,9 +93,9 @@ class TrainConfig:
     """Configuration of the goal-representation learner."""
     agent: Any
     """Configuration of the reinforcement-learning agent."""
-    state_encoder: StateEncoderConfig = StateEncoderConfig()
+    state_encoder: StateEncoderConfig = dataclasses.field(default_factory=StateEncoderConfig)
     """Configuration of the encoder of image observations."""
-    hyper: Hyperparameters = Hyperparameters()
+    hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
     """Default values of the compiled program's arguments."""
     num_epochs: int = 120
     """Epochs: each collects, then updates."""

@@ -12,6 +12,7 @@ import pytest
 from infogoal_jax.config import to_json
 from infogoal_jax.data.active_vision import SHIPPED_HOUSE
 from infogoal_jax.presets import from_dict, load
+from infogoal_jax.train import files
 from infogoal_jax.train.command_line import main
 
 
@@ -155,17 +156,39 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "a stand-in" in printed and "success rate" in printed
     run = tmp_path / "run"
-    for name in ("config.json", "timing.json", "checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "figures/learning_curves.png"):
+    for name in ("config.json", "timing.json", "checkpoint", "policy", *(f"{table}{end}" for table in files.TABLES for end in (".csv", ".jsonl"))):
         assert (run / name).stat().st_size > 0, name
+    assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
     assert main(["evaluate", "run", "--starts", "2"]) == 0
-    assert main(f"train object_search --resume run --num-epochs 3 --no-figures {TINY.partition('--epochs-per')[1]}{TINY.partition('--epochs-per')[2]}".split()) == 0
+    assert main("train object_search --resume run --num-epochs 3 --no-figures".split()) == 0
     assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [1, 1, 2, 2, 3, 3]
+    capsys.readouterr()
     assert main(f"train object_search --out run {TINY}".split()) == 2  # The folder holds a run.
     assert "--resume run" in capsys.readouterr().err
+    full = run_on_a_full_disk(f"train object_search --seeds 2 --out full --no-figures {TINY}")
+    assert full.returncode == 2 and "could not be written" in full.stderr and "Traceback" not in full.stderr
+
+
+def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
+    """The command in a process that may write no file over 50 kB, as on a disk that fills up while the checkpoint is written."""
+    code = f"""
+import resource, sys
+from infogoal_jax.train import files
+from infogoal_jax.train.command_line import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+sys.exit(main({arguments.split()!r}))
+"""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ)
 
 
 def test_importing_the_package_starts_no_device_and_prints_nothing():
-    code = "import infogoal_jax, sys; from jax._src import xla_bridge; assert not xla_bridge._backends; assert 'wandb' not in sys.modules; assert 'tensorboardX' not in sys.modules"
+    code = """
+import sys
+import infogoal_jax
+from jax._src import xla_bridge
+assert not xla_bridge._backends
+assert not {'wandb', 'tensorboardX'} & {*sys.modules}
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "" and done.stderr == ""

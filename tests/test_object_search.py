@@ -9,7 +9,7 @@ import pytest
 from infogoal_jax.data import splits
 from infogoal_jax.envs.object_search import distances, lay_out
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.evaluation import evaluate, goal_starts, oracle_policy, random_policy
+from infogoal_jax.train.evaluation import evaluate, goal_starts, random_policy, shortest_path_policy
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_achieved_goals_agree_with_what_is_reached(env):
 
 
 def test_oracle_takes_shortest_paths_and_random_does_not(env):
-    metrics = evaluate(env, {"": oracle_policy(env), "_random": random_policy(env)}, 10)
+    metrics = evaluate(env, {"": shortest_path_policy(env), "_random": random_policy(env)}, 10)
     for group in ("train", "test"):
         assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"{group}_goal/spl"] == 1
         assert metrics[f"{group}_goal_random/spl"] < 0.7

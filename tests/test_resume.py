@@ -151,7 +151,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrup
 
 
 def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
-    whole, seconds, cache = uninterrupted
+    whole, _, cache = uninterrupted
     process = start(tmp_path / "run", cache)
     while not (tmp_path / "run" / "checkpoint").exists():
         assert process.poll() is None

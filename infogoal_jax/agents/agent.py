@@ -12,8 +12,9 @@ class AgentBatch:
     """B transitions as codes; the agent's gradient flows back through `features` and `code` into the encoders.
 
     features [B, F] and code [B, d] of the state and the desired goal, by the encoders that are trained; action: int32 [B].
-    next_features, next_code: after the last step, by the encoders that are trained, without gradient; target_features, target_code: by the target encoders.
-    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination; next_action_mask: bool [B, A].
+    next_features, next_code: after the last step, by the encoders that are trained, without gradient.
+    target_features, target_code: after the last step, by the target encoders; next_action_mask: bool [B, A].
+    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination.
     """
 
     features: jax.Array

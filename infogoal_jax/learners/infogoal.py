@@ -52,7 +52,8 @@ class InfoGoalConfig:
                 f"must lie between 0 and the episode length, {config.env.episode_length}")
         require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")
         require(self.score in ("distance", "bilinear"), "learner.score", self.score, "give distance or bilinear")
-        require(self.loss == "nce" or self.score == "distance", "learner.loss", self.loss, "the ratio form needs the bounded score: --learner.score distance")
+        require(self.loss == "nce" or self.score == "distance", "learner.loss", self.loss,
+                "the ratio form needs the bounded score: --learner.score distance")
         require(self.negatives in ("anchored", "independent"), "learner.negatives", self.negatives, "give anchored or independent")
         require(self.beta_rule in ("linear", "sign", "fixed"), "learner.beta_rule", self.beta_rule, "give linear, sign or fixed")
 
@@ -143,7 +144,7 @@ def make(config: InfoGoalConfig) -> Learner:
         return state.replace(beta=jnp.clip(beta, 0.0, 1.0))
 
     def intrinsic_reward(state, encode: Encode, desired, achieved):
-        """Eq. 16 with its minus sign: minus the distance between mean codes over its running mean; the farthest of the batch where nothing is achieved."""
+        """Eq. 16 with its minus sign: minus the distance of mean codes over its running mean; the farthest of the batch if nothing is achieved."""
         target = encode(desired).mean[:, None, None]
         distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)
         nearest = jnp.where(achieved >= 0, distance, jnp.inf).min(-1)

@@ -56,6 +56,6 @@ def random_policy(env) -> Policy:
     return act
 
 
-def oracle_policy(env) -> Policy:
+def shortest_path_policy(env) -> Policy:
     """A shortest path to the goal, known only to the simulator."""
     return lambda observation, goal, key: env.distance[goal[:, None], env.next_node[observation]].argmin(-1).astype(jnp.int32)

@@ -193,11 +193,10 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     if states is None:
         states = jax.jit(over_seeds(train.initial, len(seeds), at_once), out_shardings=by_seed)(jax.device_put(keys, by_seed), *shared)
 
-    def chunk(states, numbers, hyper, env):
-        return over_seeds(lambda state, *rest: train.chunk(state, *rest), len(seeds), at_once)(states, numbers, hyper, env)
-
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
-    compiled = jax.jit(chunk, donate_argnums=0).lower(states, numbers, *shared).compile()
+    if done < config.num_epochs:
+        chunk = jax.jit(over_seeds(train.chunk, len(seeds), at_once), donate_argnums=0)
+        compiled = chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     with stop_on_signal() as stop:
         while done < config.num_epochs and not stop.requested:

@@ -1,0 +1,81 @@
+"""Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in distribution."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import hand_made
+import jax
+import numpy as np
+import pytest
+import scipy.stats
+
+from infogoal_jax import make_train
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import host
+
+ON_TWO_DEVICES = """
+import sys
+from pathlib import Path
+import hand_made, jax
+from infogoal_jax.train import host
+assert len(jax.devices()) == 2
+config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+seen = []
+sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(lambda progress: seen.extend(progress.epochs),), env=hand_made.environment())
+assert [row["seed"] for row in seen] == [0, 1, 2, 3]
+"""
+
+
+@pytest.fixture(scope="module")
+def one_device(tmp_path_factory):
+    """Rows of four seeds trained side by side on one device."""
+    folder = tmp_path_factory.mktemp("one_device")
+    config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], folder / "run", env=hand_made.environment())
+    return read_losses(folder / "run")
+
+
+def read_losses(folder: Path) -> list[float]:
+    return [json.loads(line)["agent/loss"] for line in (folder / "epochs.jsonl").read_text().splitlines()]
+
+
+def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
+    environment = os.environ | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"}
+    subprocess.run([sys.executable, "-c", ON_TWO_DEVICES, str(tmp_path / "run")], cwd=Path(__file__).parent, env=environment, check=True)
+    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+
+
+def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_path, monkeypatch):
+    monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
+    config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], tmp_path / "run", env=hand_made.environment())
+    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+
+
+def test_slices_follow_from_the_memory_of_the_device(monkeypatch):
+    env = hand_made.environment()
+    train = make_train(hand_made.config(), env)
+    shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, env)
+    one_seed = host.bytes_of(shapes)
+    for states_that_fit, at_once in ((1000, 10), (30, 10), (21, 5), (13, 1)):  # 10 states are carried; each seed that runs needs two more copies.
+        memory = (states_that_fit * one_seed + one_seed // 2 + host.bytes_of(env)) / host.MEMORY_SHARE
+        monkeypatch.setattr(host, "device_memory", lambda device, memory=memory: memory)
+        assert host.seeds_at_once(shapes, env, 10, None) == at_once
+    monkeypatch.setattr(host, "device_memory", lambda device: 5 * one_seed)
+    with pytest.raises(UserError, match="seeds = 10"):
+        host.seeds_at_once(shapes, env, 10, None)
+
+
+@pytest.mark.long
+def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
+    config = hand_made.config(num_epochs=16, epochs_per_evaluation=16, updates_per_epoch=50, batch_size=64, buffer_steps=5120, evaluation_starts=10)
+    train = make_train(config, hand_made.environment())
+    keys = jax.random.split(jax.random.key(0), 32)
+    together = np.asarray(jax.jit(jax.vmap(train))(keys).metrics["test_goal/success_rate"][:, -1])
+    single = jax.jit(train)
+    alone = np.asarray([single(key).metrics["test_goal/success_rate"][-1] for key in keys])
+    assert together.std() > 0  # Not all at the ceiling: the comparison could fail.
+    assert scipy.stats.ks_2samp(together, alone).pvalue > 0.01
