@@ -3,8 +3,10 @@
     python benchmarks/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
 
 House 0 is the one that the project ships; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
-FOLDER with the curve of every seed; FOLDER/house_N/result.json holds the numbers and FOLDER/study.md the table. What is there is not run
-again, so houses may come from several machines. The share of random actions in evaluation is chosen for each method and house on training goals alone.
+FOLDER with the curve of every seed; FOLDER/house_N/result.json holds the numbers, FOLDER/study.md the table
+and FOLDER/learning.png the curves. What is there is not run
+again, so houses may come from several machines. Scores are shown without random actions in evaluation (test epsilon 0), and with the share of
+random actions that is best for the success on training goals, for each method and house.
 """
 
 import argparse
@@ -17,9 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from machine import describe_machine
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from infogoal_jax import presets
 from infogoal_jax.data.house import build_house
+from infogoal_jax.report import tables
+from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
@@ -79,32 +85,47 @@ def study_house(house: int, seeds: int, folder: Path) -> dict:
     return result | {"baselines": baselines(sweep.train.env)}
 
 
-def chosen_scores(result: dict, method: str, name: str) -> np.ndarray:
-    """A method's score of each seed, [seeds], at its chosen epsilon."""
-    return np.asarray(result[method]["scores"][name])[:, result[method]["chosen"]]
-
-
 def table(results: list[dict]) -> str:
-    """The study as Markdown."""
+    """The study as Markdown: each group of goals and score at test epsilon 0, then at the one chosen on training goals."""
     seeds = results[0]["seeds"]
     lines = [
         f"Mean ± 95 % interval (Student t) over {seeds} seeds; in the last column of the paired difference. {STARTS} starts for each goal. "
         "The paper, on the real dataset: InfoGoal 0.93, DQN 0.18 on test goals.", "",
-        "| house | goals | score | random | shortest path | DQN (test epsilon) | InfoGoal (test epsilon) | InfoGoal - DQN |", "|" + "---|" * 8,
+        "| house | goals | score | test epsilon (DQN, InfoGoal) | random | shortest path | DQN | InfoGoal | InfoGoal - DQN |", "|" + "---|" * 9,
     ]
     for result in results:
-        for group, score in itertools.product(("train", "test"), SCORES):
+        chosen = {method: result[method]["chosen"] for method in METHODS}
+        for group, score, columns in itertools.product(("train", "test"), SCORES, (dict.fromkeys(METHODS, 0), chosen)):
             name = f"{group}_goal/{score}"
-            cells = {method: chosen_scores(result, method, name) for method in METHODS}
-            shown = [f"{mean_interval(cells[method]).show(2)} ({EPSILONS[result[method]['chosen']]})" for method in METHODS]
+            cells = [np.asarray(result[method]["scores"][name])[:, column] for method, column in columns.items()]
+            epsilons = ", ".join(str(EPSILONS[column]) for column in columns.values())
             known = [f"{result['baselines'][f'{group}_goal_{policy}/{score}']:.2f}" for policy in ("random", "shortest")]
-            difference = paired_difference(cells["infogoal"], cells["none"]).show(2)
-            lines.append(f"| {' | '.join([str(result['house']), group, SCORES[score], *known, *shown, difference])} |")
+            shown = [mean_interval(cell).show(2) for cell in cells] + [paired_difference(cells[1], cells[0]).show(2)]
+            lines.append(f"| {' | '.join([str(result['house']), group, SCORES[score], epsilons, *known, *shown])} |")
     lines.append("")
     for result in results:
         epochs = ", ".join(f"{label} {result[method]['epochs']} epochs" for method, label in METHODS.items())
         lines.append(f"- House {result['house']}: {result['data']}; {epochs}; {result['machine']}")
     return "\n".join(lines) + "\n"
+
+
+def learning_figure(results: list[dict], folder: Path) -> Figure:
+    """Success on training (dashed) and test goals against environment steps, a panel a house: mean over seeds, 95 % band, every seed a thin line."""
+    figure = Figure(figsize=(4.2 * len(results), 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, result in zip(np.atleast_1d(figure.subplots(1, len(results), sharey=True)), results, strict=True):
+        for (method, label), colour in zip(METHODS.items(), ("tab:orange", "tab:blue"), strict=True):
+            table = tables.read(folder / f"house_{result['house']}" / method, "evaluations")
+            steps = table.values["env_steps"].mean(0) / 1e3
+            draw_curve(axes, steps, table.values["test_goal/success_rate"], colour, f"{label}, test goals")
+            axes.plot(steps, table.values["train_goal/success_rate"].mean(0), color=colour, linestyle="--", label=f"{label}, training goals")
+        axes.axhline(result["baselines"]["test_goal_random/success_rate"], color="grey", linestyle=":", label="random policy")
+        axes.set_title(f"synthetic house {result['house']} (a stand-in)")
+        axes.set_xlabel("environment steps a seed (thousands)")
+        finish_share_axis(axes, "success rate")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=5)
+    figure.supxlabel(f"object search, test epsilon 0; {results[0]['seeds']} seeds, mean with 95 % interval, each seed a thin line", fontsize=8)
+    return figure
 
 
 def main():
@@ -121,6 +142,7 @@ def main():
             path.write_text(json.dumps(result) + "\n")
     results = [json.loads(path.read_text()) for path in sorted(arguments.out.glob("house_*/result.json"))]
     (arguments.out / "study.md").write_text(table(results))
+    save(learning_figure(results, arguments.out), arguments.out / "learning.png")
     print(table(results))
 
 
