@@ -79,7 +79,7 @@ def study_house(house: int, seeds: int, folder: Path) -> dict:
         chosen = int(scores["train_goal/success_rate"].mean(0).argmax())
         result["data"] = sweep.train.env.source
         result[method] = {
-            "epochs": config.num_epochs, "chosen": chosen, "diverged": sweep.diverged,
+            "epochs": config.num_epochs, "chosen": chosen, "diverged": [str(seed) for seed in sweep.diverged],
             "scores": {name: value.tolist() for name, value in scores.items()},
         }
     return result | {"baselines": baselines(sweep.train.env)}
@@ -97,7 +97,9 @@ def table(results: list[dict]) -> str:
         chosen = {method: result[method]["chosen"] for method in METHODS}
         for group, score, columns in itertools.product(("train", "test"), SCORES, (dict.fromkeys(METHODS, 0), chosen)):
             name = f"{group}_goal/{score}"
-            cells = [np.asarray(result[method]["scores"][name])[:, column] for method, column in columns.items()]
+            diverged = {int(seed) for method in METHODS for seed in result[method]["diverged"]}
+            kept = [seed for seed in range(seeds) if seed not in diverged]
+            cells = [np.asarray(result[method]["scores"][name])[kept, column] for method, column in columns.items()]
             epsilons = ", ".join(str(EPSILONS[column]) for column in columns.values())
             known = [f"{result['baselines'][f'{group}_goal_{policy}/{score}']:.2f}" for policy in ("random", "shortest")]
             shown = [mean_interval(cell).show(2) for cell in cells] + [paired_difference(cells[1], cells[0]).show(2)]
@@ -105,7 +107,9 @@ def table(results: list[dict]) -> str:
     lines.append("")
     for result in results:
         epochs = ", ".join(f"{label} {result[method]['epochs']} epochs" for method, label in METHODS.items())
-        lines.append(f"- House {result['house']}: {result['data']}; {epochs}; {result['machine']}")
+        lost = {label: result[method]["diverged"] for method, label in METHODS.items() if result[method]["diverged"]}
+        left_out = "".join(f"; {label} seeds {', '.join(seeds_lost)} diverged and are left out" for label, seeds_lost in lost.items())
+        lines.append(f"- House {result['house']}: {result['data']}; {epochs}; {result['machine']}{left_out}")
     return "\n".join(lines) + "\n"
 
 

@@ -39,7 +39,7 @@ class Hyperparameters:
     beta_start: float = 0.0
     """First value of the Lagrange multiplier beta, in [0, 1]."""
     beta_step: float = 2.5e-4
-    """rho of Eq. 15 for the linear rule. The sign rule's step is 1e-5 [A]: set it with `--learner.beta-rule sign`."""
+    """rho of Eq. 15, for the linear rule only; the step of the authors' sign rule is always 1e-5. 0 holds beta still."""
     beta_threshold: float = 0.96
     """alpha of Eq. 15: the accuracy above which beta grows [A], in (0, 1)."""
     fixed_beta: float = 0.01

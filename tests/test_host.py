@@ -55,18 +55,16 @@ def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_pa
     np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
 
 
-def test_slices_follow_from_the_memory_of_the_device(monkeypatch):
+def test_slices_follow_from_the_memory_of_the_devices():
     env = hand_made.environment()
     train = make_train(hand_made.config(), env)
     shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, env)
     one_seed = host.bytes_of(shapes)
     for states_that_fit, at_once in ((1000, 10), (30, 10), (21, 5), (13, 1)):  # 10 states are carried; each seed that runs needs two more copies.
         memory = (states_that_fit * one_seed + one_seed // 2 + host.bytes_of(env)) / host.MEMORY_SHARE
-        monkeypatch.setattr(host, "device_memory", lambda device, memory=memory: memory)
-        assert host.seeds_at_once(shapes, env, 10, None) == at_once
-    monkeypatch.setattr(host, "device_memory", lambda device: 5 * one_seed)
+        assert host.seeds_at_once(shapes, env, 10, memory) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
-        host.seeds_at_once(shapes, env, 10, None)
+        host.seeds_at_once(shapes, env, 10, 5 * one_seed)
 
 
 @pytest.mark.long

@@ -112,9 +112,10 @@ def make(config: InfoGoalConfig) -> Learner:
         log_positive, log_negative = log_score(params, anchor, positive), log_score(params, contrast, negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
         any_negative = pairs.positive_weight * (pairs.negative_weight.sum(1) > 0)
-        took_part = [code for code, name in zip(codes, ("anchor", "positive", "contrast", "negative"), strict=True)
-                     if name != "contrast" or config.negatives == "independent"]
-        kl = sum(kl_to_standard_normal(code).mean() for code in took_part) / len(took_part)
+        took_part = [(codes[0], pairs.positive_weight), (codes[1], pairs.positive_weight), (codes[3], weights)]
+        if config.negatives == "independent":
+            took_part.append((codes[2], weights))
+        kl = sum(weighted_mean(kl_to_standard_normal(code), weight) for code, weight in took_part) / len(took_part)
         if config.loss == "nce":
             infomax = -weighted_mean(contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf)), any_negative)
             infomin = kl

@@ -90,7 +90,8 @@ def train(arguments: list[str]) -> int:
     if resuming:
         from infogoal_jax.report.runs import read_run
 
-        seeds = read_run(Path(command.resume)).seeds if flag(arguments, "seeds") is None else seeds
+        if flag(arguments, "seeds") is None and flag(arguments, "first-seed") is None:
+            seeds = read_run(Path(command.resume)).seeds
     folder = Path(command.resume or command.out or f"runs/{config.task}-{config.method}-{time.strftime('%Y%m%d-%H%M%S')}")
     with make_listeners(folder, config, len(seeds), tensorboard=command.tensorboard, wandb=command.wandb) as listeners:
         sweep = host.run(config, seeds, folder, resume=resuming, listeners=listeners)

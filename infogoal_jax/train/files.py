@@ -2,9 +2,11 @@
 
     RUN/config.json              the resolved configuration, seeds, dataset and versions
     RUN/checkpoint               everything that training carries, for all seeds
-    RUN/policy                   parameters alone
+    RUN/policy                   parameters alone, of the same epoch
+    RUN/timing.json              seconds compiling and running, and rates, of the last session
     RUN/epochs.csv, .jsonl       a line for each seed and epoch
     RUN/evaluations.csv, .jsonl  a line for each seed and evaluation
+    RUN/evaluation.json          what `infogoal evaluate` found last; RUN/figures/ what `infogoal report` drew
 """
 
 import csv

@@ -99,11 +99,11 @@ def device_memory(device) -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def seeds_at_once(state_shapes: Any, env: Any, num_seeds: int, device) -> int:
-    """How many seeds fit beside each other in `MEMORY_SHARE` of the device. Raises `UserError` if not even their states do."""
-    seed_bytes, room = bytes_of(state_shapes), MEMORY_SHARE * device_memory(device) - bytes_of(env)
+def seeds_at_once(state_shapes: Any, env: Any, num_seeds: int, memory: int) -> int:
+    """How many seeds fit beside each other in `MEMORY_SHARE` of the devices' memory (bytes). Raises `UserError` if not even their states do."""
+    seed_bytes, room = bytes_of(state_shapes), MEMORY_SHARE * memory - bytes_of(env)
     fitting = int((room - num_seeds * seed_bytes) // ((WORKING_COPIES - 1) * seed_bytes))
-    require(fitting > 0, "seeds", num_seeds, f"a seed takes {seed_bytes / 2**20:.0f} MiB and the device has {device_memory(device) / 2**30:.1f} GiB: "
+    require(fitting > 0, "seeds", num_seeds, f"a seed takes {seed_bytes / 2**20:.0f} MiB and the devices have {memory / 2**30:.1f} GiB: "
             f"give at most {max(0, int(room // (WORKING_COPIES * seed_bytes)))}, or a smaller buffer_steps")
     return min(num_seeds, fitting)
 
@@ -170,22 +170,22 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
     require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
     saved = folder / "checkpoint"
-    if not resume and (folder / "config.json").exists():
+    if not resume and saved.exists():
         raise UserError(f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder")
     train = make_train(config, env)
+    by_seed, everywhere = seed_sharding(len(seeds))
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
     one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    at_once = seeds_at_once(one_seed, train.env, len(seeds), jax.devices()[0])
+    at_once = seeds_at_once(one_seed, train.env, len(seeds), sum(device_memory(device) for device in by_seed.device_set))
     states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
-    by_seed, everywhere = seed_sharding(len(seeds))
     description = describe(config, train.env, seeds)
     done, states = 0, None
     if resume:
         header, states = resume_from(saved, states_shape, description)
         done = header["epoch"]
         states = jax.device_put(states, by_seed)
-        files.cut_back(folder, done)
     files.make_folder(folder)
+    files.cut_back(folder, done)
     files.write_atomically(folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode()))
 
     started = time.perf_counter()
@@ -198,6 +198,7 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
         chunk = jax.jit(over_seeds(train.chunk, len(seeds), at_once), donate_argnums=0)
         compiled = chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
+    steps_before = int(jax.device_get(states.env_steps).sum())
     with stop_on_signal() as stop:
         while done < config.num_epochs and not stop.requested:
             started = time.perf_counter()
@@ -209,19 +210,18 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
             evaluations = rows_of([done], seeds, {name: value[:, None] for name, value in metrics.items()})
             files.append_rows(folder, "epochs", epochs)
             files.append_rows(folder, "evaluations", evaluations)
+            checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
             checkpoint.save(saved, {"epoch": done, **description}, states)
             timing = {
                 "compile_seconds": compile_seconds, "run_seconds": run_seconds,
-                "env_steps_per_second": this_session * config.num_envs * config.rollout_steps * len(seeds) / run_seconds,
+                "env_steps_per_second": (int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
                 "updates_per_second": this_session * config.updates_per_epoch * len(seeds) / run_seconds,
             }
             files.write_atomically(folder / "timing.json", lambda file, timing=timing: file.write((json.dumps(timing) + "\n").encode()))
             for listener in listeners:
                 listener(Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing))
         stopped = done < config.num_epochs
-    params = jax.device_get(states.params)
-    checkpoint.save(folder / "policy", {"epoch": done, **description}, params)
-    return Sweep(folder, train, params, diverged_seeds(files.read_table(folder, "epochs")), stopped, compile_seconds, run_seconds)
+    return Sweep(folder, train, jax.device_get(states.params), diverged_seeds(files.read_table(folder, "epochs")), stopped, compile_seconds, run_seconds)
 
 
 def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
