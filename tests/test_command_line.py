@@ -37,6 +37,7 @@ MISTAKES = [
     ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
     ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
     ("train object_search --seeds 100000", ["seeds = 100000", "at most"]),
+    ("train object_search --evaluation-starts 1000000000", ["seeds = 1", "evaluation_starts"]),
     ("train object_search --num-envs 0", ["num_envs = 0", "greater than 0"]),
     ("train object_search --batch-size -3", ["batch_size = -3", "greater than 0"]),
     ("train object_search --num-epochs 25", ["num_epochs = 25", "multiple of epochs_per_evaluation = 10", "give 20"]),

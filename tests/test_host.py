@@ -56,15 +56,11 @@ def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_pa
 
 
 def test_slices_follow_from_the_memory_of_the_devices():
-    env = hand_made.environment()
-    train = make_train(hand_made.config(), env)
-    shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, env)
-    one_seed = host.bytes_of(shapes)
-    for states_that_fit, at_once in ((1000, 10), (30, 10), (21, 5), (13, 1)):  # 10 states are carried; each seed that runs needs two more copies.
-        memory = (states_that_fit * one_seed + one_seed // 2 + host.bytes_of(env)) / host.MEMORY_SHARE
-        assert host.seeds_at_once(shapes, env, 10, memory) == at_once
+    """10 states of 100 bytes are carried; each seed that runs needs two more copies and 50 bytes; the environment takes 30 bytes once."""
+    for bytes_that_may_be_filled, at_once in ((1030 + 2520, 10), (1030 + 2480, 9), (1030 + 520, 2), (1030 + 260, 1)):
+        assert host.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / host.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
-        host.seeds_at_once(shapes, env, 10, 5 * one_seed)
+        host.seeds_at_once(100, 50, 30, 10, round((1030 + 240) / host.MEMORY_SHARE))
 
 
 @pytest.mark.long

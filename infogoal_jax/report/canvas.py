@@ -64,7 +64,7 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG. Raises `UserError` if the disk refuses."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    files.make_folder(path.parent)
     files.write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white"))
 
 

@@ -266,7 +266,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"infogoal: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("infogoal: stopped at once; go on from the last checkpoint with --resume", file=sys.stderr)
+        print("infogoal: stopped at once; a run that has a checkpoint goes on from it with --resume", file=sys.stderr)
         return 130
 
 

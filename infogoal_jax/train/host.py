@@ -23,7 +23,7 @@ from infogoal_jax.train.program import Train, make_train
 
 MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
-WORKING_COPIES = 3  # Copies of a seed's state that a compiled chunk holds at its peak: carried, updated, and batches and activations.
+WORKING_COPIES = 2  # Copies of a seed's state that a running chunk holds beside the one that is carried: updated, and gradients.
 
 
 @dataclasses.dataclass
@@ -99,12 +99,24 @@ def device_memory(device) -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def seeds_at_once(state_shapes: Any, env: Any, num_seeds: int, memory: int) -> int:
-    """How many seeds fit beside each other in `MEMORY_SHARE` of the devices' memory (bytes). Raises `UserError` if not even their states do."""
-    seed_bytes, room = bytes_of(state_shapes), MEMORY_SHARE * memory - bytes_of(env)
-    fitting = int((room - num_seeds * seed_bytes) // ((WORKING_COPIES - 1) * seed_bytes))
-    require(fitting > 0, "seeds", num_seeds, f"a seed takes {seed_bytes / 2**20:.0f} MiB and the devices have {memory / 2**30:.1f} GiB: "
-            f"give at most {max(0, int(room // (WORKING_COPIES * seed_bytes)))}, or a smaller buffer_steps")
+def working_bytes(config: TrainConfig, env: Any) -> int:
+    """Bytes that a seed takes beside copies of its state, roughly: three images of each transition, cut into patches; episodes of an evaluation."""
+    image = jax.eval_shape(env.render, jax.ShapeDtypeStruct((), jnp.int32))
+    batch = config.batch_size * image.size * np.dtype("float32").itemsize * 3 * 2
+    episodes = env.goals.num_goals * config.evaluation_starts * (env.episode_length + 1) * np.dtype("int32").itemsize * 2
+    return batch + episodes
+
+
+def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int) -> int:
+    """How many seeds fit beside each other in `MEMORY_SHARE` of the devices' memory. Raises `UserError` if not even their states and one do.
+
+    state_bytes: carried for each of the `num_seeds`; extra_bytes: `working_bytes` of each that runs; env_bytes: held once; memory: of all devices.
+    """
+    room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
+    fitting = int((room - num_seeds * state_bytes) // running)
+    require(fitting > 0, "seeds", num_seeds,
+            f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, and the devices have {memory / 2**30:.1f} GiB: "
+            f"give at most {max(0, int((room - running) // state_bytes))}, or a smaller buffer_steps, batch_size or evaluation_starts")
     return min(num_seeds, fitting)
 
 
@@ -176,7 +188,8 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     by_seed, everywhere = seed_sharding(len(seeds))
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
     one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    at_once = seeds_at_once(one_seed, train.env, len(seeds), sum(device_memory(device) for device in by_seed.device_set))
+    memory = sum(device_memory(device) for device in by_seed.device_set)
+    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(config, train.env), bytes_of(train.env), len(seeds), memory)
     states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
     description = describe(config, train.env, seeds)
     done, states = 0, None

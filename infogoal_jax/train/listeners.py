@@ -29,10 +29,13 @@ def make_listeners(folder: Path, config: TrainConfig, num_seeds: int, tensorboar
             from tensorboardX import SummaryWriter
         except ImportError as error:
             raise UserError("tensorboard = True: needs `pip install tensorboardX`") from error
-        writer = SummaryWriter(str(folder))
-        closing.append(writer.close)
+        writers = []  # Opened with the first numbers, so that a mistake found before leaves nothing on disk.
 
         def write(progress: host.Progress):
+            if not writers:
+                writers.append(SummaryWriter(str(folder)))
+                closing.append(writers[0].close)
+            writer = writers[0]
             for row in progress.epochs + progress.evaluations:
                 for name, value in row.items():
                     if name not in ("seed", "epoch") and not isinstance(value, list):
@@ -45,9 +48,15 @@ def make_listeners(folder: Path, config: TrainConfig, num_seeds: int, tensorboar
             import wandb as weights_and_biases
         except ImportError as error:
             raise UserError(f"wandb = {wandb!r}: needs `pip install wandb`") from error
-        session = weights_and_biases.init(project=wandb, dir=str(folder.parent), name=folder.name)
-        closing.append(session.finish)
-        listeners.append(lambda progress: session.log(seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch))
+        sessions = []
+
+        def log(progress: host.Progress):
+            if not sessions:
+                sessions.append(weights_and_biases.init(project=wandb, dir=str(folder.parent), name=folder.name))
+                closing.append(sessions[0].finish)
+            sessions[0].log(seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch)
+
+        listeners.append(log)
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[numbers]}"),
         console=Console(), refresh_per_second=2,
