@@ -56,11 +56,11 @@ def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_pa
 
 
 def test_slices_follow_from_the_memory_of_the_devices():
-    """10 states of 100 bytes are carried; each seed that runs needs two more copies and 50 bytes; the environment takes 30 bytes once."""
-    for bytes_that_may_be_filled, at_once in ((1030 + 2520, 10), (1030 + 2480, 9), (1030 + 520, 2), (1030 + 260, 1)):
+    """Each of 10 seeds carries 100 bytes, and takes 2 x 100 + 50 while it runs; slices carry the 1,000 twice; the environment takes 30 once."""
+    for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2520, 2), (30 + 2260, 1)):
         assert host.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / host.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
-        host.seeds_at_once(100, 50, 30, 10, round((1030 + 240) / host.MEMORY_SHARE))
+        host.seeds_at_once(100, 50, 30, 10, round((30 + 2240) / host.MEMORY_SHARE))
 
 
 @pytest.mark.long

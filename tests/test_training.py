@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import Hyperparameters, make_train
+from infogoal_jax import Hyperparameters, make_train, pairs, replay
+from infogoal_jax.train.update import Experience, sample_pairs
 
 
 @pytest.fixture(scope="session")
@@ -130,3 +131,16 @@ def test_bare_dqn_learns_its_training_goals_only():
     result = jax.jit(make_train(hand_made.config("none", **long), hand_made.environment()))(jax.random.key(0))
     assert result.metrics["train_goal/success_rate"][-1] >= 0.9
     assert result.metrics["test_goal/success_rate"][-1] < 0.6
+
+
+def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
+    """Rows not written yet hold record 0, at which goals may well be in view."""
+    env = train.env.replace(achieved_goals=train.env.achieved_goals.at[0].set(0))
+    shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, env).buffer
+    buffer = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    nowhere, everything = jnp.zeros(buffer.record.shape, bool), jnp.ones(env.goals.num_goals, bool)
+    experience = Experience(
+        buffer=buffer, valid_count=replay.running_count(buffer.valid), achieved=nowhere, achieved_count=replay.running_count(nowhere),
+        known=everything, usable=everything, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
+    )
+    assert not sample_pairs(train.parts.learner.pairs, env, experience, jax.random.key(0)).positive_weight.any()

@@ -110,13 +110,16 @@ def working_bytes(config: TrainConfig, env: Any) -> int:
 def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int) -> int:
     """How many seeds fit beside each other in `MEMORY_SHARE` of the devices' memory. Raises `UserError` if not even their states and one do.
 
-    state_bytes: carried for each of the `num_seeds`; extra_bytes: `working_bytes` of each that runs; env_bytes: held once; memory: of all devices.
+    state_bytes: carried for each of the `num_seeds`, twice if they are sliced (before and after a chunk; otherwise the memory is used again);
+    extra_bytes: `working_bytes` of each that runs; env_bytes: held once; memory: of all devices.
     """
     room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
-    fitting = int((room - num_seeds * state_bytes) // running)
+    if num_seeds * (state_bytes + running) <= room:
+        return num_seeds
+    fitting = int((room - 2 * num_seeds * state_bytes) // running)
     require(fitting > 0, "seeds", num_seeds,
             f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, and the devices have {memory / 2**30:.1f} GiB: "
-            f"give at most {max(0, int((room - running) // state_bytes))}, or a smaller buffer_steps, batch_size or evaluation_starts")
+            f"give at most {max(0, int((room - running) // (2 * state_bytes)))}, or a smaller buffer_steps, batch_size or evaluation_starts")
     return min(num_seeds, fitting)
 
 

@@ -45,7 +45,8 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
         keys[0], experience.buffer, experience.achieved, experience.achieved_count, request.num_pairs, request.window
     )
     anchor, positive = (goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable)) for k, record in zip(keys[1:3], records, strict=True))
-    positive_weight = ((anchor >= 0) & (positive >= 0)).astype(jnp.float32)
+    any_achieved = experience.achieved_count[-1] > 0  # Else the draw has nothing to choose from, and returned a row not written yet.
+    positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)
     anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
     contrast = jnp.broadcast_to(anchor[:, None], (request.num_pairs, request.num_negatives))
     if not request.anchored:
