@@ -132,7 +132,7 @@ class TrainConfig:
         require(self.known_goals in ("train", "visited", "all"), "known_goals", self.known_goals, "give train, visited or all")
         if isinstance(self.hyper.learning_rate, int | float):
             self.hyper.check()
-        for part in (self.env, self.learner, self.agent, self.state_encoder):
+        for part in (self.state_encoder, self.env, self.learner, self.agent):
             part.check(self)
 
     @property

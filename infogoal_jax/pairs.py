@@ -16,7 +16,7 @@ class GoalPairs:
     """Anchors, positives and negatives for the contrastive bound, as goal indices.
 
     anchor, positive: int32 [B]; negative: int32 [B, K]; contrast: int32 [B, K], what the negative is compared with (the anchor, or another goal).
-    positive_weight: float32 [B] and negative_weight: float32 [B, K], 0 where no such pair exists (index 0 stands there).
+    positive_weight: float32 [B] and negative_weight: float32 [B, K], 0 where no such pair exists.
     """
 
     anchor: jax.Array
@@ -65,7 +65,7 @@ def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
 
 
 def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Indices drawn uniformly among the true entries of mask [N], by inverting the running count; 0 if there is none."""
+    """Indices drawn uniformly among the true entries of mask [N], by inverting the running count; meaningless if there is none."""
     count = jnp.cumsum(mask.astype(jnp.int32))
     rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1))
     return jnp.minimum(jnp.searchsorted(count, rank, side="right"), mask.shape[0] - 1).astype(jnp.int32)

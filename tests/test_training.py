@@ -128,9 +128,10 @@ def test_learns_the_hand_made_rooms(known_goals):
 
 def test_bare_dqn_learns_its_training_goals_only():
     long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
-    result = jax.jit(make_train(hand_made.config("none", **long), hand_made.environment()))(jax.random.key(0))
-    assert result.metrics["train_goal/success_rate"][-1] >= 0.9
-    assert result.metrics["test_goal/success_rate"][-1] < 0.6
+    train = make_train(hand_made.config("none", **long), hand_made.environment())
+    metrics = jax.jit(jax.vmap(train))(jax.random.split(jax.random.key(0), 4)).metrics
+    assert metrics["train_goal/success_rate"][:, -1].mean() >= 0.85
+    assert metrics["test_goal/success_rate"][:, -1].mean() < 0.6
 
 
 def test_no_pair_carries_weight_before_any_goal_was_achieved(train):

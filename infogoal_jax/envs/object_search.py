@@ -171,9 +171,10 @@ def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.
     names = split.objects
     require(bool(split.train), "env.split", "", "names no training object; mark at least one with \"use\": \"train\"")
     distance = distances(scenes.next_state, scenes.visible)
-    may_start = (distance > 0) & (distance != UNREACHABLE)
+    may_start = (distance > 0) & (distance <= episode_length)  # Farther away, or unreachable, no episode could succeed.
     unreachable = [name for name, possible in zip(names, may_start, strict=True) if not possible.any()]
-    require(not unreachable, "env.split", ", ".join(unreachable), f"can be reached from nowhere in {scenes.source}: take it out of the split, "
+    require(not unreachable, "env.split", ", ".join(unreachable),
+            f"can be reached within {episode_length} steps from nowhere in {scenes.source}: take it out of the split, "
             "lower env.min_box_size, or run `infogoal data check` on the dataset")
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (scenes.images, scenes.next_state, scenes.visible, inputs)))
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])

@@ -35,7 +35,11 @@ def read_run(folder: Path) -> Run:
         return Run(folder, presets.from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"])
     except FileNotFoundError as error:
         raise UserError(f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`") from error
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except OSError as error:
+        raise UserError(f"run = {str(folder)!r}: could not be read ({error.strerror}); give the folder of a run of `infogoal train`") from error
+    except UserError:
+        raise
+    except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: is damaged or from another version of infogoal ({error}); train again, or bring back a copy of the file") from error
 
 

@@ -38,6 +38,8 @@ def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
         first_line, _, payload = path.read_bytes().partition(b"\n")
     except FileNotFoundError as error:
         raise UserError(f"{path}: there is no checkpoint; give the folder of a run that got past its first evaluation") from error
+    except OSError as error:
+        raise UserError(f"{path}: could not be read ({error.strerror}); give the folder of a run whose files you may read") from error
     damaged = UserError(f"{path}: this checkpoint is damaged or was not written by infogoal; train again, or bring back a copy of the file")
     try:
         header = json.loads(first_line)

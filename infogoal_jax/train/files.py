@@ -93,6 +93,7 @@ def cut_back(folder: Path, epoch: int) -> None:
     for table in TABLES:
         path = folder / f"{table}.jsonl"
         if not path.exists():
+            (folder / f"{table}.csv").unlink(missing_ok=True)  # Of a run that was killed between its first two appends.
             continue
         kept = [row for row in read_lines(path) if row["epoch"] <= epoch]
         columns = scalar_columns(kept) if kept else []

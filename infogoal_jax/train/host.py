@@ -86,7 +86,8 @@ def stop_on_signal() -> Iterator[StopRequest]:
 
 def bytes_of(tree: Any) -> int:
     """Bytes that the arrays of a pytree (or of its shapes) take."""
-    return sum(leaf.size * np.dtype("uint32").itemsize * 2 if checkpoint.is_key(leaf) else leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
+    leaves = jax.tree.leaves(tree)
+    return sum(leaf.size * (8 if checkpoint.is_key(leaf) else leaf.dtype.itemsize) for leaf in leaves)  # A key is two uint32.
 
 
 def device_memory(device) -> int:
@@ -118,7 +119,7 @@ def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds:
         return num_seeds
     fitting = int((room - 2 * num_seeds * state_bytes) // running)
     require(fitting > 0, "seeds", num_seeds,
-            f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, and the devices have {memory / 2**30:.1f} GiB: "
+            f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, the devices have {memory / 2**30:.1f} GiB: "
             f"give at most {max(0, int((room - running) // (2 * state_bytes)))}, or a smaller buffer_steps, batch_size or evaluation_starts")
     return min(num_seeds, fitting)
 
@@ -184,8 +185,9 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     """
     require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
     require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
+    require(min(seeds) >= 0 and max(seeds) < 2**32, "seeds", f"{min(seeds)} to {max(seeds)}", "give seeds from 0 to below 2^32 (--first-seed)")
     saved = folder / "checkpoint"
-    if not resume and saved.exists():
+    if not resume and (saved.exists() or (folder / "policy").exists()):
         raise UserError(f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder")
     train = make_train(config, env)
     by_seed, everywhere = seed_sharding(len(seeds))
@@ -226,8 +228,8 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
             evaluations = rows_of([done], seeds, {name: value[:, None] for name, value in metrics.items()})
             files.append_rows(folder, "epochs", epochs)
             files.append_rows(folder, "evaluations", evaluations)
-            checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
             checkpoint.save(saved, {"epoch": done, **description}, states)
+            checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
             timing = {
                 "compile_seconds": compile_seconds, "run_seconds": run_seconds,
                 "env_steps_per_second": (int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
@@ -237,13 +239,16 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
             for listener in listeners:
                 listener(Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing))
         stopped = done < config.num_epochs
-    return Sweep(folder, train, jax.device_get(states.params), diverged_seeds(files.read_table(folder, "epochs")), stopped, compile_seconds, run_seconds)
+    checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)  # Again, if a kill came between the two files.
+    diverged = diverged_seeds(files.read_table(folder, "epochs"))
+    return Sweep(folder, train, jax.device_get(states.params), diverged, stopped, compile_seconds, run_seconds)
 
 
 def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
     """The header and states of a checkpoint, if it is of this configuration; a longer `num_epochs` is all that may differ."""
     header, _ = checkpoint.read_header(saved)
-    then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in (header, json.loads(json.dumps(description))))
+    described = (header, json.loads(json.dumps(description)))
+    then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in described)
     different = differences(then, now)
     if different:
         raise UserError(f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or start a new run")

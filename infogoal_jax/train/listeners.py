@@ -17,11 +17,14 @@ SHOWN = {"train_goal/success_rate": "train", "test_goal/success_rate": "test"}
 
 def seed_means(rows: list[dict]) -> dict[str, float]:
     """Mean over seeds of every single number in rows of one epoch."""
-    return {name: fmean(row[name] for row in rows) for name, value in rows[0].items() if name not in ("seed", "epoch") and not isinstance(value, list)}
+    names = [name for name, value in rows[0].items() if name not in ("seed", "epoch") and not isinstance(value, list)]
+    return {name: fmean(row[name] for row in rows) for name in names}
 
 
 @contextmanager
-def make_listeners(folder: Path, config: TrainConfig, num_seeds: int, tensorboard: bool = False, wandb: str = "") -> Iterator[tuple[host.Listener, ...]]:
+def make_listeners(
+    folder: Path, config: TrainConfig, num_seeds: int, tensorboard: bool = False, wandb: str = ""
+) -> Iterator[tuple[host.Listener, ...]]:
     """The listeners of a run, closed at its end. Raises `UserError` if one that was asked for is not installed."""
     closing, listeners = [], []
     if tensorboard:

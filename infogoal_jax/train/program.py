@@ -19,6 +19,7 @@ import optax
 from infogoal_jax import agents, envs, learners, networks, pairs, replay
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Learner, encode_goals
 from infogoal_jax.replay import Rows
 from infogoal_jax.train.evaluation import evaluate
@@ -46,7 +47,7 @@ class Parts(NamedTuple):
 class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
-    params, target_params: {"goal", "state", "agent"}; learner: state of the learner; dissimilarity: bool [N, N]; seen: bool [N] goals achieved so far;
+    params, target_params: {"goal", "state", "agent"}; learner: state of the learner; dissimilarity: bool [N, N]; seen: bool [N] goals achieved;
     buffer: Rows; env_states: [num_envs]; key: the seed's key, never consumed; env_steps: int32.
     """
 
@@ -104,10 +105,12 @@ class Train:
 
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent and encoders that the configuration names."""
-    size = config.state_encoder
+    size, method = config.state_encoder, learners.entry(config.method)
+    require(isinstance(config.learner, method.config), "learner", type(config.learner).__name__,
+            f"method {config.method!r} needs a {method.config.__name__}; make the configuration with presets.load, and resume with the same --method")
     return Parts(
         method=config.method,
-        learner=learners.entry(config.method).make(config.learner),
+        learner=method.make(config.learner),
         agent=agents.make(config.agent, env.num_actions),
         state_encoder=networks.PatchEncoder(size.patch, size.channels, size.features),
         optimizer=optax.scale_by_adam(),

@@ -55,10 +55,10 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 
-def returns(learner, learner_state, encode: Encode, env, hyper, batch: Transitions) -> tuple[jax.Array, Any, dict]:
+def returns(learner, learner_state, encode: Encode, env, hyper, usable: jax.Array, batch: Transitions) -> tuple[jax.Array, Any, dict]:
     """Discounted reward of each transition's steps, float32 [B]: 1 for reaching the goal (Eq. 5), plus the intrinsic reward (Eq. 16)."""
     external = env.reached(batch.records, batch.goal[:, None]).astype(jnp.float32)
-    intrinsic, learner_state = learner.intrinsic_reward(learner_state, encode, batch.goal, env.goals_of(batch.records))
+    intrinsic, learner_state = learner.intrinsic_reward(learner_state, encode, batch.goal, usable_goals(env, batch.records, usable))
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
     metrics = {"external_reward": external.mean(), "intrinsic_reward": intrinsic.mean()}
@@ -102,7 +102,7 @@ def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
     batch = replay.sample_transitions(transition_key, experience.buffer, experience.valid_count, parts.batch_size, agent.num_steps)
     pairs = sample_pairs(learner.pairs, env, experience, pair_key) if learner.pairs.num_pairs else None
     encode_now = encode_goals(learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
-    reward, learner_state, reward_metrics = returns(learner, state.learner, encode_now, env, hyper, batch)
+    reward, learner_state, reward_metrics = returns(learner, state.learner, encode_now, env, hyper, experience.usable, batch)
 
     def total_loss(params):
         encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit)
