@@ -1,9 +1,12 @@
 """Environments: pytrees of arrays with pure functions over them. `load` makes one by name; `registry` is the one place where a new one is named."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from infogoal_jax.envs import object_search
+from infogoal_jax.envs.fetch import environment as fetch
+from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.errors import UserError, nearest
 
 
@@ -14,7 +17,10 @@ class Entry(NamedTuple):
     make: Callable[[Any], Any]
 
 
-registry: dict[str, Entry] = {"object_search": Entry(object_search.ObjectSearchConfig, object_search.make)}
+registry: dict[str, Entry] = {
+    "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
+    **{name: Entry(fetch.FetchConfig, partial(fetch.make, name)) for name in FETCH_TASKS},
+}
 
 
 def entry(task: str) -> Entry:

@@ -1,0 +1,211 @@
+"""The Fetch tasks as environments: control, observation, resets, goals and success of Gymnasium-Robotics, version 4 (FetchReach, FetchPush, ...).
+
+One record of pure functions over the state of one robot; `jax.vmap` makes thousands. Goals are positions here, [3] in m.
+"""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.envs.fetch import model, physics
+from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
+from infogoal_jax.envs.fetch.tasks import TASKS, Task
+from infogoal_jax.errors import UserError, require
+
+DISTANCE_THRESHOLD = 0.05
+"""A goal is reached nearer than this, in m."""
+NEAREST_START = 0.1
+"""The object starts at least this far from the grip, along the table, in m."""
+HIGHEST_GOAL = 0.45
+"""A goal in the air is at most this far above the object's start, in m."""
+LATE = 0.002
+"""Fingers that move are simulated last of all: the reference then reads its positions one substep late, in s."""
+WORLD = 5.0
+"""Nothing gets this far from the robot's base (m) unless the simulation has diverged."""
+FASTEST = 100.0
+"""Nothing moves this fast (m/s or rad/s) unless the simulation has diverged."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FetchConfig:
+    """How a Fetch task is simulated and when an episode ends."""
+
+    faithful: bool = False
+    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters (docs/fetch.md)."""
+    episode_length: int = 50
+    """Steps of 40 ms after which an episode is truncated."""
+    ends_at_goal: bool = True
+    """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the reference."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+
+
+@flax.struct.dataclass
+class FetchState:
+    """One episode. observation [10 or 25]; goal [3]; time: steps taken, int32; gripper [3] and gripper_quaternion [4]: the pose that the next action starts from.
+
+    terminated (goal reached) and truncated (time is up, or the simulation diverged) are never both set; diverged: the last step was thrown away.
+    """
+
+    motion: Motion
+    observation: jax.Array
+    gripper: jax.Array
+    gripper_quaternion: jax.Array
+    goal: jax.Array
+    time: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    diverged: jax.Array
+
+
+@flax.struct.dataclass
+class Fetch:
+    """A Fetch task: pure functions over `FetchState`. A pytree without leaves: all it knows is compiled in."""
+
+    task: Task = flax.struct.field(pytree_node=False)
+    physics: Physics = flax.struct.field(pytree_node=False)
+    episode_length: int = flax.struct.field(pytree_node=False)
+    ends_at_goal: bool = flax.struct.field(pytree_node=False)
+
+    action_size = 4
+
+    @property
+    def observation_size(self) -> int:
+        """10 numbers without an object, 25 with one."""
+        return 10 if self.task.object_height is None else 25
+
+    @property
+    def workspace(self) -> np.ndarray:
+        """Lowest and highest corner of the space that goals may lie in, [2, 3] in m: over the table."""
+        table = model.table_of(self.task)
+        return np.array([[*table[0, :2], 0.35], [*table[1, :2], 0.95]])
+
+    def reset(self, key: jax.Array) -> FetchState:
+        """A new episode: goal and object placed anew around the grip, as the reference draws them."""
+        goal_key, object_key = jax.random.split(key)
+        return self._start(object_key, self.sample_goal(goal_key))
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> FetchState:
+        """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the workspace, unless it is traced."""
+        if not isinstance(goal, jax.core.Tracer):
+            self.check_goals(goal)
+        return self._start(key, jnp.asarray(goal, jnp.float32))
+
+    def check_goals(self, goals) -> None:
+        """Raise `UserError` unless all goals [..., 3] lie in the workspace."""
+        goals = np.asarray(goals)
+        require(goals.shape[-1:] == (3,), "goal", f"an array of shape {goals.shape}", "give positions of 3 numbers, in m")
+        low, high = self.workspace
+        inside = ((goals >= low) & (goals <= high)).all(-1)
+        if not inside.all():
+            first = goals.reshape(-1, 3)[np.flatnonzero(~inside.reshape(-1))[0]]
+            spans = ", ".join(f"{name} {a:.2f} to {b:.2f}" for name, a, b in zip("xyz", low, high, strict=True))
+            raise UserError(f"goal = {np.round(first, 3).tolist()}: lies outside of the workspace of {self.task.name}; give {spans} m")
+
+    def sample_goal(self, key: jax.Array) -> jax.Array:
+        """A goal [3] as the reference draws it."""
+        around, height_key, air_key = jax.random.split(key, 3)
+        task = self.task
+        goal = jnp.array(task.start_grip) + jax.random.uniform(around, (3,), minval=-task.goal_range, maxval=task.goal_range)
+        if task.object_height is None:
+            return goal
+        lifted = jax.random.bernoulli(air_key) * jax.random.uniform(height_key, maxval=HIGHEST_GOAL) if task.goals_in_air else 0.0
+        return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted])
+
+    def sample_object(self, key: jax.Array) -> jax.Array:
+        """Where the object starts, [2] in m: uniform in a square around the grip, but not near it.
+
+        The reference draws until a place is far enough. Of 32 draws one is, but for one episode in 10^14; the last draw stands then.
+        """
+        places = jax.random.uniform(key, (32, 2), minval=-self.task.object_range, maxval=self.task.object_range)
+        far = jnp.sqrt((places**2).sum(-1)) >= NEAREST_START
+        return jnp.array(self.task.start_grip[:2]) + places[jnp.where(far.any(), jnp.argmax(far), len(places) - 1)]
+
+    def _start(self, key: jax.Array, goal: jax.Array) -> FetchState:
+        motion = self.physics.start()
+        if self.task.object_height is not None:
+            motion = self.physics.place_object(motion, self.sample_object(key))
+        return self.begin(motion, goal)
+
+    def begin(self, motion: Motion, goal: jax.Array) -> FetchState:
+        """An episode that starts from this motion."""
+        pose = self.physics.pose(motion, 0.0)
+        false = jnp.zeros((), bool)
+        return FetchState(
+            motion=motion, observation=self._observation(motion, pose), gripper=pose.gripper, gripper_quaternion=pose.gripper_quaternion,
+            goal=goal, time=jnp.zeros((), jnp.int32), terminated=false, truncated=false, diverged=false,
+        )
+
+    def step(self, state: FetchState, action: jax.Array) -> FetchState:
+        """40 ms under an action [4] in [-1, 1]: displacement of the gripper in units of 5 cm, and opening of the fingers.
+
+        A step that diverges is taken back: the state stays finite, and the episode is truncated and marked as diverged.
+        """
+        motion = self.physics.control_step(state.motion, state.gripper, state.gripper_quaternion, jnp.clip(action, -1.0, 1.0))
+        pose = self.physics.pose(motion, 0.0 if self.task.blocks_fingers else LATE)
+        moved = state.replace(
+            motion=motion, observation=self._observation(motion, pose), gripper=pose.gripper, gripper_quaternion=pose.gripper_quaternion,
+        )
+        leaves = jax.tree.leaves((motion, moved.observation))
+        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+        diverged = ~(finite & (jnp.abs(motion.position) < WORLD).all() & (jnp.abs(motion.velocity) < FASTEST).all())
+        state = jax.tree.map(lambda old, new: jnp.where(diverged, old, new), state, moved)
+        time = state.time + 1
+        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
+        return state.replace(time=time, terminated=terminated, truncated=((time >= self.episode_length) | diverged) & ~terminated, diverged=diverged)
+
+    def observe(self, state: FetchState) -> jax.Array:
+        """What is stored of the observation: all of it, float32 [10 or 25]."""
+        return state.observation
+
+    def render(self, observation: jax.Array) -> jax.Array:
+        """What the network sees: the observation itself."""
+        return observation
+
+    def achieved(self, state: FetchState) -> jax.Array:
+        """The record of what was achieved: position [3] of the object, or of the grip without one (m)."""
+        return state.observation[:3] if self.task.object_height is None else state.observation[3:6]
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether the position is at the goal, bool [...], for records and goals [..., 3]."""
+        return jnp.sqrt(((record - goal) ** 2).sum(-1)) < DISTANCE_THRESHOLD
+
+    def reward(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """The reference's sparse reward: 0 at the goal and -1 elsewhere, float32 [...]."""
+        return -(jnp.sqrt(((record - goal) ** 2).sum(-1)) > DISTANCE_THRESHOLD).astype(jnp.float32)
+
+    def _observation(self, motion: Motion, pose: Pose) -> jax.Array:
+        """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities (relative) and turning, the grip's velocity and the
+        fingers', velocities times 40 ms."""
+        step = model.CONTROL_STEP
+        fingers, finger_velocity = self.physics.finger_state(motion)
+        grip_velocity = step * pose.grip_velocity
+        if self.task.object_height is None:
+            return jnp.concatenate([pose.grip, fingers, grip_velocity, step * finger_velocity])
+        return jnp.concatenate([
+            pose.grip, pose.thing, pose.thing - pose.grip, fingers, euler_angles(pose.thing_rotation),
+            step * pose.thing_velocity - grip_velocity, step * pose.thing_turning, grip_velocity, step * finger_velocity,
+        ])
+
+
+def euler_angles(rotation: jax.Array) -> jax.Array:
+    """Angles [3] about x, y and z (rad) of a rotation matrix [3, 3], in the reference's convention (mat2euler)."""
+    across = jnp.sqrt(rotation[2, 2] ** 2 + rotation[1, 2] ** 2)
+    regular = across > 4e-6  # Else the object stands on end, and x and z turn it about the same axis. The reference's bound is for float64.
+    about_x = jnp.where(regular, -jnp.arctan2(rotation[1, 2], rotation[2, 2]), 0.0)
+    about_y = -jnp.arctan2(-rotation[0, 2], across)
+    about_z = jnp.where(regular, -jnp.arctan2(rotation[0, 1], rotation[0, 0]), -jnp.arctan2(-rotation[1, 0], rotation[1, 1]))
+    return jnp.stack([about_x, about_y, about_z])
+
+
+def make(name: str, config: FetchConfig) -> Fetch:
+    """The environment of a Fetch task. Raises `UserError` for untested versions of MuJoCo."""
+    config.check(None)
+    task = TASKS[name]
+    setting = model.FAITHFUL if config.faithful else model.FAST
+    return Fetch(task=task, physics=physics.load(task, setting), episode_length=config.episode_length, ends_at_goal=config.ends_at_goal)

@@ -1,0 +1,61 @@
+"""What sets the four Fetch tasks apart: object, goals and starting poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the environments)."""
+
+import dataclasses
+
+# Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and roll, right and left finger.
+# Each start is where the reference's own set-up (200 steps of 2 ms, MuJoCo 3.3.7) leaves the robot: positions in rad and m, velocities per second.
+ABOVE_TABLE = (
+    (0.009950557, -0.825638597, -0.003624171, 1.443894729, 0.003060722, 0.953218499, 0.005518151, 0.000003836, 0.000000064),
+    (0.000746363, 0.00647108, -0.001392052, -0.002199827, 0.0011033, -0.001160294, -0.000928445, -0.000024704, 0.000001913),
+)
+ABOVE_TABLE_BLOCKED = (
+    (0.009951729, -0.825638559, -0.003624849, 1.443894686, 0.003059309, 0.953218534, 0.005519638, 0.000390056, 0.000011703),
+    (0.000744489, 0.006471044, -0.001390179, -0.002199885, 0.001102949, -0.001160168, -0.000928528, 0.00016639, -0.000073546),
+)
+ON_TABLE = (
+    (0.012382534, -0.589416898, -0.005435217, 1.453137995, 0.002138829, 0.699145164, 0.007580734, -0.000002456, 0.001213634),
+    (0.00532216, 0.002758431, -0.003969374, 0.007774312, 0.000282214, 0.021664267, 0.003075558, 0.000006279, 0.001871386),
+)
+ON_LONG_TABLE = (
+    (0.013981483, -0.586466932, -0.006729218, 1.450737336, 0.00103377, 0.69325855, 0.009155118, -0.000004164, 0.001555941),
+    (0.009600596, 0.000791797, -0.006937516, 0.011928366, -0.002064868, 0.035718878, 0.007463585, 0.000005677, 0.002958526),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """One task. Lengths in m."""
+
+    name: str
+    start: tuple[tuple[float, ...], tuple[float, ...]]
+    """Joint positions and velocities at the start of every episode."""
+    start_grip: tuple[float, float, float]
+    """Where the grip stands then; goals and objects are placed around it."""
+    object_height: float | None = None
+    """Height of the object's centre at the start; None: no object."""
+    object_range: float = 0.15
+    """The object starts at most this far from the grip along x and y, and at least 0.1 away."""
+    goal_range: float = 0.15
+    """The goal lies at most this far from the grip along each axis."""
+    goal_offset: float = 0.0
+    """Added to the goal's x."""
+    goals_in_air: bool = False
+    """Half of the goals lie up to 0.45 above the table."""
+    blocks_fingers: bool = True
+    """The fingers are set to closed after every step."""
+    puck: bool = False
+    """The object is a cylinder with little friction, on a longer table; otherwise a cube with edges of 5 cm."""
+    base_x: float = 0.405
+    """Where the robot's base stands, x of the first slide joint."""
+
+
+TASKS = {
+    task.name: task
+    for task in (
+        Task("fetch_reach", ABOVE_TABLE_BLOCKED, (1.341835018, 0.749101037, 0.534723951), base_x=0.4049),
+        Task("fetch_push", ON_TABLE, (1.345540634, 0.749024337, 0.413616705), object_height=0.42470209),
+        Task("fetch_pick_and_place", ABOVE_TABLE, (1.341935017, 0.749101052, 0.534723958), object_height=0.42470209, goals_in_air=True, blocks_fingers=False),
+        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, object_range=0.1, goal_range=0.3,
+             goal_offset=0.4, puck=True, base_x=0.05),
+    )
+}
