@@ -5,8 +5,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from infogoal_jax.envs import object_search
-from infogoal_jax.envs.fetch import environment as fetch
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
+from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError, nearest
 
 
@@ -17,9 +17,16 @@ class Entry(NamedTuple):
     make: Callable[[Any], Any]
 
 
+def make_fetch(name: str, config: FetchConfig):
+    """A Fetch task. MuJoCo is imported only now: it takes half a second that no other task needs."""
+    from infogoal_jax.envs.fetch.environment import make
+
+    return make(name, config)
+
+
 registry: dict[str, Entry] = {
     "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
-    **{name: Entry(fetch.FetchConfig, partial(fetch.make, name)) for name in FETCH_TASKS},
+    **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
 }
 
 

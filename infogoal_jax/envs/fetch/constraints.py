@@ -9,7 +9,6 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mujoco import mjx
 from scipy import optimize
 
 from infogoal_jax.envs.fetch.contacts import Contacts
@@ -90,13 +89,13 @@ class ContactKind:
     softness: Softness
 
 
-def point_jacobian(data: mjx.Data, centers: jax.Array, points: jax.Array) -> jax.Array:
+def point_jacobian(data, centers: jax.Array, points: jax.Array) -> jax.Array:
     """How points [n, 3] move with each joint, [n, nv, 3], if all joints moved them. centers [nv, 3]: where the joints' axes in `data.cdof` are taken about."""
     angular, linear = data.cdof[:, :3], data.cdof[:, 3:]
     return linear + jnp.cross(angular, points[:, None, :] - centers)
 
 
-def contact_rows(data: mjx.Data, centers: jax.Array, contacts: Contacts, kind: ContactKind) -> Rows:
+def contact_rows(data, centers: jax.Array, contacts: Contacts, kind: ContactKind) -> Rows:
     """The pyramid of each contact point: normal +- friction x tangent for two tangents, and for the spin if the kind resists it."""
     moves = point_jacobian(data, centers, contacts.position) * kind.dofs[:, None]  # [n, nv, 3]
     along = jnp.einsum("nij,nvj->niv", contacts.frame, moves, precision=jax.lax.Precision.HIGHEST)  # [n, 3, nv]
@@ -112,7 +111,7 @@ def contact_rows(data: mjx.Data, centers: jax.Array, contacts: Contacts, kind: C
     return kind.softness.rows(flat, data.qvel, repeated, repeated, weight, equality=False, active=repeated < 0)
 
 
-def limit_row(data: mjx.Data, joint: int, span: np.ndarray, inverse_weight: float, softness: Softness) -> Rows:
+def limit_row(data, joint: int, span: np.ndarray, inverse_weight: float, softness: Softness) -> Rows:
     """The limit of one joint (index into qpos and qvel) with lowest and highest position [2]."""
     position = data.qpos[joint]
     above, below = position - span[0], span[1] - position
@@ -122,7 +121,7 @@ def limit_row(data: mjx.Data, joint: int, span: np.ndarray, inverse_weight: floa
     return softness.rows(jacobian, data.qvel, violation, violation, inverse_weight, equality=False, active=violation < 0)
 
 
-def weld_rows(data: mjx.Data, centers, dofs, position, quaternion, target, target_quaternion, inverse_weight, softness: Softness) -> Rows:
+def weld_rows(data, centers, dofs, position, quaternion, target, target_quaternion, inverse_weight, softness: Softness) -> Rows:
     """The weld of a point of the arm (position [3], quaternion [4]) to the mocap body's pose: three rows in m, three in half radians.
 
     dofs: 0 or 1 [nv], the joints that move the point; inverse_weight: of translation and of rotation.

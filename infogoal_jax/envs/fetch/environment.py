@@ -3,8 +3,6 @@
 One record of pure functions over the state of one robot; `jax.vmap` makes thousands. Goals are positions here, [3] in m.
 """
 
-import dataclasses
-
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -12,7 +10,7 @@ import numpy as np
 
 from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
-from infogoal_jax.envs.fetch.tasks import TASKS, Task
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig, Task
 from infogoal_jax.errors import UserError, require
 
 DISTANCE_THRESHOLD = 0.05
@@ -27,22 +25,6 @@ WORLD = 5.0
 """Nothing gets this far from the robot's base (m) unless the simulation has diverged."""
 FASTEST = 100.0
 """Nothing moves this fast (m/s or rad/s) unless the simulation has diverged."""
-
-
-@dataclasses.dataclass(frozen=True)
-class FetchConfig:
-    """How a Fetch task is simulated and when an episode ends."""
-
-    faithful: bool = False
-    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters (docs/fetch.md)."""
-    episode_length: int = 50
-    """Steps of 40 ms after which an episode is truncated."""
-    ends_at_goal: bool = True
-    """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the reference."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
 
 
 @flax.struct.dataclass

@@ -6,14 +6,17 @@ MJX computes the multibody dynamics (kinematics, inertia, bias forces) and box a
 
 import contextlib
 import functools
+import io
 import threading
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mujoco import mjx
-from mujoco.mjx._src import scan
+
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its other backend, Warp, is not installed.
+    from mujoco import mjx
+    from mujoco.mjx._src import scan
 
 from infogoal_jax.envs.fetch import constraints, contacts, model, solver
 from infogoal_jax.envs.fetch.constraints import ContactKind, Softness

@@ -2,6 +2,8 @@
 
 import dataclasses
 
+from infogoal_jax.errors import require
+
 # Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and roll, right and left finger.
 # Each start is where the reference's own set-up (200 steps of 2 ms, MuJoCo 3.3.7) leaves the robot: positions in rad and m, velocities per second.
 ABOVE_TABLE = (
@@ -59,3 +61,19 @@ TASKS = {
              goal_offset=0.4, puck=True, base_x=0.05),
     )
 }
+
+
+@dataclasses.dataclass(frozen=True)
+class FetchConfig:
+    """How a Fetch task is simulated and when an episode ends."""
+
+    faithful: bool = False
+    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters (docs/fetch.md)."""
+    episode_length: int = 50
+    """Steps of 40 ms after which an episode is truncated."""
+    ends_at_goal: bool = True
+    """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the reference."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
