@@ -1,4 +1,4 @@
-"""The command `infogoal`: train, evaluate, report, data. Each command is a dataclass whose fields are its flags (tyro)."""
+"""The command `infogoal`: train, evaluate, report, data, check-fetch, video. Each command is a dataclass whose fields are its flags (tyro)."""
 
 import dataclasses
 import os
@@ -24,6 +24,8 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal data check PATH                       list everything that is wrong with a dataset
   infogoal data build house PATH --seed 1        build a synthetic house in the format of the Active Vision Dataset
   infogoal data embed "a red mug" --out FILE     embed the text of new goals (needs the sentence encoder's weights)
+  infogoal video fetch_reach --out FILE.mp4      watch a random policy
+  infogoal check-fetch FILE.npz                  replay recorded episodes of the reference Fetch tasks, print how far ours are from them
 
 Add --help to a command for its flags; every field of the configuration is one.
 """
@@ -233,7 +235,69 @@ def data(arguments: list[str]) -> int:
     return dispatch(DATA_COMMANDS, arguments, "data ")
 
 
-COMMANDS = {"train": train, "evaluate": evaluate, "report": report, "data": data}
+@dataclasses.dataclass(frozen=True)
+class CheckFetchCommand:
+    """Replay recorded episodes of the reference Fetch tasks here, and print how far grip and object are from where they were recorded."""
+
+    file: tyro.conf.Positional[str]
+    """The episodes: an npz as benchmarks/record_fetch_reference.py writes it."""
+    faithful: bool = False
+    """Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast default."""
+    kinds: str = ""
+    """Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart: random,held,scripted."""
+    out: str = ""
+    """File to write the numbers to, those of each episode too (json)."""
+
+
+def check_fetch(arguments: list[str]) -> int:
+    """`infogoal check-fetch FILE`: measures and passes no judgement, so it is 0 whatever the numbers."""
+    command = tyro.cli(CheckFetchCommand, prog="infogoal check-fetch", args=arguments)
+    from infogoal_jax.envs.fetch.parity import check_recordings, read_kinds
+    from infogoal_jax.envs.fetch.recordings import load_recordings
+
+    kinds, recordings = read_kinds(command.kinds), load_recordings(command.file)
+    use_compilation_cache()
+    check_recordings(recordings, command.faithful, kinds, Path(command.out) if command.out else None)
+    return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class VideoCommand:
+    """Draw episodes of a Fetch task under a random policy as an mp4."""
+
+    task: tyro.conf.Positional[str]
+    """fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide."""
+    out: str
+    """File to write; must end in .mp4."""
+    episodes: int = 1
+    """Episodes, one after the other."""
+    seed: int = 0
+    """Seed of starts, goals and actions."""
+    height: int = 480
+    """Pixels; the width is 4/3 of it."""
+
+
+def video(arguments: list[str]) -> int:
+    """`infogoal video TASK --out FILE`."""
+    command = tyro.cli(VideoCommand, prog="infogoal video", args=arguments)
+    import jax
+
+    from infogoal_jax import envs
+    from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+
+    if command.task not in TASKS:
+        raise UserError(f"task = {command.task!r}: can not be drawn.{nearest(command.task, list(TASKS))} Known: {', '.join(TASKS)}")
+    use_compilation_cache()
+    from infogoal_jax.report.video import episode_video, random_policy
+
+    env, size = envs.load(command.task, FetchConfig(ends_at_goal=False)), (command.height, command.height * 4 // 3)
+    last = episode_video(env, random_policy, jax.random.key(command.seed), command.out, command.episodes, size)
+    at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
+    print(f"{command.out}: {command.episodes} episodes of a random policy, {at_goal} end at the goal")
+    return 0
+
+
+COMMANDS = {"train": train, "evaluate": evaluate, "report": report, "data": data, "check-fetch": check_fetch, "video": video}
 
 
 def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:

@@ -44,8 +44,6 @@ class Setting:
 
     substeps: int = 8
     """Physics steps a control step."""
-    solver_steps: int = 4
-    """Newton steps a physics step; two are too few to grasp."""
     whole_body: bool = False
     """Whether torso and head move and meet the arm, and closed fingers are two. Without, the arm passes through the head, and fingers that the task keeps
     closed are one block that opens nowhere: fewer joints and contacts, for the same motion wherever the arm is not driven into the robot itself."""

@@ -173,6 +173,14 @@ class Physics:
             (jacobian * motion.velocity[:, None]).sum(0), *thing,
         )
 
+    def dynamics(self, motion: Motion) -> tuple[mjx.Data, jax.Array, jax.Array]:
+        """Poses of all bodies, the inertia matrix [nv, nv], and the passive and bias forces [nv]."""
+        with shallow_fusions():
+            data = mjx.crb(self.model, self.kinematics(motion.position, motion.velocity))
+            data = mjx.passive(self.model, mjx.com_vel(self.model, data))
+            data = mjx.rne(self.model, data)
+        return data, data._impl.M, data.qfrc_passive - data.qfrc_bias
+
     def rows(self, data: mjx.Data, target: jax.Array, target_quaternion: jax.Array) -> solver.Rows:
         """All constraint rows at this position and velocity."""
         centers = data.subtree_com[self.roots]
@@ -222,16 +230,11 @@ class Physics:
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:
         """One physics step with the mocap body at the target pose and the fingers' servos at `grasp` [2] (m)."""
-        with shallow_fusions():
-            data = self.kinematics(motion.position, motion.velocity)
-            data = mjx.crb(self.model, data)
-            data = mjx.passive(self.model, mjx.com_vel(self.model, data))
-            data = mjx.rne(self.model, data)
-            rows = self.rows(data, target, target_quaternion)
-        inertia, force = data._impl.M, data.qfrc_passive - data.qfrc_bias
+        data, inertia, force = self.dynamics(motion)
+        rows = self.rows(data, target, target_quaternion)
         if not self.task.blocks_fingers:
             force = force.at[self.fingers].add(FINGER_GAIN * (grasp - motion.position[self.fingers]))
-        acceleration, constraint_force = solver.solve(inertia, force, rows, motion.acceleration, self.setting.solver_steps)
+        acceleration, constraint_force = solver.solve(inertia, force, rows, motion.acceleration, self.task.solver_steps)
         damped = solver.cholesky(inertia + jnp.diag(self.damping))
         velocity = motion.velocity + self.setting.timestep * solver.cholesky_solve(damped, force + constraint_force)
         return Motion(integrate(motion.position, velocity, self.setting.timestep), velocity, acceleration)

@@ -60,7 +60,7 @@ def cholesky_solve(lower: list[list[jax.Array]], vector: jax.Array) -> jax.Array
 
 def times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
     """Matrix [R, n] times vector [n] as a sum, which fuses with its surroundings where a batched library call would not."""
-    return (matrix * vector).sum(-1)
+    return jnp.matmul(matrix, vector, precision=jax.lax.Precision.HIGHEST)
 
 
 def solve(inertia: jax.Array, force: jax.Array, rows: Rows, start: jax.Array, steps: int) -> jax.Array:
@@ -68,44 +68,48 @@ def solve(inertia: jax.Array, force: jax.Array, rows: Rows, start: jax.Array, st
 
     inertia: M [nv, nv]; force: all other generalised forces [nv], so that a_free = M^-1 force; start: acceleration to begin from [nv].
     """
+    size = inertia.shape[0]
     acceleration = start
     residual = times(rows.jacobian, acceleration) - rows.reference
 
-    for _ in range(steps):
+    def weighted_products(residual):
+        """J' W J [nv, nv] and J' W residual [nv] over the rows that count, as one matrix product."""
         weight = jnp.where(rows.equality | (residual < 0), rows.stiffness, 0.0)
-        gradient = times(inertia, acceleration) - force + (rows.jacobian * (weight * residual)[:, None]).sum(0)
-        weighted = rows.jacobian * weight[:, None]
-        hessian = inertia + jnp.matmul(rows.jacobian.T, weighted, precision=jax.lax.Precision.HIGHEST)
-        direction = -cholesky_solve(cholesky(hessian), gradient)
+        columns = jnp.concatenate([rows.jacobian, residual[:, None]], axis=1)
+        products = jnp.matmul((rows.jacobian * weight[:, None]).T, columns, precision=jax.lax.Precision.HIGHEST)
+        return products[:, :size], products[:, size]
+
+    for _ in range(steps):
+        curvature, pull = weighted_products(residual)
+        smooth = times(inertia, acceleration) - force
+        direction = -cholesky_solve(cholesky(inertia + curvature), smooth + pull)
         change = times(rows.jacobian, direction)
-        pull = times(inertia, direction)
-        length = line_search(jnp.dot(direction, times(inertia, acceleration) - force), jnp.dot(direction, pull), residual, change, rows)
+        quadratic = ((direction * smooth).sum(), (direction * times(inertia, direction)).sum())
+        length = line_search((direction * (smooth + pull)).sum(), quadratic, residual, change, rows)
         acceleration = acceleration + length * direction
         residual = residual + length * change
-    weight = jnp.where(rows.equality | (residual < 0), rows.stiffness, 0.0)
-    return acceleration, -(rows.jacobian * (weight * residual)[:, None]).sum(0)
+    return acceleration, -weighted_products(residual)[1]
 
 
-def line_search(slope: jax.Array, curvature: jax.Array, residual: jax.Array, change: jax.Array, rows: Rows) -> jax.Array:
+def line_search(slope: jax.Array, quadratic: tuple[jax.Array, jax.Array], residual: jax.Array, change: jax.Array, rows: Rows) -> jax.Array:
     """How far to go along the direction: the root of the cost's derivative, which is continuous, piecewise linear and rising.
 
-    slope and curvature: of the quadratic part at length 0; residual and change: [R] of the rows. The root is bracketed twice among trial lengths that are
-    evaluated side by side, and interpolated in the last bracket.
+    slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and change: [R] of the rows. The root is bracketed
+    twice among trial lengths that are evaluated side by side, and interpolated in the last bracket.
     """
-    along_change, equality = rows.stiffness * change, rows.equality
+    along_change = rows.stiffness * change
+    value, growth = quadratic
 
-    def derivative(lengths):
-        along = residual + lengths[:, None] * change
-        counts = equality | (along < 0)
-        return slope + lengths * curvature + jnp.where(counts, along_change * along, 0.0).sum(-1)
-
-    def bracket(lengths):
-        values = derivative(lengths)
-        below = jnp.concatenate([values[:-1] < 0, jnp.zeros(1, bool)])
-        last = jnp.maximum((jnp.cumprod(below) * 1).sum() - 1, 0)
+    def bracket(lengths, below):
+        """The neighbouring trial lengths between which the derivative turns positive, and its values there; `below` and beyond are the ends known already."""
+        inner = lengths[1:-1] if below[1] is not None else lengths[1:]
+        along = residual + inner[:, None] * change
+        inner_values = value + inner * growth + jnp.where(rows.equality | (along < 0), along_change * along, 0.0).sum(-1)
+        values = jnp.concatenate([below[0][None], inner_values] + ([below[1][None]] if below[1] is not None else []))
+        last = jnp.clip((jnp.cumprod(values < 0)).sum() - 1, 0, len(lengths) - 2)
         pick = jax.nn.one_hot(last, len(lengths) - 1)
         return tuple((pick * part).sum() for part in (lengths[:-1], lengths[1:], values[:-1], values[1:]))
 
-    low, high, _, _ = bracket(TRIAL_LENGTHS)
-    low, high, first, second = bracket(low + (high - low) * FINER)
+    low, high, first, second = bracket(jnp.asarray(TRIAL_LENGTHS), (slope, None))
+    low, high, first, second = bracket(low + (high - low) * FINER, (first, second))
     return low + (high - low) * jnp.clip(-first / jnp.maximum(second - first, 1e-12), 0.0, 1.0)

@@ -1,0 +1,194 @@
+"""The Fetch tasks as brax environments: brax's own `sac.train` and `ppo.train` run on `FetchBrax("fetch_reach")` unchanged.
+
+The goal is appended to the observation. Every episode has a fresh goal and a fresh start: brax's `AutoResetWrapper` goes back to the state that it
+finds in `info["first_pipeline_state"]` and `info["first_obs"]`, and the environment draws these anew in every step.
+"""
+
+import contextlib
+import functools
+import io
+import json
+import warnings
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # brax says that warp is not installed, and its jaxopt that it is no longer maintained.
+    from brax.base import Motion, System, Transform
+    from brax.envs.base import Env, State
+    from brax.io import html, mjcf
+    from brax.io import json as brax_json
+    from mujoco import mjx
+
+from infogoal_jax import envs
+from infogoal_jax.envs.fetch import model
+from infogoal_jax.envs.fetch.environment import FetchState
+from infogoal_jax.envs.fetch.physics import Physics, shallow_fusions
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.report.fetch_scene import ARM, GOAL, GOAL_RADIUS
+
+REWARDS = ("sparse", "dense")
+UPRIGHT = [1.0, 0.0, 0.0, 0.0]
+"""The quaternion that turns nothing."""
+
+
+@flax.struct.dataclass
+class FetchPipelineState:
+    """The simulated state with brax's names: q, qd, and x, xd of the links, computed only when something (brax's viewer) asks for them."""
+
+    fetch: FetchState
+    physics: Physics = flax.struct.field(pytree_node=False)
+
+    @property
+    def q(self) -> jax.Array:
+        """Joint positions [..., nq]."""
+        return self.fetch.motion.position
+
+    @property
+    def qd(self) -> jax.Array:
+        """Joint velocities [..., nv]."""
+        return self.fetch.motion.velocity
+
+    @property
+    def x(self) -> Transform:
+        """Positions (m) and quaternions of the links, in the order of `FetchBrax.sys.link_names`."""
+        return links(self)[0]
+
+    @property
+    def xd(self) -> Motion:
+        """Velocities (m/s) and angular velocities (rad/s) of the links, in the world's frame."""
+        return links(self)[1]
+
+
+@jax.jit
+def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
+    """Where the links are and how they move, for any leading axes."""
+
+    def one(position, velocity):
+        with shallow_fusions():
+            data = mjx.com_vel(state.physics.model, state.physics.kinematics(position, velocity))
+        turning, moving = data.cvel[1:, :3], data.cvel[1:, 3:]  # Taken at the centre of mass of the whole tree.
+        center = data.subtree_com[jnp.asarray(state.physics.mujoco_model.body_rootid)[1:]]
+        return Transform(pos=data.xpos[1:], rot=data.xquat[1:]), Motion(ang=turning, vel=moving + jnp.cross(turning, data.xpos[1:] - center))
+
+    for _ in range(state.q.ndim - 1):
+        one = jax.vmap(one)
+    return one(state.q, state.qd)
+
+
+class FetchBrax(Env):
+    """A Fetch task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
+
+    reward: "sparse", 0 at the goal and -1 elsewhere, or "dense", minus the distance in m. `done`: the goal is reached, unless `config` says that episodes
+    go on there; their length is the `episode_length` that brax's training is given, not that of `config`. A step that diverges is taken back and the
+    episode goes on.
+    Metrics: `success`, `distance_per_step` (m) and `diverged`, of every step.
+    """
+
+    def __init__(self, task: str, reward: str = "sparse", config: FetchConfig | None = None):
+        if task not in TASKS:
+            raise UserError(f"task = {task!r}: no such Fetch task.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
+        require(reward in REWARDS, "reward", reward, f"give one of {', '.join(REWARDS)}")
+        self.fetch, self.reward = envs.load(task, config), reward
+
+    def reset(self, rng: jax.Array) -> State:
+        """A new episode. rng: a key of either kind, raw as brax's are or typed."""
+        key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
+        key, reset_key = jax.random.split(key)
+        fetch = self.fetch.reset(reset_key)
+        return State(
+            pipeline_state=self._pipeline(fetch), obs=self._observation(fetch), reward=jnp.zeros(()), done=jnp.zeros(()),
+            metrics={name: jnp.zeros(()) for name in ("success", "distance_per_step", "diverged")}, info={"key": jax.random.key_data(key)},
+        )
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """40 ms under an action [4] in [-1, 1]."""
+        fetch = self.fetch.step(state.pipeline_state.fetch, action)
+        record = self.fetch.achieved(fetch)
+        distance = jnp.sqrt(((record - fetch.goal) ** 2).sum())
+        reward = -distance if self.reward == "dense" else self.fetch.reward(record, fetch.goal)
+        success = self.fetch.reached(record, fetch.goal).astype(jnp.float32)
+        metrics = {"success": success, "distance_per_step": distance, "diverged": fetch.diverged.astype(jnp.float32)}
+        info = dict(state.info)
+        if "first_obs" in info:  # brax resets by itself: give it a new episode to start from.
+            key, reset_key = jax.random.split(jax.random.wrap_key_data(info["key"]))
+            fresh = self.fetch.reset(reset_key)
+            info |= {"key": jax.random.key_data(key), "first_pipeline_state": self._pipeline(fresh), "first_obs": self._observation(fresh)}
+        return state.replace(
+            pipeline_state=self._pipeline(fetch), obs=self._observation(fetch), reward=reward, done=fetch.terminated.astype(jnp.float32),
+            metrics=state.metrics | metrics, info=info,
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Of the task's observation and the goal's three numbers behind it."""
+        return self.fetch.observation_size + 3
+
+    @property
+    def action_size(self) -> int:
+        """Displacement of the gripper and opening of the fingers."""
+        return self.fetch.action_size
+
+    @property
+    def backend(self) -> str:
+        """The physics is MJX's."""
+        return "mjx"
+
+    @property
+    def dt(self) -> float:
+        """Seconds of a step."""
+        return model.CONTROL_STEP
+
+    @functools.cached_property
+    def sys(self) -> System:
+        """The model as brax's viewer wants it. Its time step is that of the states, 40 ms."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # brax recommends MJX instead of its own physics, which is what runs here.
+            return mjcf.load_model(self.fetch.physics.mujoco_model).tree_replace({"opt.timestep": model.CONTROL_STEP})
+
+    def _pipeline(self, fetch: FetchState) -> FetchPipelineState:
+        return FetchPipelineState(fetch=fetch, physics=self.fetch.physics)
+
+    def _observation(self, fetch: FetchState) -> jax.Array:
+        return jnp.concatenate([fetch.observation, fetch.goal])
+
+
+def render_html(env: Env, states: list[State], height: int = 480) -> str:
+    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. When opened, it loads brax's scripts
+    from the web.
+
+    The arm's links are added to what MuJoCo's model has. Raises `UserError` for no states, or batches of them.
+    """
+    require(len(states) > 0, "states", "none", "give at least one")
+    for number, state in enumerate(states):
+        require(state.obs.ndim == 1, f"states[{number}]", f"a batch of {state.obs.shape[:-1]}", "give the states of one environment")
+    system = env.unwrapped.sys
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state.pipeline_state for state in states])
+    poses, goals = jax.device_get((stacked.x, stacked.fetch.goal))
+    scene = json.loads(brax_json.dumps(system, []))
+    for link, geoms in link_geoms(env.unwrapped.fetch.physics.mujoco_model, list(system.link_names)).items():
+        scene["geoms"].setdefault(link, []).extend(geoms)
+    positions = np.concatenate([poses.pos, goals[:, None]], 1)
+    rotations = np.concatenate([poses.rot, np.broadcast_to(np.array(UPRIGHT), (len(states), 1, 4))], 1)
+    scene["states"] = {"x": [{"pos": position.tolist(), "rot": rotation.tolist()} for position, rotation in zip(positions, rotations, strict=True)]}
+    return html.render_from_json(json.dumps(scene), height, colab=False, base_url=None)
+
+
+def link_geoms(mj: mujoco.MjModel, names: list[str]) -> dict[str, list[dict]]:
+    """What the viewer is to draw besides the model's own shapes: the arm's links, and the goal as one more link."""
+
+    def geom(kind: str, link: int, place: list[float], turn: list[float], colour: tuple[float, float, float], size: list[float]) -> list[dict]:
+        return [{"name": kind, "link_idx": link, "pos": place, "rot": turn, "rgba": [*colour, 1.0], "size": size}]
+
+    geoms = {"goal": geom("Sphere", len(names), [0.0, 0.0, 0.0], UPRIGHT, GOAL, [GOAL_RADIUS, 0.0, 0.0])}
+    for first, last, radius, colour in ARM:
+        way = mj.body(last).pos
+        turn = np.zeros(4)
+        mujoco.mju_quatZ2Vec(turn, way)
+        geoms[first] = geom("Capsule", names.index(first), (way / 2).tolist(), turn.tolist(), colour, [radius, float(np.linalg.norm(way)) / 2, 0.0])
+    return geoms

@@ -1,0 +1,255 @@
+"""The Fetch tasks as Gymnasium goal environments, with the spaces, rewards and infos of Gymnasium-Robotics' FetchReach-v4 and its like.
+
+`make` gives one environment on the CPU, `FetchVector` a batch on whatever device jax uses. Importing this module registers both:
+`gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
+"""
+
+import contextlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import envs
+from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.errors import UserError, nearest, require
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise UserError("gymnasium: is not installed; pip install 'infogoal-jax[gymnasium]'") from error
+
+IDS = {name: "infogoal/" + "".join(word.capitalize() for word in name.split("_")) + "-v0" for name in TASKS}
+"""The Gymnasium ids of the tasks: fetch_reach is infogoal/FetchReach-v0."""
+FARTHEST, LARGEST = 10.0, 50.0
+"""No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step is taken back."""
+
+
+def load(task: str, config: FetchConfig | None) -> Fetch:
+    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that is no Fetch task."""
+    if task not in TASKS:
+        raise UserError(f"task = {task!r}: no such Fetch task.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
+    return envs.load(task, FetchConfig(ends_at_goal=False) if config is None else config)
+
+
+def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
+    """The observation and action space of one environment."""
+    goal = gymnasium.spaces.Box(-FARTHEST, FARTHEST, (3,), np.float32)
+    observation = gymnasium.spaces.Box(-LARGEST, LARGEST, (env.observation_size,), np.float32)
+    return (
+        gymnasium.spaces.Dict({"observation": observation, "achieved_goal": goal, "desired_goal": goal}),
+        gymnasium.spaces.Box(-1.0, 1.0, (env.action_size,), np.float32),
+    )
+
+
+def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:
+    """A new episode, for `goal` [3] where one is given; otherwise as `env.reset` draws it."""
+    goal_key, object_key = jax.random.split(key)
+    return env.reset_to(object_key, jnp.where(given, goal, env.sample_goal(goal_key)))
+
+
+def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
+    """The observation as Gymnasium's goal environments have it."""
+    return {"observation": state.observation, "achieved_goal": env.achieved(state), "desired_goal": state.goal}
+
+
+jitted_reset = jax.jit(reset)
+jitted_step = jax.jit(Fetch.step)  # The environment has no leaves: one program for each task and setting, however many environments there are.
+
+
+def distance(achieved, desired) -> np.ndarray:
+    """Metres between positions [..., 3]. Raises `UserError` for other shapes."""
+    achieved, desired = np.asarray(achieved), np.asarray(desired)
+    fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
+    require(fit, "achieved_goal", f"of shape {achieved.shape}, desired_goal of {desired.shape}", "give positions [..., 3] of one shape")
+    return np.linalg.norm(achieved - desired, axis=-1)
+
+
+def rewards(achieved, desired) -> np.ndarray:
+    """0 at the goal and -1 farther than 5 cm, float32 [...]."""
+    return -(distance(achieved, desired) > DISTANCE_THRESHOLD).astype(np.float32)
+
+
+def key_of(generator: np.random.Generator) -> jax.Array:
+    """A PRNG key drawn from Gymnasium's generator."""
+    return jax.random.key(int(generator.integers(2**31)))
+
+
+def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) -> tuple[np.ndarray, bool]:
+    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what cannot be one."""
+    unknown = set(options or {}) - {"goal"}
+    require(not unknown, "options", sorted(unknown), 'only "goal" is known')
+    if not options:
+        return np.zeros(shape, np.float32), False
+    try:
+        goal = np.asarray(options["goal"], np.float32)
+    except (TypeError, ValueError) as error:
+        raise UserError(f'options["goal"] = {options["goal"]!r}: give a position of 3 numbers, in m') from error
+    env.check_goals(goal)
+    require(goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)), 'options["goal"]',
+            f"of shape {goal.shape}", f"give {list(shape)} or [3]")
+    return np.broadcast_to(goal, shape), True
+
+
+def on_cpu() -> contextlib.AbstractContextManager:
+    """Runs what is inside on the CPU: one robot is faster there than on any accelerator."""
+    if jax.default_backend() == "cpu":
+        return contextlib.nullcontext()
+    try:
+        return jax.default_device(jax.local_devices(backend="cpu")[0])
+    except RuntimeError:  # jax was told to use the accelerator only.
+        return contextlib.nullcontext()
+
+
+class FetchGymnasium(gymnasium.Env):
+    """One Fetch task. As in the reference an episode is truncated after its 50 steps and never terminated, unless `config` has it end at the goal.
+
+    `info` of a step: `is_success` 0.0 or 1.0; `diverged`: the simulation failed, the step was taken back and the episode is truncated.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium's own form.
+
+    def __init__(self, task: str, config: FetchConfig | None = None, render_mode: str | None = None):
+        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
+        self.env, self.render_mode = load(task, config), render_mode
+        self.observation_space, self.action_space = spaces_of(self.env)
+        self.state: FetchState | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """A new episode. options: {"goal": [x, y, z]} in m. Raises `UserError` for a goal outside of the workspace."""
+        super().reset(seed=seed)
+        goal, given = goal_of(self.env, options, (3,))
+        with on_cpu():
+            self.state = jitted_reset(self.env, key_of(self.np_random), goal, given)
+        return self._view(), {}
+
+    def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """40 ms of simulation. Raises `UserError` before the first reset, and for an action of another shape."""
+        require(self.state is not None, "state", None, "call reset() before step()")
+        action = np.asarray(action, np.float32)
+        require(action.shape == self.action_space.shape, "action", f"of shape {action.shape}", "give 4 numbers in [-1, 1]")
+        with on_cpu():
+            self.state = jitted_step(self.env, self.state, action)
+        seen = self._view()
+        near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
+        info = {"is_success": float(near), "diverged": bool(self.state.diverged)}
+        reward = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
+        return seen, reward, bool(self.state.terminated), bool(self.state.truncated), info
+
+    def _view(self) -> dict[str, np.ndarray]:
+        """Copies of the state's parts: users keep what they are given."""
+        return {name: np.array(part) for name, part in view(self.env, jax.device_get(self.state)).items()}
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """0 at the goal and -1 elsewhere, float32 [...], for goals [..., 3]; what hindsight relabelling calls."""
+        return rewards(achieved_goal, desired_goal)
+
+    def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """Whether reaching the goal would have ended the episode, bool [...]."""
+        return (distance(achieved_goal, desired_goal) < DISTANCE_THRESHOLD) & self.env.ends_at_goal
+
+    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
+        """Never: the time limit does not depend on the goal."""
+        return False
+
+    def render(self) -> np.ndarray | None:
+        """A picture uint8 [480, 640, 3] in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        from infogoal_jax.report.fetch_scene import draw_fetch
+
+        require(self.state is not None, "state", None, "call reset() before render()")
+        return draw_fetch(self.env, self.state)
+
+
+@jax.jit
+def jitted_vector_reset(env: Fetch, keys: jax.Array, goals: jax.Array, given: jax.Array):
+    """States and views of a batch."""
+    states = jax.vmap(reset, in_axes=(None, 0, 0, None))(env, keys, goals, given)
+    return states, jax.vmap(view, in_axes=(None, 0))(env, states)
+
+
+@jax.jit
+def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys: jax.Array):
+    """The next states, where an episode that had ended starts anew instead, with their views, and which did."""
+
+    def step(state, action, key):
+        ended = state.terminated | state.truncated
+        state = jax.tree.map(lambda fresh, moved: jnp.where(ended, fresh, moved), env.reset(key), env.step(state, action))
+        return state, view(env, state), ended
+
+    return jax.vmap(step)(states, actions, keys)
+
+
+class FetchVector(VectorEnv):
+    """Many environments of one task as one compiled program, on jax's default device.
+
+    Autoreset is Gymnasium's `NEXT_STEP`: the step after the last of an episode starts the next one, with reward 0 and its action unused.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's own form.
+
+    def __init__(self, task: str, num_envs: int, config: FetchConfig | None = None, render_mode: str | None = None):
+        require(num_envs > 0, "num_envs", num_envs, "give at least 1")
+        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
+        self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
+        self.single_observation_space, self.single_action_space = spaces_of(self.env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.state: FetchState | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """New episodes everywhere. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
+        super().reset(seed=seed)
+        goals, given = goal_of(self.env, options, (self.num_envs, 3))
+        keys = jax.random.split(key_of(self.np_random), self.num_envs)
+        self.state, seen = jitted_vector_reset(self.env, keys, goals, given)
+        return {name: np.array(part) for name, part in seen.items()}, {}
+
+    def step(self, actions: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """40 ms everywhere, actions [num_envs, 4]."""
+        require(self.state is not None, "state", None, "call reset() before step()")
+        actions = np.asarray(actions, np.float32)
+        require(actions.shape == self.action_space.shape, "actions", f"of shape {actions.shape}", f"give {self.action_space.shape}, in [-1, 1]")
+        keys = jax.random.split(key_of(self.np_random), self.num_envs)
+        self.state, seen, fresh = jitted_vector_step(self.env, self.state, actions, keys)
+        seen, moved = {name: np.array(part) for name, part in seen.items()}, ~np.array(fresh)
+        near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
+        reward = np.where(moved, rewards(seen["achieved_goal"], seen["desired_goal"]), np.float32(0))
+        info = {"is_success": (near & moved).astype(float), "diverged": np.array(self.state.diverged)}
+        info |= {f"_{name}": moved.copy() for name in info}  # Gymnasium's marks of the environments that these infos are of.
+        return seen, reward, np.array(self.state.terminated), np.array(self.state.truncated), info
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """As `FetchGymnasium.compute_reward`."""
+        return rewards(achieved_goal, desired_goal)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture uint8 [480, 640, 3] of each environment in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        from infogoal_jax.report.fetch_scene import draw_fetch
+
+        require(self.state is not None, "state", None, "call reset() before render()")
+        return tuple(draw_fetch(self.env, jax.tree.map(lambda leaf, row=row: leaf[row], self.state)) for row in range(self.num_envs))
+
+
+for name, gymnasium_id in IDS.items():
+    if gymnasium_id not in gymnasium.registry:
+        gymnasium.register(
+            gymnasium_id, entry_point=f"{__name__}:FetchGymnasium", vector_entry_point=f"{__name__}:FetchVector", kwargs={"task": name},
+            order_enforce=False, disable_env_checker=True,
+        )
+
+
+def make(task: str, config: FetchConfig | None = None, render_mode: str | None = None) -> FetchGymnasium:
+    """The environment of a task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
+
+    config: None for the reference's episodes of 50 steps. render_mode: None or "rgb_array". Raises `UserError` for unknown names.
+    """
+    load(task, config)
+    return gymnasium.make(IDS[task], config=config, render_mode=render_mode)

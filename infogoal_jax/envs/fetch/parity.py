@@ -1,0 +1,239 @@
+"""How near our Fetch tasks are to recorded episodes of the reference: the same actions from the same start, and what became of grip and object.
+
+It measures and judges nothing: where contacts are chaotic, two runs of the reference a micrometre apart part as well (benchmarks/fetch_chaos.py).
+"""
+
+import dataclasses
+import functools
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from infogoal_jax.envs.fetch.environment import Fetch, make
+from infogoal_jax.envs.fetch.recordings import Recording, Recordings
+from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import files
+
+OFF_TABLE = 0.3
+"""An object that ends lower than this (m) has fallen off the table, whose top is at 0.4."""
+LIFTED = 0.45
+"""An object that ends higher than this (m) has been lifted: on the table its centre is at 0.425."""
+ALL = "all"
+"""The kind that every episode belongs to."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replayed:
+    """What the recorded actions did here: grip and thing (the object; zeros without one) [E, T + 1, 3] in m, reward [E, T], diverged bool [E]."""
+
+    grip: np.ndarray
+    thing: np.ndarray
+    reward: np.ndarray
+    diverged: np.ndarray
+
+
+def replay(env: Fetch, recording: Recording) -> Replayed:
+    """Step through all episodes of a recording, side by side. Episodes go on to their end, whatever the environment's configuration says of it."""
+    grip, thing, reward, diverged = jax.device_get(replay_program(env, recording.observation[:, 0], recording.goal, recording.action))
+    return Replayed(grip, thing, reward, diverged)
+
+
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(None, 0, 0, 0))
+def replay_program(env: Fetch, first, goal, actions):
+    """Grip and object [T + 1, 3], reward [T] and whether it diverged, for one episode: first observation [10 or 25], goal [3] and actions [T, 4]."""
+    has_object = env.task.object_height is not None
+    motion = env.physics.start()
+    if has_object:
+        motion = env.physics.place_object(motion, first[3:6])
+
+    def positions(state):
+        observation = state.observation
+        return observation[:3], observation[3:6] if has_object else jax.numpy.zeros(3)
+
+    def step(state, action):
+        state = env.step(state, action)
+        return state, (*positions(state), env.reward(env.achieved(state), goal), state.diverged)
+
+    start = env.begin(motion, goal)
+    _, (grip, thing, reward, diverged) = jax.lax.scan(step, start, actions)
+    grip, thing = (jax.numpy.concatenate([here[None], later]) for here, later in zip(positions(start), (grip, thing), strict=True))
+    return grip, thing, reward, diverged.any()
+
+
+@dataclasses.dataclass(frozen=True)
+class Distance:
+    """How far a position is from the recorded one, in mm, over all steps of some episodes; at the start and the end: means over the episodes."""
+
+    mean: float
+    median: float
+    largest: float
+    start: float
+    end: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """Of how many episodes something is true: in the recording, here, and in both."""
+
+    recorded: int
+    here: int
+    both: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Parity:
+    """Episodes of one kind compared. thing, fallen and lifted: None without an object; equal_rewards: share of the steps."""
+
+    kind: str
+    episodes: int
+    grip: Distance
+    thing: Distance | None
+    equal_rewards: float
+    fallen: Outcome | None
+    lifted: Outcome | None
+    diverged: int
+
+
+def distances(here: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+    """Distances [E, T + 1] in mm between positions [E, T + 1, 3] in m."""
+    return 1000 * np.linalg.norm(np.asarray(here, float) - np.asarray(recorded, float), axis=-1)
+
+
+def measure(error: np.ndarray) -> Distance:
+    """Errors [E, T + 1] in mm in five numbers. The start is given, so only what follows it counts."""
+    moved = error[:, 1:]
+    return Distance(float(moved.mean()), float(np.median(moved)), float(moved.max()), float(error[:, 0].mean()), float(error[:, -1].mean()))
+
+
+def count(recorded: np.ndarray, here: np.ndarray) -> Outcome:
+    """Two bool [E] counted."""
+    return Outcome(int(recorded.sum()), int(here.sum()), int((recorded & here).sum()))
+
+
+def read_kinds(pattern: str) -> tuple[str, ...]:
+    """Kinds of the first, second, ... episode, from `random,held,scripted`; none from "". Raises `UserError` for an empty kind, or one named all."""
+    kinds = tuple(kind.strip() for kind in pattern.split(",")) if pattern else ()
+    if "" in kinds or ALL in kinds:
+        raise UserError(f"kinds = {pattern!r}: give names separated by commas, none of them empty or {ALL!r}, such as random,held,scripted")
+    return kinds
+
+
+def kind_masks(kinds: Sequence[str], episodes: int) -> dict[str, np.ndarray]:
+    """Which episodes are of each kind, {kind: bool [E]}, if their kinds repeat in this order; the first is `ALL`."""
+    order = np.array([kinds[episode % len(kinds)] if kinds else ALL for episode in range(episodes)])
+    masks = {kind: order == kind for kind in dict.fromkeys(kinds)}
+    return {ALL: np.ones(episodes, bool)} | {kind: mask for kind, mask in masks.items() if mask.any()}
+
+
+def compare(recording: Recording, replayed: Replayed, kinds: Sequence[str] = ()) -> list[Parity]:
+    """A recording and its replay compared: over all episodes, then over those of each kind."""
+    grip, has_object = distances(replayed.grip, recording.grip), recording.has_object
+    thing = distances(replayed.thing, recording.thing) if has_object else None
+    ends = recording.thing[:, -1, 2], replayed.thing[:, -1, 2]
+    rows = []
+    for kind, mask in kind_masks(kinds, recording.episodes).items():
+        heights = [end[mask] for end in ends]
+        rows.append(Parity(
+            kind=kind, episodes=int(mask.sum()), grip=measure(grip[mask]), thing=measure(thing[mask]) if has_object else None,
+            equal_rewards=float((replayed.reward == recording.reward)[mask].mean()),
+            fallen=count(*(height < OFF_TABLE for height in heights)) if has_object else None,
+            lifted=count(*(height > LIFTED for height in heights)) if has_object else None,
+            diverged=int(replayed.diverged[mask].sum()),
+        ))
+    return rows
+
+
+def episode_rows(recording: Recording, replayed: Replayed, kinds: Sequence[str]) -> list[dict]:
+    """One record an episode, for the file: errors in mm and the object's height at the end in m."""
+    errors = {"grip": distances(replayed.grip, recording.grip)}
+    if recording.has_object:
+        errors["thing"] = distances(replayed.thing, recording.thing)
+    rows = []
+    for episode in range(recording.episodes):
+        row = {"episode": episode, "kind": kinds[episode % len(kinds)] if kinds else ALL}
+        row |= {f"{name}_{part}_mm": float(value) for name, error in errors.items() for part, value in
+                (("mean", error[episode, 1:].mean()), ("largest", error[episode, 1:].max()), ("end", error[episode, -1]))}
+        row["diverged"] = bool(replayed.diverged[episode])
+        row["equal_rewards"] = float((replayed.reward[episode] == recording.reward[episode]).mean())
+        if recording.has_object:
+            row |= {"height_recorded": float(recording.thing[episode, -1, 2]), "height_here": float(replayed.thing[episode, -1, 2])}
+        rows.append(row)
+    return rows
+
+
+def distance_table(parities: dict[str, list[Parity]]) -> Table:
+    """Errors of grip and object in mm: for each task and kind, over all steps, and the mean at the episodes' end."""
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title="distance from the recorded position (mm)", title_justify="left")
+    for column in ("task", "episodes", "of", "mean", "median", "max", "end"):
+        table.add_column(column, justify="left" if column in ("task", "episodes", "of") else "right", no_wrap=True)
+    for task, rows in parities.items():
+        for row in rows:
+            for name, error in (("grip", row.grip), ("object", row.thing)):
+                if error is not None:
+                    first = (task if row.kind == ALL else "", f"{row.episodes} {row.kind}") if name == "grip" else ("", "")
+                    numbers = (error.mean, error.median, error.largest, error.end)
+                    table.add_row(*first, name, *(f"{number:.1f}" if number < 1000 else f"{number:.0f}" for number in numbers))
+    return table
+
+
+def outcome_table(parities: dict[str, list[Parity]]) -> Table:
+    """What came of the episodes: rewards, and objects that fell or were lifted."""
+    title = "episodes whose object fell or was lifted: both (recorded, here)"
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title, title_justify="left")
+    for column in ("task", "episodes", "equal rewards", f"ends below {OFF_TABLE} m", f"above {LIFTED} m"):
+        table.add_column(column, justify="left" if column in ("task", "episodes") else "right", no_wrap=True)
+    for task, rows in parities.items():
+        for row in rows:
+            outcomes = ("-" if outcome is None else f"{outcome.both} ({outcome.recorded}, {outcome.here})" for outcome in (row.fallen, row.lifted))
+            table.add_row(task if row.kind == ALL else "", f"{row.episodes} {row.kind}", f"{row.equal_rewards:.1%}", *outcomes)
+    return table
+
+
+def check_recordings(
+    recordings: Recordings, faithful: bool = False, kinds: Sequence[str] = (), out: Path | None = None, console: Console | None = None
+) -> dict[str, list[Parity]]:
+    """Replay every task of a file, print what came of it, and write it to `out` (json) if given, with a record an episode.
+
+    Returns {task: [over all episodes, of each kind]}. Raises `UserError` if `out` cannot be written.
+    """
+    console = console or Console()
+    if out is not None and (not out.parent.is_dir() or out.is_dir()):
+        raise UserError(f"out = {str(out)!r}: cannot be written; give a file in a folder that is there")
+    for name in recordings.skipped:
+        console.print(f"{recordings.path}: {name} is no task of ours; skipped", style="yellow", soft_wrap=True, highlight=False, markup=False)
+    setting = "faithful" if faithful else "default"
+    device = jax.devices()[0].device_kind
+    console.print(f"{recordings.path}, {setting} setting, MuJoCo {mujoco.__version__} on {device}", style="bold", soft_wrap=True, markup=False)
+    console.print(f"recorded by {recordings.source or 'an unnamed source'}", soft_wrap=True, highlight=False, markup=False)
+    parities, written = {}, {}
+    for task, recording in recordings.tasks.items():
+        started = time.perf_counter()
+        replayed = replay(make(task, FetchConfig(faithful=faithful, ends_at_goal=False)), recording)
+        seconds = time.perf_counter() - started
+        done = f"{task}: {recording.episodes} x {recording.steps} steps, {seconds:.0f} s with compiling"
+        console.print(done, soft_wrap=True, highlight=False, markup=False)
+        parities[task] = compare(recording, replayed, kinds)
+        written[task] = {"kinds": [dataclasses.asdict(row) for row in parities[task]], "episodes": episode_rows(recording, replayed, kinds)}
+    console.print(distance_table(parities))
+    console.print(outcome_table(parities))
+    diverged = {task: rows[0].diverged for task, rows in parities.items() if rows[0].diverged}
+    for task, number in diverged.items():
+        console.print(f"{task}: {number} episodes diverged; their errors are those of the last finite states", style="bold red", soft_wrap=True)
+    if out is not None:
+        content = {
+            "file": str(recordings.path), "source": recordings.source, "setting": setting, "device": device,
+            "mujoco": mujoco.__version__, "jax": jax.__version__, "tasks": written,
+        }
+        files.write_atomically(out, lambda file: file.write((json.dumps(content, indent=1) + "\n").encode()))
+        console.print(f"file        {out}", soft_wrap=True, highlight=False, markup=False)
+    return parities

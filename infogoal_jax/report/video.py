@@ -1,0 +1,86 @@
+"""Videos: pictures to an mp4 file through OpenCV, and whole episodes of a Fetch task. No screen and no OpenGL needed."""
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import cv2
+import jax
+import numpy as np
+
+from infogoal_jax.envs.fetch.environment import Fetch, FetchState
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.report.fetch_scene import draw_fetch
+
+Policy = Callable[[FetchState, jax.Array], jax.Array]
+"""(state, key) -> action [4]."""
+LAST_PICTURE = 25
+"""The last picture of an episode stays for this many frames: a second."""
+
+
+def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25) -> None:
+    """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4. It is written beside its place and renamed: the file is whole or not there.
+
+    25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is not mp4, or no frames are given.
+    """
+    path = Path(path)
+    require(path.suffix == ".mp4", "path", str(path), "give a file that ends in .mp4")
+    require(path.parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
+    require(fps > 0, "fps", fps, "give a number greater than 0")
+    beside = path.with_name(f".{path.stem}.{os.getpid()}.partial.mp4")
+    writer, shape = None, None
+    try:
+        for number, frame in enumerate(frames):
+            frame = np.asarray(frame)
+            good = frame.dtype == np.uint8 and frame.ndim == 3 and frame.shape[2] == 3 and frame.shape == (shape or frame.shape)
+            require(good, f"frames[{number}]", f"{frame.dtype} {frame.shape}", f"give uint8 {shape or ('height', 'width', 3)}, all of one size")
+            if writer is None:
+                shape = frame.shape
+                writer = cv2.VideoWriter(str(beside), cv2.VideoWriter_fourcc(*"mp4v"), fps, (shape[1], shape[0]))
+                if not writer.isOpened():
+                    raise UserError(f"{path}: could not be written; choose a folder that you may write to, and an OpenCV that encodes mp4v")
+            writer.write(frame[..., ::-1])
+        require(writer is not None, "frames", "none", "give at least one")
+        writer.release()
+        os.replace(beside, path)
+    finally:
+        if writer is not None:
+            writer.release()
+        beside.unlink(missing_ok=True)
+
+
+def random_policy(state: FetchState, key: jax.Array) -> jax.Array:
+    """Actions without a thought, uniform in [-1, 1]."""
+    return jax.random.uniform(key, (4,), minval=-1.0, maxval=1.0)
+
+
+def play_episode(env: Fetch, policy: Policy, key: jax.Array) -> list[FetchState]:
+    """The states of one episode, from its start to the step that ends it."""
+    reset_key, policy_key = jax.random.split(key)
+    step = jax.jit(Fetch.step)  # The environment is an argument without leaves: what was compiled for a task stays compiled.
+    states = [jax.jit(Fetch.reset)(env, reset_key)]
+    while not (states[-1].terminated | states[-1].truncated):
+        states.append(step(env, states[-1], policy(states[-1], jax.random.fold_in(policy_key, len(states)))))
+    return states
+
+
+def episode_video(
+    env: Fetch, policy: Policy, key: jax.Array, path: str | Path, episodes: int = 1, size: tuple[int, int] = (480, 640),
+) -> list[FetchState]:
+    """Play episodes and write them as one video at their own speed; the last state of each. policy: (state, key) -> action [4]."""
+    require(episodes > 0, "episodes", episodes, "give at least 1")
+    require(Path(path).parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
+    last: list[FetchState] = []
+
+    def frames():
+        for episode in range(episodes):
+            states = play_episode(env, policy, jax.random.fold_in(key, episode))
+            last.append(states[-1])
+            for state in states:
+                picture = draw_fetch(env, state, size)
+                yield picture
+            for _ in range(LAST_PICTURE):
+                yield picture
+
+    write_video(path, frames())
+    return last
