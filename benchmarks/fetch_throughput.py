@@ -46,7 +46,7 @@ def measure(env: Fetch, batch: int) -> tuple[float, float]:
 
         def step(states, step_key):
             states = jax.vmap(env.step)(states, jax.random.uniform(step_key, (batch, 4), minval=-1.0, maxval=1.0))
-            return states, (env.reward(jax.vmap(env.achieved)(states), states.goal), states.diverged)
+            return states, (env.reward(env.achieved(states), states.goal), states.diverged)
 
         states, (rewards, diverged) = jax.lax.scan(step, states, jax.random.split(action_key, env.episode_length))
         return states.observation, rewards.mean(), diverged.sum()

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 
 from infogoal_jax import UserError
 from infogoal_jax.bridges import gymnasium as bridge
-from infogoal_jax.bridges.brax import FetchBrax, render_html
+from infogoal_jax.bridges.brax import FetchBrax, brax_training, render_html
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 
 NOTHING = np.zeros(4, np.float32)
@@ -77,7 +77,8 @@ def test_the_goal_can_be_given_and_must_lie_in_the_workspace(reach):
     assert np.allclose(seen["desired_goal"], [1.3, 0.7, 0.5])
     drawn, _ = reach.reset(seed=0)
     assert not np.allclose(drawn["desired_goal"], [1.3, 0.7, 0.5])
-    for goal, message in (([9.0, 0.7, 0.5], "outside of the workspace"), ([1.3, 0.7], "3 numbers"), ("home", "3 numbers"), ([[1.3, 0.7, 0.5]], "shape")):
+    wrong = [([9.0, 0.7, 0.5], "outside of the workspace"), ([1.3, 0.7], "3 numbers"), ("home", "3 numbers"), ([[1.3, 0.7, 0.5]], "shape")]
+    for goal, message in wrong:
         with pytest.raises(UserError, match=message):
             reach.reset(options={"goal": goal})
     with pytest.raises(UserError, match="golf"):
@@ -141,7 +142,8 @@ def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
     assert len(np.unique(goals[[0, 4]].reshape(6, 3), axis=0)) == 6
     seen, reward, _, _, info = steps[4]
     assert np.allclose(seen["achieved_goal"], start["achieved_goal"], atol=1e-6) and not reward.any() and not info["_is_success"].any()
-    assert np.array_equal(steps[3][1], vector.compute_reward(steps[3][0]["achieved_goal"], steps[3][0]["desired_goal"], {})) and steps[3][4]["_is_success"].all()
+    seen, reward, _, _, info = steps[3]
+    assert np.array_equal(reward, vector.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})) and info["_is_success"].all()
 
 
 def test_a_batch_repeats_itself_under_one_seed_and_takes_goals(vector):
@@ -187,7 +189,7 @@ def brax_reach():
 
 @pytest.fixture(scope="module")
 def brax_states(brax_reach):
-    """Nine steps of three environments, from raw keys. The goal of the last one is far away, so that its episodes end by time alone."""
+    """Nine steps of three environments, from raw keys."""
     _, reset, step = brax_reach
     states = [reset(jax.random.split(jax.random.PRNGKey(0), 3))]
     for _ in range(9):
@@ -215,14 +217,15 @@ def test_every_episode_under_brax_s_own_wrappers_has_a_fresh_goal(brax_states):
 
 
 def test_brax_sees_the_first_observation_of_the_next_episode_and_what_ended_the_last(brax_states):
-    """brax stores the next episode's first observation as the last one's end, and masks it: by `truncation` at the time limit, by `done` at the goal."""
+    """brax stores it in place of the last one's end, and leaves it out of targets: by `truncation` at the time limit, by `done` at the goal."""
     start = np.asarray(brax_states[0].obs[0, :10])
     for state in brax_states[1:]:
         ended = np.asarray(state.done, bool)
         assert np.allclose(np.asarray(state.obs)[ended, :10], start, atol=1e-6)
         at_goal = np.asarray(state.metrics["success"], bool)
-        assert np.array_equal(np.asarray(state.info["truncation"], bool), ended & ~at_goal)
-        assert np.array_equal(np.asarray(state.info["steps"]) == EPISODE, ended & ~at_goal) or at_goal.any()
+        out_of_time = np.asarray(state.info["steps"]) == EPISODE
+        assert np.array_equal(np.asarray(state.info["truncation"], bool), out_of_time & ~at_goal)
+        assert np.array_equal(ended, out_of_time | at_goal)
         assert np.array_equal(np.asarray(state.reward), np.where(at_goal, 0.0, -1.0))
 
 
@@ -275,6 +278,14 @@ def test_brax_environments_explain_wrong_names():
         FetchBrax("fetch_reach", reward="thick")
 
 
+def test_jax_is_as_before_after_brax_trained():
+    names = set(vars(jax))
+    with brax_training():
+        copies = jax.device_put_replicated({"a": jnp.arange(3)}, jax.local_devices())
+        assert np.array_equal(copies["a"], np.tile(np.arange(3), (len(jax.local_devices()), 1)))
+    assert set(vars(jax)) == names
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("agent", ["sac", "ppo"])
 def test_brax_trains_unchanged(agent):
@@ -284,10 +295,11 @@ def test_brax_trains_unchanged(agent):
         "ppo": {"num_timesteps": 400, "num_envs": 4, "batch_size": 4, "num_minibatches": 2, "unroll_length": 10},
     }[agent]
     seen = []
-    train(
-        environment=FetchBrax("fetch_reach", reward="dense"), episode_length=10, num_evals=2, num_eval_envs=4, normalize_observations=True,
-        progress_fn=lambda steps, metrics: seen.append((steps, metrics)), **sizes,
-    )
+    with brax_training():
+        train(
+            environment=FetchBrax("fetch_reach", reward="dense"), episode_length=10, num_evals=2, num_eval_envs=4, normalize_observations=True,
+            progress_fn=lambda steps, metrics: seen.append((steps, metrics)), **sizes,
+        )
     steps, metrics = seen[-1]
     assert steps >= 400 and np.isfinite([float(value) for value in metrics.values()]).all()
     assert metrics["eval/episode_diverged"] == 0 and 0 <= metrics["eval/episode_success"] <= 10 and metrics["eval/episode_reward"] < 0

@@ -17,6 +17,7 @@ OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
 COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
     "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": command_line.CheckCommand,
     "data build house": command_line.BuildHouseCommand, "data embed": command_line.EmbedCommand,
+    "video": command_line.VideoCommand,
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -36,7 +36,7 @@ LIFTED_LIMIT, PUSHED_LIMIT = 5.0, 30.0
 def cases(*tasks: str):
     """Every setting of the tasks, as parameters of a test."""
     pairs = [pair for pair in GRIP_LIMITS if pair[0] in tasks]
-    marked = (pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.long, id=f"{pair[0]}-{pair[1]}") for pair in pairs)
+    marked = [pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.long, id=f"{pair[0]}-{pair[1]}") for pair in pairs]
     return pytest.mark.parametrize(("task", "setting"), marked)
 
 

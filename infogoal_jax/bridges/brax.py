@@ -1,4 +1,4 @@
-"""The Fetch tasks as brax environments: brax's own `sac.train` and `ppo.train` run on `FetchBrax("fetch_reach")` unchanged.
+"""The Fetch tasks as brax environments: brax's own `sac.train` and `ppo.train` run on `FetchBrax("fetch_reach")` unchanged, inside `brax_training()`.
 
 The goal is appended to the observation. Every episode has a fresh goal and a fresh start: brax's `AutoResetWrapper` goes back to the state that it
 finds in `info["first_pipeline_state"]` and `info["first_obs"]`, and the environment draws these anew in every step.
@@ -84,9 +84,9 @@ def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
 class FetchBrax(Env):
     """A Fetch task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
 
-    reward: "sparse", 0 at the goal and -1 elsewhere, or "dense", minus the distance in m. `done`: the goal is reached, unless `config` says that episodes
-    go on there; their length is the `episode_length` that brax's training is given, not that of `config`. A step that diverges is taken back and the
-    episode goes on.
+    reward: "sparse", 0 at the goal and -1 elsewhere, or "dense", minus the distance in m. `done`: the goal is reached, unless `config` has episodes
+    go on there; they are as long as the `episode_length` that brax's training is given, not as that of `config`. A step that diverges is taken back
+    and the episode goes on.
     Metrics: `success`, `distance_per_step` (m) and `diverged`, of every step.
     """
 
@@ -158,9 +158,29 @@ class FetchBrax(Env):
         return jnp.concatenate([fetch.observation, fetch.goal])
 
 
+@contextlib.contextmanager
+def brax_training():
+    """Inside this block brax 0.14's training runs on jax 0.10 too, which took away a function that it calls (https://github.com/google/brax/issues/671)."""
+    name = "device_put_replicated"
+    before = vars(jax).get(name)
+    setattr(jax, name, device_put_replicated)
+    try:
+        yield
+    finally:
+        delattr(jax, name)
+        if before is not None:
+            setattr(jax, name, before)
+
+
+def device_put_replicated(tree, devices):
+    """A copy of the tree's leaves on each device, along a new first axis: what jax's migration guide gives in place of the function of this name."""
+    along = jax.sharding.NamedSharding(jax.sharding.Mesh(np.array(devices), ("device",)), jax.sharding.PartitionSpec("device"))
+    return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([leaf] * len(devices)), along), tree)
+
+
 def render_html(env: Env, states: list[State], height: int = 480) -> str:
-    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. When opened, it loads brax's scripts
-    from the web.
+    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. It loads brax's scripts from the
+    web when it is opened.
 
     The arm's links are added to what MuJoCo's model has. Raises `UserError` for no states, or batches of them.
     """

@@ -58,6 +58,11 @@ class SearchState:
     terminated: jax.Array
     truncated: jax.Array
 
+    @property
+    def diverged(self) -> jax.Array:
+        """Never set: a graph cannot diverge as a simulation can."""
+        return jnp.zeros_like(self.terminated)
+
 
 @flax.struct.dataclass
 class ObjectSearch:

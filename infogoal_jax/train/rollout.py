@@ -13,7 +13,7 @@ Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
-    """`num_steps` steps of E environments. A finished one is reset by its next step, which is marked invalid and is no transition.
+    """`num_steps` steps of E environments. A finished one is reset by its next step, which is marked invalid and is no transition; nor is a step that diverged.
 
     Returns the environments' states [E] and the rows [E, num_steps] that they went through.
     """
@@ -27,8 +27,8 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         fresh = jax.vmap(env.reset)(jax.random.split(reset_key, num_envs))
         following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
         outcome = {
-            "observation": env.observe(states), "record": env.achieved(states), "action": actions, "goal": states.goal, "valid": ~finished,
-            "terminated": ~finished & stepped.terminated, "truncated": ~finished & stepped.truncated,
+            "observation": env.observe(states), "record": env.achieved(states), "action": actions, "goal": states.goal,
+            "valid": ~finished & ~stepped.diverged, "terminated": ~finished & stepped.terminated, "truncated": ~finished & stepped.truncated,
         }
         return following, outcome
 

@@ -136,7 +136,7 @@ class Physics:
         position, velocity = (np.array([pair[part] for pair in trunk] + list(self.task.start[part])) for part in (0, 1))
         position, velocity = (part[: self.joints] for part in (position, velocity))
         if self.has_object:
-            position = np.concatenate([position, [1.25, 0.53, self.task.object_height, 1, 0, 0, 0]])
+            position = np.concatenate([position, [1.25, 0.53, self.task.start_height or self.task.object_height, 1, 0, 0, 0]])
             velocity = np.concatenate([velocity, np.zeros(6)])
         velocity = jnp.asarray(velocity, jnp.float32)
         return Motion(jnp.asarray(position, jnp.float32), velocity, jnp.zeros_like(velocity))

@@ -34,7 +34,9 @@ class Task:
     start_grip: tuple[float, float, float]
     """Where the grip stands then; goals and objects are placed around it."""
     object_height: float | None = None
-    """Height of the object's centre at the start; None: no object."""
+    """Height of the object's centre on the table, and of goals there; None: no object."""
+    start_height: float | None = None
+    """Height of the object's centre at the start where it is another: the reference's puck sinks 6.5 mm into the table, ours rests on it."""
     object_range: float = 0.15
     """The object starts at most this far from the grip along x and y, and at least 0.1 away."""
     goal_range: float = 0.15
@@ -59,7 +61,7 @@ TASKS = {
         Task("fetch_reach", ABOVE_TABLE_BLOCKED, (1.341835018, 0.749101037, 0.534723951), solver_steps=3, base_x=0.4049),
         Task("fetch_push", ON_TABLE, (1.345540634, 0.749024337, 0.413616705), object_height=0.42470209),
         Task("fetch_pick_and_place", ABOVE_TABLE, (1.341935017, 0.749101052, 0.534723958), object_height=0.42470209, goals_in_air=True, blocks_fingers=False),
-        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, object_range=0.1, goal_range=0.3,
+        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, start_height=0.4199, object_range=0.1, goal_range=0.3,
              goal_offset=0.4, puck=True, base_x=0.05),
     )
 }
