@@ -87,7 +87,7 @@ class Fetch:
         if not inside.all():
             first = goals.reshape(-1, 3)[np.flatnonzero(~inside.reshape(-1))[0]]
             spans = ", ".join(f"{name} {a:.2f} to {b:.2f}" for name, a, b in zip("xyz", low, high, strict=True))
-            raise UserError(f"goal = {np.round(first, 3).tolist()}: lies outside of the workspace of {self.task.name}; give {spans} m")
+            raise UserError(f"goal = {np.round(first.astype(float), 3).tolist()}: lies outside of the workspace of {self.task.name}; give {spans} m")
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """A goal [3] as the reference draws it."""
