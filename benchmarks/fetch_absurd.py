@@ -2,8 +2,8 @@
 
     python benchmarks/fetch_absurd.py [--tasks ...] [--steps 10000000] [--batch 16384] [--faithful]
 
-Prints for each task and pattern the environment steps taken, the diverged episodes (ended, counted and started anew), and whether any observation, record or
-reward was not finite. Exit status 1 if one was.
+Prints for each task and pattern the environment steps taken, the diverged episodes (ended, counted and started anew), and whether any observation,
+record or reward was not finite. Exit status 1 if one was.
 """
 
 import argparse
@@ -41,7 +41,8 @@ PATTERNS = (constant, alternating, random)
 
 
 def make_chunk(env, batch: int):
-    """`chunk(states, key, first, pattern)`: `CHUNK` steps under the pattern of this number; the states after, diverged episodes, whether all stayed finite."""
+    """`chunk(states, key, first, pattern)`: `CHUNK` steps under the pattern of this number; the states after, diverged episodes, whether all stayed
+    finite."""
 
     @jax.jit
     def chunk(states, key, first, pattern):

@@ -64,8 +64,9 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
     def looped(part):
         def run(motions):
             def once(_, motions):
-                sums = [jnp.abs(leaf).reshape(batch, -1).sum(-1) for leaf in jax.tree.leaves(jax.vmap(part)(motions, target, quaternion)) if leaf.dtype != bool]
-                return motions.replace(velocity=motions.velocity + 1e-20 * sum(sums)[:, None])  # Each round depends on the last: nothing is optimised away.
+                leaves = jax.tree.leaves(jax.vmap(part)(motions, target, quaternion))
+                total = sum(jnp.abs(leaf).reshape(batch, -1).sum(-1) for leaf in leaves if leaf.dtype != bool)
+                return motions.replace(velocity=motions.velocity + 1e-20 * total[:, None])  # Each round needs the last: nothing is optimised away.
 
             return jax.lax.fori_loop(0, repeats, once, motions)
 

@@ -70,7 +70,8 @@ def test_reaching_the_goal_ends_the_episode_and_time_truncates_it(reach):
 
 
 def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
-    """One robot's state is spoilt: its step is taken back and its episode ends, marked; the others go on untouched, and its transition is not valid."""
+    """One robot's state is spoilt: its step is taken back and its episode ends, marked; the others go on untouched, and its transition is not
+    valid."""
     env, reset, step = reach
     states = reset(keys(5))
     spoilt = states.replace(motion=states.motion.replace(velocity=states.motion.velocity.at[3].set(jnp.nan)))

@@ -57,7 +57,7 @@ def forward(reach, twin, position):
     data = mujoco.MjData(twin)
     data.qpos[:], data.qvel[:] = position, np.random.default_rng(0).normal(size=twin.nv) * 0.1
     mujoco.mj_forward(twin, data)
-    target = data.site("gripper").xpos + [-0.02, 0.01, 0.03]
+    target = data.site("gripper").xpos + np.array([-0.02, 0.01, 0.03])
     quaternion = data.xquat[twin.body("wrist_roll").id] + [1, 0, 1, 0]
     data.mocap_pos[0], data.mocap_quat[0] = target, quaternion / np.linalg.norm(quaternion)
     mujoco.mj_forward(twin, data)
@@ -156,10 +156,11 @@ def test_cholesky_solve():
     np.testing.assert_allclose(solver.cholesky_solve(solver.cholesky(inertia), force), np.linalg.solve(np.array(inertia, float), force), rtol=2e-3)
 
 
+UPRIGHT = np.eye(3)
 TABLE = contacts.block(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], np.float32))
 
 
-def cube(center, rotation=np.eye(3)):
+def cube(center, rotation=UPRIGHT):
     """A cube with edges of 0.2 m."""
     return contacts.Box(jnp.asarray(center, jnp.float32), jnp.asarray(rotation, jnp.float32), jnp.full(3, 0.1))
 
@@ -215,7 +216,7 @@ def test_boxes_face_to_face_have_mujocos_depth_and_normal(seed):
     data = mujoco.MjData(compiled)
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, tilt.ravel())
-    data.qpos[:] = [*offset, *quaternion]
+    data.qpos[:] = np.concatenate([offset, quaternion])
     mujoco.mj_forward(compiled, data)
     found = contacts.box_on_box(cube([0, 0, 0]), cube(offset, tilt))
     assert data.ncon >= 1

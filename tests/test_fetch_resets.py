@@ -1,7 +1,7 @@
 """Our resets are drawn from the reference's distributions: 1,000 resets a task of Gymnasium-Robotics beside 4,000 of ours.
 
-Two-sample tests at a level of 0.001 for all coordinates of a test together (Bonferroni): Kolmogorov and Smirnov's for the shape, and for the range, where
-it is blind, how many draws of one sample lie beyond all of the other. They can fail: the last test shows what they notice.
+Two-sample tests at a level of 0.001 for all coordinates of a test together (Bonferroni): Kolmogorov and Smirnov's for the shape, and for the range,
+where it is blind, how many draws of one sample lie beyond all of the other. They can fail: the last test shows what they notice.
 The puck of Slide is compared in x and y alone: the reference's sinks 6.5 mm into the table and lies tilted there, ours stands on it.
 """
 

@@ -1,7 +1,7 @@
 """Constraint rows of one Fetch robot: the weld to the mocap body, joint limits and contacts, as MuJoCo defines them.
 
-Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint` builds the same rows for any model;
-here the model is known, so that the bodies of every row are static and its Jacobian is a sum over few joints.
+Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint` builds the same rows for any
+model; here the model is known, so that the bodies of every row are static and its Jacobian is a sum over few joints.
 """
 
 import dataclasses
@@ -13,6 +13,7 @@ from scipy import optimize
 
 from infogoal_jax.envs.fetch.contacts import Contacts
 from infogoal_jax.envs.fetch.solver import Rows
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
@@ -60,8 +61,8 @@ def step_map(stiffness: float, damping: float, timestep: float) -> np.ndarray:
 def lengthened(softness: Softness, timestep: float, duration: float) -> Softness:
     """The softness that moves an equality as far in `duration` seconds, in steps of `timestep`, as steps of the softness's own timestep do.
 
-    With the same time constant, longer steps would overshoot (or, as MuJoCo then softens the constraint, lag behind); so stiffness and damping are chosen for the
-    violation at the end of the duration to be the same, whatever violation and velocity it began with.
+    With the same time constant, longer steps would overshoot (or, as MuJoCo then softens the constraint, lag behind); so stiffness and damping are
+    chosen for the violation at the end of the duration to be the same, whatever violation and velocity it began with.
     """
     time, ratio = softness.reference
     short = np.linalg.matrix_power(step_map(1 / (time * ratio) ** 2, 2 / time, softness.timestep), round(duration / softness.timestep))
@@ -78,8 +79,9 @@ def lengthened(softness: Softness, timestep: float, duration: float) -> Softness
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ContactKind:
-    """A group of contact points with the same physics. bodies: the two bodies; dofs: +-1 or 0 [nv], the joints that move the second body minus those of the
-    first. friction: sliding and torsional coefficient; torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3)."""
+    """A group of contact points with the same physics. bodies: the two bodies; dofs: +-1 or 0 [nv], the joints that move the second body minus
+    those of the first. friction: sliding and torsional coefficient; torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise
+    3)."""
 
     dofs: np.ndarray
     friction: tuple[float, float]
@@ -90,7 +92,8 @@ class ContactKind:
 
 
 def point_jacobian(data, centers: jax.Array, points: jax.Array) -> jax.Array:
-    """How points [n, 3] move with each joint, [n, nv, 3], if all joints moved them. centers [nv, 3]: where the joints' axes in `data.cdof` are taken about."""
+    """How points [n, 3] move with each joint, [n, nv, 3], if all joints moved them. centers [nv, 3]: where the joints' axes in `data.cdof` are
+    taken about."""
     angular, linear = data.cdof[:, :3], data.cdof[:, 3:]
     return linear + jnp.cross(angular, points[:, None, :] - centers)
 

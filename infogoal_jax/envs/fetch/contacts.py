@@ -1,7 +1,8 @@
 """Where bodies touch: contact points of the few pairs that matter in the Fetch tasks, cheap enough for thousands of robots.
 
 A contact is a point, a frame whose first row is the normal (from the first body to the second), and a distance, negative when the bodies overlap.
-Boxes meet face to face here, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box against box differ little where it
+Boxes meet face to face here, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box against box differ
+little where it
 matters (fingers, cube and table are seldom tilted), and its search over fifteen axes would cost more than all the rest.
 """
 
@@ -86,8 +87,8 @@ def box_on_ground(table: Box, box: Box) -> Contacts:
 def face_contacts(reference: Box, incident: Box, axis) -> Contacts:
     """Four contacts of a box with one face of the reference box: the face along `axis` (0 to 2) that looks at it.
 
-    The corners of the incident box's facing side, moved onto the reference face where they stick out, are the points. A point that leaves the incident side by
-    being moved does not touch. So a box rests as far as the table reaches, and tips over its edge.
+    The corners of the incident box's facing side, moved onto the reference face where they stick out, are the points. A point that leaves the
+    incident side by being moved does not touch. So a box rests as far as the table reaches, and tips over its edge.
     """
     local = reference.rotation.T
     turned = local @ incident.rotation

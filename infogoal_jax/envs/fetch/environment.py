@@ -29,7 +29,8 @@ FASTEST = 1000.0
 
 @flax.struct.dataclass
 class FetchState:
-    """One episode. observation [10 or 25]; goal [3]; time: steps taken, int32; gripper [3] and gripper_quaternion [4]: the pose that the next action starts from.
+    """One episode. observation [10 or 25]; goal [3]; time: steps taken, int32; gripper [3] and gripper_quaternion [4]: the pose that the next
+    action starts from.
 
     terminated (goal reached) and truncated (time is up, or the simulation diverged) are never both set; diverged: the last step was thrown away.
     """
@@ -162,8 +163,8 @@ class Fetch:
         return -(jnp.sqrt(((record - goal) ** 2).sum(-1)) > DISTANCE_THRESHOLD).astype(jnp.float32)
 
     def _observation(self, motion: Motion, pose: Pose) -> jax.Array:
-        """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities (relative) and turning, the grip's velocity and the
-        fingers', velocities times 40 ms."""
+        """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities (relative) and turning, the grip's
+        velocity and the fingers', velocities times 40 ms."""
         step = model.CONTROL_STEP
         fingers, finger_velocity = self.physics.finger_state(motion)
         grip_velocity = step * pose.grip_velocity

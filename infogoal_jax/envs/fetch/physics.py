@@ -1,7 +1,7 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-MJX computes the multibody dynamics (kinematics, inertia, bias forces) and box against box; the constraints of this one robot and their solver are ours
-(constraints.py, solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
+MJX computes the multibody dynamics (kinematics, inertia, bias forces) and box against box; the constraints of this one robot and their solver are
+ours (constraints.py, solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
 """
 
 import contextlib
@@ -57,9 +57,9 @@ _tracing = threading.RLock()
 def shallow_fusions():
     """Keep XLA:CPU from multiplying work along the kinematic tree, while MJX is traced inside this block.
 
-    XLA's CPU fusions compute a parent's transform anew for every level below it, so that the work doubles from joint to joint: 500 times slower for this arm.
-    A barrier behind each walk over the tree stops that. MJX has no hook for it, so its private function is replaced for the time of tracing;
-    tests/test_fetch_physics.py pins this to the installed version.
+    XLA's CPU fusions compute a parent's transform anew for every level below it, so that the work doubles from joint to joint: 500 times slower for
+    this arm. A barrier behind each walk over the tree stops that. MJX has no hook for it, so its private function is replaced for the time of
+    tracing; tests/test_fetch_physics.py pins this to the installed version.
     """
     with _tracing:
         walk = scan.body_tree
@@ -240,7 +240,8 @@ class Physics:
         return Motion(integrate(motion.position, velocity, self.setting.timestep), velocity, acceleration)
 
     def control_step(self, motion: Motion, gripper: jax.Array, quaternion: jax.Array, action: jax.Array) -> Motion:
-        """One step of 40 ms under an action [4] in [-1, 1]: the displacement in units of 5 cm from the gripper's pose, and the opening of the fingers."""
+        """One step of 40 ms under an action [4] in [-1, 1]: the displacement in units of 5 cm from the gripper's pose, and the opening of the
+        fingers."""
         target = gripper + 0.05 * action[:3]
         target_quaternion = quaternion + GRIPPER_TURN
         target_quaternion = target_quaternion / jnp.sqrt((target_quaternion**2).sum())

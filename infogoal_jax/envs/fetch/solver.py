@@ -4,8 +4,8 @@ The problem is MuJoCo's own (its documentation, Computation: primal problem, pyr
 
     1/2 (a - a_free)' M (a - a_free)  +  1/2 sum over rows of D (J a - reference)^2, where a row counts if it is an equality or J a < reference.
 
-`mjx.solve` finds the same minimum. This solver is for 9 to 15 degrees of freedom and about 100 rows: no convergence test, so that a batch runs in lock-step,
-and a Cholesky factorisation written out, because a library call for each of thousands of 15 x 15 matrices costs more than the arithmetic.
+`mjx.solve` finds the same minimum. This solver is for 9 to 15 degrees of freedom and about 100 rows: no convergence test, so that a batch runs in
+lock-step, and a Cholesky factorisation written out, because a library call for each of thousands of 15 x 15 matrices costs more than the arithmetic.
 """
 
 import flax.struct
@@ -94,14 +94,15 @@ def solve(inertia: jax.Array, force: jax.Array, rows: Rows, start: jax.Array, st
 def line_search(slope: jax.Array, quadratic: tuple[jax.Array, jax.Array], residual: jax.Array, change: jax.Array, rows: Rows) -> jax.Array:
     """How far to go along the direction: the root of the cost's derivative, which is continuous, piecewise linear and rising.
 
-    slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and change: [R] of the rows. The root is bracketed
-    twice among trial lengths that are evaluated side by side, and interpolated in the last bracket.
+    slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and change: [R] of the rows. The root
+    is bracketed twice among trial lengths that are evaluated side by side, and interpolated in the last bracket.
     """
     along_change = rows.stiffness * change
     value, growth = quadratic
 
     def bracket(lengths, below):
-        """The neighbouring trial lengths between which the derivative turns positive, and its values there; `below` and beyond are the ends known already."""
+        """The neighbouring trial lengths between which the derivative turns positive, and its values there; `below` and beyond are the ends known
+        already."""
         inner = lengths[1:-1] if below[1] is not None else lengths[1:]
         along = residual + inner[:, None] * change
         inner_values = value + inner * growth + jnp.where(rows.equality | (along < 0), along_change * along, 0.0).sum(-1)

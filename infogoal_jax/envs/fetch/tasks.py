@@ -1,4 +1,5 @@
-"""What sets the four Fetch tasks apart: object, goals and starting poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the environments)."""
+"""What sets the four Fetch tasks apart: object, goals and starting poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the
+environments)."""
 
 import dataclasses
 
@@ -60,9 +61,10 @@ TASKS = {
     for task in (
         Task("fetch_reach", ABOVE_TABLE_BLOCKED, (1.341835018, 0.749101037, 0.534723951), solver_steps=3, base_x=0.4049),
         Task("fetch_push", ON_TABLE, (1.345540634, 0.749024337, 0.413616705), object_height=0.42470209),
-        Task("fetch_pick_and_place", ABOVE_TABLE, (1.341935017, 0.749101052, 0.534723958), object_height=0.42470209, goals_in_air=True, blocks_fingers=False),
-        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, start_height=0.4199, object_range=0.1, goal_range=0.3,
-             goal_offset=0.4, puck=True, base_x=0.05),
+        Task("fetch_pick_and_place", ABOVE_TABLE, (1.341935017, 0.749101052, 0.534723958), object_height=0.42470209,
+             goals_in_air=True, blocks_fingers=False),
+        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, start_height=0.4199,
+             object_range=0.1, goal_range=0.3, goal_offset=0.4, puck=True, base_x=0.05),
     )
 }
 
@@ -72,7 +74,8 @@ class FetchConfig:
     """How a Fetch task is simulated and when an episode ends."""
 
     faithful: bool = False
-    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters (docs/fetch.md)."""
+    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters
+    (docs/fetch.md)."""
     episode_length: int = 50
     """Steps of 40 ms after which an episode is truncated."""
     ends_at_goal: bool = True
