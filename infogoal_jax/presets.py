@@ -6,6 +6,7 @@ from typing import Any
 from infogoal_jax import envs, learners
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.errors import require
 
 AGENTS = {"object_search": DQNConfig}
 """The agent of each task [P]."""
@@ -26,6 +27,7 @@ TRAINING: dict[tuple[str, str], dict[str, Any]] = {
 def load(task: str, method: str = "infogoal", **changes: Any) -> TrainConfig:
     """The configuration for a task and a method; `changes` replace fields of `TrainConfig`. Raises `UserError` for an unknown name."""
     env, learner = envs.entry(task).config(), learners.entry(method).config()
+    require(task in AGENTS, "task", task, f"there is no agent for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(AGENTS)}")
     settings = {
         "task": task, "method": method, "env": env, "learner": learner, "agent": AGENTS[task](),
         "hyper": Hyperparameters(**HYPERPARAMETERS.get((task, method), {})), **TRAINING.get((task, method), {}),

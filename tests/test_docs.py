@@ -43,7 +43,7 @@ def flags_of(record, prefix: str = "") -> set[str]:
 
 def train_flags() -> set[str]:
     """The flags of `infogoal train`, of every task and method."""
-    configs = [presets.load(task, method) for task in envs.registry for method in learners.registry]
+    configs = [presets.load(task, method) for task in presets.AGENTS for method in learners.registry]
     return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
 
 
