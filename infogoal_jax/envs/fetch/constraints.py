@@ -42,8 +42,7 @@ class Softness:
         return smallest + jnp.where(share < middle, below, above) * (largest - smallest)
 
     def rows(self, jacobian, velocity, violation, measure, inverse_weight, equality: bool, active=None) -> Rows:
-        """Rows with this softness: jacobian [R, nv], velocity [nv], violation [R] (m or rad), measure [R]: the violation that the impedance looks at.
-        """
+        """Rows with this softness. jacobian [R, nv], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by."""
         stiffness, damping = self.stiffness_and_damping()
         impedance = self.at(measure)
         regularisation = jnp.maximum(inverse_weight * (1 - impedance) / impedance, 1e-15)
@@ -79,9 +78,11 @@ def lengthened(softness: Softness, timestep: float, duration: float) -> Softness
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ContactKind:
-    """A group of contact points with the same physics. bodies: the two bodies; dofs: +-1 or 0 [nv], the joints that move the second body minus
-    those of the first. friction: sliding and torsional coefficient; torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise
-    3)."""
+    """A pair of bodies, whose contact points share their physics.
+
+    dofs: +-1 or 0 [nv], the joints that move the second body minus those that move the first; friction: coefficients of sliding and spinning;
+    torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3); margin: distance (m) at which it begins to act.
+    """
 
     dofs: np.ndarray
     friction: tuple[float, float]

@@ -1,7 +1,7 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-MJX computes the multibody dynamics (kinematics, inertia, bias forces) and box against box; the constraints of this one robot and their solver are
-ours (constraints.py, solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
+MJX computes the multibody dynamics (kinematics, inertia, bias forces); contacts and constraints of this one robot and their solver are ours
+(contacts.py, constraints.py, solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
 """
 
 import contextlib
