@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from infogoal_jax.envs import load
-from infogoal_jax.envs.fetch.parity import ALL, compare, distances, replay
 from infogoal_jax.envs.fetch.recordings import load_recordings
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.report.fetch_parity import ALL, compare, distances, replay
 
 RECORDINGS = Path(__file__).parent / "fixtures" / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")

@@ -252,8 +252,8 @@ class CheckFetchCommand:
 def check_fetch(arguments: list[str]) -> int:
     """`infogoal check-fetch FILE`: measures and passes no judgement, so it is 0 whatever the numbers."""
     command = tyro.cli(CheckFetchCommand, prog="infogoal check-fetch", args=arguments)
-    from infogoal_jax.envs.fetch.parity import check_recordings, read_kinds
     from infogoal_jax.envs.fetch.recordings import load_recordings
+    from infogoal_jax.report.fetch_parity import check_recordings, read_kinds
 
     kinds, recordings = read_kinds(command.kinds), load_recordings(command.file)
     use_compilation_cache()
