@@ -90,7 +90,7 @@ def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
     assert rows.valid[others].all() and np.isfinite(following.motion.velocity).all()
 
 
-@pytest.mark.parametrize("task, size", [("fetch_reach", 10), ("fetch_push", 25), ("fetch_pick_and_place", 25), ("fetch_slide", 25)])
+@pytest.mark.parametrize("task, size", [("fetch_reach", 10), ("fetch_pick_and_place", 25)])
 def test_observation_is_laid_out_as_the_references(task, size):
     """Sizes, and the parts that can be told from one another at the start: grip, object, their difference, and the object at rest."""
     env = envs.load(task)

@@ -122,7 +122,7 @@ def test_half_of_the_goals_of_pick_and_place_are_in_the_air(resets):
     assert not differing(*above)
 
 
-@pytest.mark.parametrize("faithful", [False, True], ids=["default", "faithful"])
+@pytest.mark.parametrize("faithful", [False, pytest.param(True, marks=pytest.mark.long)], ids=["default", "faithful"])
 @every_task
 def test_the_first_observation_is_that_of_the_reference(resets, task, faithful):
     """All that no draw decides; the fingers of the default setting are one block in tasks that keep them closed, so theirs read zero."""
