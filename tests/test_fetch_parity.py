@@ -22,7 +22,7 @@ QUICK = (("fetch_pick_and_place", DEFAULT), ("fetch_reach", FAITHFUL))
 """Each replay compiles for 20 to 50 seconds; the others are long tests."""
 GRIP_LIMITS = {
     ("fetch_reach", FAITHFUL): {"random": 1.0, "held": 4.0, "scripted": 1.0},
-    ("fetch_push", FAITHFUL): {"random": 2.0, "scripted": 2.0},
+    ("fetch_push", FAITHFUL): {"random": 2.0, "held": 4.0, "scripted": 2.0},
     ("fetch_pick_and_place", FAITHFUL): {"random": 1.0, "held": 4.0, "scripted": 1.0},
     ("fetch_reach", DEFAULT): {"random": 5.0, "scripted": 5.0},
     ("fetch_push", DEFAULT): {"random": 5.0, "scripted": 5.0},
@@ -66,13 +66,6 @@ def test_the_grip_follows_the_recording(replayed, task, setting):
     assert not too_far, f"mean error and limit in mm: {too_far}"
     assert rows[ALL].grip.start < 0.1
     assert rows[ALL].diverged == 0
-
-
-@pytest.mark.long
-@pytest.mark.xfail(strict=True, reason="7 mm: two of the four episodes wedge the hand behind the table's far edge; a sphere is the palm there")
-def test_the_grip_follows_actions_held_in_push(replayed):
-    """The limit that is not met; in 20 other recorded episodes of this kind the mean is 1.5 mm (docs/fetch.md)."""
-    assert by_kind(replayed("fetch_push", FAITHFUL))["held"].grip.mean <= 4.0
 
 
 @cases("fetch_reach", "fetch_push", "fetch_pick_and_place")

@@ -87,7 +87,7 @@ def test_objects_start_as_in_the_reference(resets, task):
     ours, theirs = first[:, OBJECT][:, :2], their_first[:, OBJECT][:, :2]
     assert not differing(ours, theirs)
     radius, their_radius = (np.linalg.norm(sample[:, RELATIVE][:, :2], axis=1) for sample in (first, their_first))
-    assert min(radius.min(), their_radius.min()) >= NEAREST_START - 1e-5
+    assert min(radius.min(), their_radius.min()) >= NEAREST_START - START_TOLERANCE
     assert not differing(radius[:, None], their_radius[:, None])
 
 

@@ -56,9 +56,12 @@ def separation(reference: Box, other: Box) -> jax.Array:
     return jnp.abs(middle) - reference.half - reach
 
 
-def box_on_box(first: Box, second: Box) -> Contacts:
-    """Four contacts of two boxes, on the face of either that separates them most."""
-    of_first, of_second = separation(first, second), separation(second, first)
+def box_on_box(first: Box, second: Box, handicap: jax.Array | float = 0.0) -> Contacts:
+    """Four contacts of two boxes, on the face of either that separates them most.
+
+    handicap: [3], taken from the separation along the first box's axes, to keep some of its faces out.
+    """
+    of_first, of_second = separation(first, second) - handicap, separation(second, first)
     on_first = of_first.max() >= of_second.max()
     reference = jax.tree.map(lambda one, other: jnp.where(on_first, one, other), first, second)
     incident = jax.tree.map(lambda one, other: jnp.where(on_first, other, one), first, second)
@@ -69,10 +72,9 @@ def box_on_box(first: Box, second: Box) -> Contacts:
 
 
 def box_on_table(table: Box, box: Box) -> Contacts:
-    """Four contacts of a box with the top or a side of the table."""
-    apart = separation(table, box)
+    """Four contacts of a box with the top, a side or an edge of the table, but never with its underside."""
     below = box.center[2] < table.center[2]
-    return face_contacts(table, box, jnp.argmax(apart.at[2].add(jnp.where(below, -FAR, 0.0))))
+    return box_on_box(table, box, jnp.where(below, FAR, 0.0) * np.array([0.0, 0.0, 1.0], np.float32))
 
 
 def box_on_ground(table: Box, box: Box) -> Contacts:
