@@ -18,7 +18,7 @@ from infogoal_jax.report.fetch_parity import ALL, compare, distances, replay
 RECORDINGS = Path(__file__).parent / "fixtures" / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")
 FAITHFUL, DEFAULT = "faithful", "default"
-QUICK = (("fetch_pick_and_place", DEFAULT), ("fetch_reach", FAITHFUL))
+QUICK = (("fetch_reach", DEFAULT), ("fetch_reach", FAITHFUL))
 """Each replay compiles for 20 to 50 seconds; the others are long tests."""
 GRIP_LIMITS = {
     ("fetch_reach", FAITHFUL): {"random": 1.0, "held": 4.0, "scripted": 1.0},
