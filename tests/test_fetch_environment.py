@@ -84,7 +84,7 @@ def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
     def policy(observation, goal, key):
         return jnp.ones((BATCH, 4))
 
-    following, rows = collect(env, spoilt.replace(motion=spoilt.motion), policy, jax.random.key(0), 4)
+    following, rows = collect(env, spoilt, policy, jax.random.key(0), 4)
     assert np.isfinite(rows.observation).all() and np.isfinite(following.observation).all()
     assert not rows.valid[3, :2].any() and rows.valid[3, 2:].all()  # The diverged step, the reset, and then a sound episode.
     assert rows.valid[others].all() and np.isfinite(following.motion.velocity).all()

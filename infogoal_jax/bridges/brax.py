@@ -24,12 +24,11 @@ with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
     from brax.io import json as brax_json
     from mujoco import mjx
 
-from infogoal_jax import envs
 from infogoal_jax.envs.fetch import model
-from infogoal_jax.envs.fetch.environment import FetchState
+from infogoal_jax.envs.fetch.environment import FetchState, make
 from infogoal_jax.envs.fetch.physics import Physics, shallow_fusions
-from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.errors import require
 from infogoal_jax.report.fetch_scene import ARM, GOAL, GOAL_RADIUS
 
 REWARDS = ("sparse", "dense")
@@ -91,10 +90,8 @@ class FetchBrax(Env):
     """
 
     def __init__(self, task: str, reward: str = "sparse", config: FetchConfig | None = None):
-        if task not in TASKS:
-            raise UserError(f"task = {task!r}: no such Fetch task.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
         require(reward in REWARDS, "reward", reward, f"give one of {', '.join(REWARDS)}")
-        self.fetch, self.reward = envs.load(task, config), reward
+        self.fetch, self.reward = make(task, FetchConfig() if config is None else config), reward
 
     def reset(self, rng: jax.Array) -> State:
         """A new episode. rng: a key of either kind, raw as brax's are or typed."""

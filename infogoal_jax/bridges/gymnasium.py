@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import envs
+from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import UserError, require
 
 try:
     import gymnasium
@@ -31,9 +31,7 @@ FARTHEST, LARGEST = 10.0, 50.0
 
 def load(task: str, config: FetchConfig | None) -> Fetch:
     """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that is no Fetch task."""
-    if task not in TASKS:
-        raise UserError(f"task = {task!r}: no such Fetch task.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
-    return envs.load(task, FetchConfig(ends_at_goal=False) if config is None else config)
+    return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else config)
 
 
 def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:

@@ -69,7 +69,6 @@ def episode_video(
 ) -> list[FetchState]:
     """Play episodes and write them as one video at their own speed; the last state of each. policy: (state, key) -> action [4]."""
     require(episodes > 0, "episodes", episodes, "give at least 1")
-    require(Path(path).parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
     last: list[FetchState] = []
 
     def frames():

@@ -282,15 +282,12 @@ def video(arguments: list[str]) -> int:
     command = tyro.cli(VideoCommand, prog="infogoal video", args=arguments)
     import jax
 
-    from infogoal_jax import envs
-    from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-
-    if command.task not in TASKS:
-        raise UserError(f"task = {command.task!r}: can not be drawn.{nearest(command.task, list(TASKS))} Known: {', '.join(TASKS)}")
-    use_compilation_cache()
+    from infogoal_jax.envs.fetch.environment import make
+    from infogoal_jax.envs.fetch.tasks import FetchConfig
     from infogoal_jax.report.video import episode_video, random_policy
 
-    env, size = envs.load(command.task, FetchConfig(ends_at_goal=False)), (command.height, command.height * 4 // 3)
+    env, size = make(command.task, FetchConfig(ends_at_goal=False)), (command.height, command.height * 4 // 3)
+    use_compilation_cache()
     last = episode_video(env, random_policy, jax.random.key(command.seed), command.out, command.episodes, size)
     at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
     print(f"{command.out}: {command.episodes} episodes of a random policy, {at_goal} end at the goal")

@@ -10,7 +10,7 @@ import numpy as np
 
 from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
-from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig, Task
+from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
 from infogoal_jax.errors import UserError, require
 
 DISTANCE_THRESHOLD = 0.05
@@ -187,8 +187,8 @@ def euler_angles(rotation: jax.Array) -> jax.Array:
 
 
 def make(name: str, config: FetchConfig) -> Fetch:
-    """The environment of a Fetch task. Raises `UserError` for untested versions of MuJoCo."""
+    """The environment of a Fetch task. Raises `UserError` for an unknown name, and for untested versions of MuJoCo."""
     config.check(None)
-    task = TASKS[name]
+    task = find(name)
     setting = model.FAITHFUL if config.faithful else model.FAST
     return Fetch(task=task, physics=physics.load(task, setting), episode_length=config.episode_length, ends_at_goal=config.ends_at_goal)

@@ -93,8 +93,7 @@ class Physics:
         self.gripper_site, self.grip_site = mj.site("gripper").id, mj.site("grip").id
         self.wrist = mj.body("wrist_roll").id
         self.damping = jnp.asarray(timestep * mj.dof_damping, jnp.float32)
-        root = mj.body_rootid[mj.dof_bodyid]
-        self.roots = root
+        self.roots = mj.body_rootid[mj.dof_bodyid]
 
         def chain(body: int) -> np.ndarray:
             mask = np.zeros(nv, np.float32)
@@ -132,9 +131,8 @@ class Physics:
 
     def start(self) -> Motion:
         """Where every episode starts, before the object is placed."""
-        trunk = list(model.TRUNK.values()) if self.setting.whole_body else []
-        position, velocity = (np.array([pair[part] for pair in trunk] + list(self.task.start[part])) for part in (0, 1))
-        position, velocity = (part[: self.joints] for part in (position, velocity))
+        trunk = model.TRUNK.values() if self.setting.whole_body else ()
+        position, velocity = np.array([*trunk, *zip(*self.task.start, strict=True)][: self.joints]).T
         if self.has_object:
             position = np.concatenate([position, [1.25, 0.53, self.task.start_height or self.task.object_height, 1, 0, 0, 0]])
             velocity = np.concatenate([velocity, np.zeros(6)])

@@ -59,7 +59,7 @@ def cholesky_solve(lower: list[list[jax.Array]], vector: jax.Array) -> jax.Array
 
 
 def times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Matrix [R, n] times vector [n] in full float32, also where a GPU would round its factors to TF32."""
+    """Matrix [m, n] times vector [n] in full float32, also where a GPU would round its factors to TF32."""
     return jnp.matmul(matrix, vector, precision=jax.lax.Precision.HIGHEST)
 
 
@@ -72,11 +72,13 @@ def solve(inertia: jax.Array, force: jax.Array, rows: Rows, start: jax.Array, st
     acceleration = start
     residual = times(rows.jacobian, acceleration) - rows.reference
 
+    def weights(residual):
+        return jnp.where(rows.equality | (residual < 0), rows.stiffness, 0.0)
+
     def weighted_products(residual):
         """J' W J [nv, nv] and J' W residual [nv] over the rows that count, as one matrix product."""
-        weight = jnp.where(rows.equality | (residual < 0), rows.stiffness, 0.0)
         columns = jnp.concatenate([rows.jacobian, residual[:, None]], axis=1)
-        products = jnp.matmul((rows.jacobian * weight[:, None]).T, columns, precision=jax.lax.Precision.HIGHEST)
+        products = jnp.matmul((rows.jacobian * weights(residual)[:, None]).T, columns, precision=jax.lax.Precision.HIGHEST)
         return products[:, :size], products[:, size]
 
     for _ in range(steps):
@@ -88,7 +90,7 @@ def solve(inertia: jax.Array, force: jax.Array, rows: Rows, start: jax.Array, st
         length = line_search((direction * (smooth + pull)).sum(), quadratic, residual, change, rows)
         acceleration = acceleration + length * direction
         residual = residual + length * change
-    return acceleration, -weighted_products(residual)[1]
+    return acceleration, -times(rows.jacobian.T, weights(residual) * residual)
 
 
 def line_search(slope: jax.Array, quadratic: tuple[jax.Array, jax.Array], residual: jax.Array, change: jax.Array, rows: Rows) -> jax.Array:

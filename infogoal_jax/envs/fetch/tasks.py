@@ -3,7 +3,7 @@ environments)."""
 
 import dataclasses
 
-from infogoal_jax.errors import require
+from infogoal_jax.errors import UserError, nearest, require
 
 # Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and roll, right and left finger.
 # Each start is where the reference's own set-up (200 steps of 2 ms, MuJoCo 3.3.7) leaves the robot: positions in rad and m, velocities per second.
@@ -67,6 +67,13 @@ TASKS = {
              object_range=0.1, goal_range=0.3, goal_offset=0.4, puck=True, base_x=0.05),
     )
 }
+
+
+def find(name: str) -> Task:
+    """The Fetch task of this name, or a `UserError` with the nearest one."""
+    if name not in TASKS:
+        raise UserError(f"task = {name!r}: no such Fetch task.{nearest(name, list(TASKS))} Known: {', '.join(TASKS)}")
+    return TASKS[name]
 
 
 @dataclasses.dataclass(frozen=True)
