@@ -1,0 +1,242 @@
+"""Background images that corrupt goal images (Sec. V-A): CIFAR-10, any folder of images, or the crops that are shipped.
+
+Training and test backgrounds never share an image; of the shipped crops, not even a photograph. CIFAR-10 has no licence that
+would allow to ship it, so it is downloaded on demand. The mixing itself is `goals.corrupt`.
+"""
+
+import dataclasses
+import os
+import shutil
+import tarfile
+import tempfile
+import zipfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from infogoal_jax.errors import UserError, require
+
+SIZE = 64
+CROP_SIZE = 32  # As in CIFAR-10, so that either is as blurred as the other when it is enlarged.
+SHIPPED_CROPS = Path(__file__).parent / "files" / "backgrounds"
+CROPS_FILE = "photographs.npz"
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+
+CIFAR10_URL = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
+CIFAR10_SHA256 = "c4a38c50a1bc5f3a1c5537f2155ab9d68f9f25eb1ed8d9ddda3db29a59bca1dd"
+CIFAR10_FOLDER = "cifar-10-batches-bin"
+TRAIN_BATCHES = tuple(f"data_batch_{number}.bin" for number in range(1, 6))
+TEST_BATCHES = ("test_batch.bin",)
+RECORD = 1 + 3 * CROP_SIZE * CROP_SIZE  # Bytes: a label, then the red, the green and the blue plane.
+
+
+@dataclasses.dataclass(frozen=True)
+class Backgrounds:
+    """Background images, RGB, and what they are.
+
+    train: uint8 [M1, 64, 64, 3]. test: uint8 [M2, 64, 64, 3], of other images. source: in words, for reports.
+    """
+
+    train: np.ndarray
+    test: np.ndarray
+    source: str
+
+
+def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
+    """The backgrounds at `path`, at most `count` for training and as many for test, as the paper's authors use.
+
+    path: empty, the shipped crops of photographs; "cifar10", what `infogoal data download cifar10` left in the cache; otherwise
+    a folder: CIFAR-10's binary version or the folder above it, what `infogoal data build backgrounds` wrote, or images.
+
+    Raises UserError if there is no such folder, or if it has none of these or a damaged one.
+    """
+    require(count >= 1, "count", count, "give at least 1")
+    if not str(path):
+        return _read_crops(SHIPPED_CROPS, count)
+    folder = cifar10_cache() if str(path) == "cifar10" else Path(path).expanduser()
+    if str(path) == "cifar10":
+        require((folder / CIFAR10_FOLDER).exists(), "backgrounds", str(path), f"not in {folder}; get it with: infogoal data download cifar10")
+    try:
+        return _read_folder(folder, count)
+    except OSError as error:
+        raise UserError(f"backgrounds = {str(path)!r}: {error.filename or folder} cannot be read: {error.strerror or error}") from error
+
+
+def _read_folder(folder: Path, count: int) -> Backgrounds:
+    """Whichever kind of backgrounds the folder holds."""
+    require(folder.exists(), "backgrounds", str(folder), "there is no such folder")
+    require(folder.is_dir(), "backgrounds", str(folder), "is a file; give the folder that holds it")
+    names = sorted(entry.name for entry in folder.iterdir())
+    require(len(names) > 0, "backgrounds", str(folder), "is empty; give a folder of images or of CIFAR-10's binary version")
+    if CIFAR10_FOLDER in names:
+        return _read_cifar10(folder / CIFAR10_FOLDER, count)
+    if set(names) & {*TRAIN_BATCHES, *TEST_BATCHES}:
+        return _read_cifar10(folder, count)
+    if CROPS_FILE in names:
+        return _read_crops(folder, count)
+    return _read_images(folder, names, count)
+
+
+def _chosen(total: int, count: int) -> np.ndarray:
+    """The first `count` of a fixed shuffle of `range(total)`."""
+    return np.random.default_rng(0).permutation(total)[:count]
+
+
+def _resized(image: np.ndarray) -> np.ndarray:
+    """An image at SIZE x SIZE. What shrinks is averaged over areas: interpolation between single pixels would alias."""
+    shrinks = min(image.shape[:2]) > SIZE
+    return cv2.resize(image, (SIZE, SIZE), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+
+
+def _read_crops(folder: Path, count: int) -> Backgrounds:
+    """Crops of photographs, as photographs.py writes them."""
+    try:
+        with np.load(folder / CROPS_FILE) as crops:
+            train, test = crops["train"], crops["test"]
+            photographs = {*crops["train_photographs"].tolist(), *crops["test_photographs"].tolist()}
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"backgrounds = {str(folder)!r}: {CROPS_FILE} is not a file of `infogoal data build backgrounds`: {error}") from error
+    train, test = (np.stack([_resized(crops[index]) for index in _chosen(len(crops), count)]) for crops in (train, test))
+    return Backgrounds(train, test, f"crops of {len(photographs)} public-domain and CC0 photographs, stand-in for CIFAR-10")
+
+
+def _read_images(folder: Path, names: list[str], count: int) -> Backgrounds:
+    """Images of a folder, in order of their names in turn for training and for test."""
+    files = [folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGE_SUFFIXES]
+    files = [file for file in files if not file.is_dir()]
+    kinds = ", ".join(suffix[1:] for suffix in IMAGE_SUFFIXES)
+    require(len(files) > 0, "backgrounds", str(folder), f"has neither images ({kinds}) nor CIFAR-10's binary version in it")
+    require(len(files) > 1, "backgrounds", str(folder), f"has one image only, {files[0].name}; give at least 2, one to train and one to test with")
+    train, test = (np.stack([_read_image(part[index]) for index in _chosen(len(part), count)]) for part in (files[0::2], files[1::2]))
+    return Backgrounds(train, test, f"images in {folder}")
+
+
+def _read_image(file: Path) -> np.ndarray:
+    """One image, uint8 RGB [SIZE, SIZE, 3], whatever its own shape."""
+    encoded = np.frombuffer(file.read_bytes(), np.uint8)
+    try:
+        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise UserError(f"backgrounds = {str(file.parent)!r}: {file.name} cannot be decoded as an image; repair or remove it")
+    return _resized(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+
+
+def _read_cifar10(folder: Path, count: int) -> Backgrounds:
+    """CIFAR-10's binary version: data batches for training, test batch for test."""
+    missing = [name for name in (*TRAIN_BATCHES, *TEST_BATCHES) if not (folder / name).exists()]
+    require(not missing, "backgrounds", str(folder), f"CIFAR-10 without {', '.join(missing)}; remove it and download it again")
+    train, test = (np.concatenate([_read_batch(folder / name) for name in names]) for names in (TRAIN_BATCHES, TEST_BATCHES))
+    train, test = (np.stack([_resized(images[index]) for index in _chosen(len(images), count)]) for images in (train, test))
+    return Backgrounds(train, test, f"CIFAR-10, {folder}")
+
+
+def _read_batch(file: Path) -> np.ndarray:
+    """The images of one batch, uint8 RGB [records, 32, 32, 3]."""
+    batch = np.fromfile(file, np.uint8)
+    if batch.size == 0 or batch.size % RECORD:
+        raise UserError(
+            f"backgrounds = {str(file.parent)!r}: {file.name} has {batch.size} bytes, not a multiple of {RECORD}; "
+            f"remove the folder and download it again"
+        )
+    records = batch.reshape(-1, RECORD)
+    if records[:, 0].max() > 9:
+        raise UserError(f"backgrounds = {str(file.parent)!r}: {file.name} has labels above 9, so it is not a batch of CIFAR-10")
+    return records[:, 1:].reshape(-1, 3, CROP_SIZE, CROP_SIZE).transpose(0, 2, 3, 1)
+
+
+def cifar10_cache() -> Path:
+    """The user's cache folder of this package, where CIFAR-10 is downloaded to by default."""
+    import pooch
+
+    return Path(pooch.os_cache("infogoal"))
+
+
+class DownloadBar:
+    """What pooch asks of a progress bar (`total`, `update`, `reset`, `close`), drawn by rich."""
+
+    def __init__(self, progress, name: str):
+        self._progress, self._task = progress, progress.add_task(name, total=None)
+
+    @property
+    def total(self) -> int | None:
+        """Bytes of the whole file; 0 or None where the server does not say."""
+        return self._progress.tasks[self._task].total
+
+    @total.setter
+    def total(self, size: int | None) -> None:
+        self._progress.update(self._task, total=size or None)
+
+    def update(self, size: int) -> None:
+        """`size` more bytes are here."""
+        self._progress.advance(self._task, size)
+
+    def reset(self) -> None:
+        """Back to no bytes; pooch then adds the true total at once."""
+        self._progress.update(self._task, completed=0)
+
+    def close(self) -> None:
+        """Nothing to do: the caller owns the display."""
+
+
+def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha256: str = CIFAR10_SHA256) -> Path:
+    """Download CIFAR-10 (170 MB) into the folder `path`, by default the cache, and unpack it; the folder of its batches.
+
+    What is there already is checked and kept. The archive and the unpacking live in a hidden folder beside, which goes away
+    whatever happens; only complete batches are moved to their place.
+
+    Raises UserError if the folder cannot be written to, the download breaks off, or the archive has another checksum.
+    """
+    require(url.startswith(("http://", "https://")), "url", url, "must begin with http:// or https://")
+    folder = Path(path).expanduser() if str(path) else cifar10_cache()
+    batches = folder / CIFAR10_FOLDER
+    if os.path.exists(batches):
+        load(batches, 1)
+        return batches
+    try:
+        existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+        with tempfile.TemporaryDirectory(prefix=".cifar-10-", dir=existing) as beside:
+            archive = _download(url, Path(beside), sha256)
+            unpacked = _unpack(archive, Path(beside) / CIFAR10_FOLDER)
+            folder.mkdir(parents=True, exist_ok=True)
+            unpacked.rename(batches)
+    except OSError as error:
+        raise UserError(f"path = {str(folder)!r}: {error.filename or folder} cannot be written to: {error.strerror or error}") from error
+    return batches
+
+
+def _download(url: str, folder: Path, sha256: str) -> Path:
+    """The archive, checked, in the folder."""
+    import pooch
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    archive = folder / "cifar-10-binary.tar.gz"
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    try:
+        with Progress(*columns, console=Console(stderr=True)) as progress:
+            pooch.HTTPDownloader(progressbar=DownloadBar(progress, archive.name), chunk_size=1 << 16)(url, str(archive), None)
+    except OSError as error:  # The errors of requests are OSErrors too.
+        raise UserError(
+            f"url = {url!r}: the download of {archive.name} broke off, nothing was kept: {error}. "
+            f"Try again, or unpack a copy from elsewhere and give its folder as the path of the backgrounds"
+        ) from error
+    found = pooch.file_hash(str(archive), alg="sha256")
+    require(found == sha256, "url", url, f"{archive.name} has a wrong checksum, nothing was kept: expected sha256 {sha256}, found {found}. Try again")
+    return archive
+
+
+def _unpack(archive: Path, folder: Path) -> Path:
+    """The six batches of the archive, in the folder."""
+    folder.mkdir()
+    try:
+        with tarfile.open(archive) as members:
+            for name in (*TRAIN_BATCHES, *TEST_BATCHES):
+                with members.extractfile(f"{CIFAR10_FOLDER}/{name}") as packed, open(folder / name, "wb") as unpacked:
+                    shutil.copyfileobj(packed, unpacked)
+    except (tarfile.TarError, KeyError, EOFError) as error:
+        raise UserError(f"{archive.name}: is not the archive of CIFAR-10's binary version, nothing was kept: {error}") from error
+    _read_cifar10(folder, 1)
+    return folder

@@ -1,0 +1,220 @@
+"""Banks of goal images: pictures of a task's goals with the positions that they show (Sec. V-A.1), in one npz file.
+
+A bank has a grid of goals that fills the goal space, so that every position reached has a picture near it, and goals for training, validation and
+tests. The banks of three Fetch tasks are shipped; `fetch_goal_images` builds others.
+"""
+
+import dataclasses
+import json
+import math
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from infogoal_jax.errors import UserError, require
+
+IMAGE_SHAPE = (64, 64, 3)
+USES = ("grid", "train", "validation", "test")
+"""What an image is for; `GoalImages.uses` holds indices into this."""
+GRID, TRAIN, VALIDATION, TEST = range(4)
+MOST_IMAGES = 8192
+GRID_TOLERANCE = 1e-4
+"""Positions of the grid may be off by this much, in m."""
+FIELDS = ("task", "about", "spacing", "grid_low", "grid_shape", "uses", "positions", "images")
+SHIPPED_FOLDER = Path(__file__).parent / "files" / "fetch"
+REMEDY = "build a bank: infogoal data build fetch"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class GoalImages:
+    """N goal images of a task. The arrays are read-only.
+
+    Raises `UserError` where the parts do not belong together.
+    """
+
+    task: str
+    images: np.ndarray
+    """uint8 [N, 64, 64, 3], RGB."""
+    positions: np.ndarray
+    """float32 [N, 3]: where the object is, or the gripper in a task without one (m)."""
+    uses: np.ndarray
+    """uint8 [N]: 0 grid, 1 training, 2 validation, 3 test. The grid's goals come first, in C order of `grid_shape`."""
+    spacing: float
+    """Between neighbours of the grid, in m."""
+    grid_low: np.ndarray
+    """float32 [3]: the first position of the grid (m)."""
+    grid_shape: tuple[int, int, int]
+    """Goals along x, y and z."""
+    about: dict
+    """Where the images come from, in words: camera, seed, versions."""
+
+    def __post_init__(self):
+        check_images(self.images)
+        positions, uses, low = np.asarray(self.positions), np.asarray(self.uses), np.asarray(self.grid_low)
+        count = len(self.images)
+        check_numbers("positions", positions, (count, 3))
+        check_numbers("grid_low", low, (3,))
+        described = f"{uses.dtype} {uses.shape}"
+        require(uses.dtype.kind in "iu" and uses.shape == (count,), "uses", described, f"give a whole number for each of the {count} images")
+        strange = uses[(uses < 0) | (uses >= len(USES))]
+        require(not len(strange), "uses", int(strange[0]) if len(strange) else 0, "give 0 (grid), 1 (train), 2 (validation) or 3 (test)")
+        require(bool((uses == TRAIN).any()), "uses", "no training goal", "give at least one image of use 1")
+        require(isinstance(self.about, dict), "about", type(self.about).__name__, "give a dict of words")
+        spacing = float(self.spacing)
+        require(0 < spacing < math.inf, "spacing", spacing, "give a length greater than 0, in m")
+        shape = tuple(int(length) for length in self.grid_shape)
+        require(len(shape) == 3 and min(shape) >= 1, "grid_shape", shape, "give three whole numbers of at least 1")
+        check_grid(positions, uses, low, spacing, shape)
+        changes = {
+            "images": read_only(self.images, np.uint8), "positions": read_only(positions, np.float32), "uses": read_only(uses, np.uint8),
+            "grid_low": read_only(low, np.float32), "spacing": spacing, "grid_shape": shape,
+        }
+        for field, value in changes.items():
+            object.__setattr__(self, field, value)
+
+    def rows(self, use: int) -> np.ndarray:
+        """Which images are of this use (GRID, TRAIN, VALIDATION or TEST), int [M]."""
+        return np.flatnonzero(self.uses == use)
+
+    def describe(self) -> str:
+        """The bank in a few words: how many images of what use, the grid, and the seed if it is known."""
+        counts = ", ".join(f"{len(self.rows(use))} {name}" for use, name in enumerate(USES))
+        seed = f", seed {self.about['seed']}" if "seed" in self.about else ""
+        return f"{counts} goals, grid of {100 * self.spacing:g} cm{seed}"
+
+    def nearest_cell(self, positions) -> np.ndarray:
+        """Index of the grid's image nearest to each position [..., 3] (m), int [...]; of the closest at the border for positions outside."""
+        steps = np.rint((np.asarray(positions) - self.grid_low) / self.spacing).astype(int)
+        x, y, z = np.moveaxis(np.clip(steps, 0, np.array(self.grid_shape) - 1), -1, 0)
+        return (x * self.grid_shape[1] + y) * self.grid_shape[2] + z
+
+
+def grid_positions(low, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
+    """Positions [nx * ny * nz, 3] of a grid in C order, in m."""
+    steps = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3)
+    return np.asarray(low, float) + spacing * steps
+
+
+def check_images(images) -> None:
+    """Raise `UserError` unless these are uint8 [N, 64, 64, 3] and not too many."""
+    images = np.asarray(images)
+    fits = images.dtype == np.uint8 and images.ndim == 4 and images.shape[1:] == IMAGE_SHAPE
+    require(fits, "images", f"{images.dtype} {images.shape}", "give RGB images of 64 x 64, uint8 [N, 64, 64, 3]")
+    require(len(images) <= MOST_IMAGES, "images", len(images), f"give at most {MOST_IMAGES}; use a wider grid")
+
+
+def check_numbers(field: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise `UserError` unless these are finite numbers of this shape."""
+    require(values.dtype.kind in "fiu" and values.shape == shape, field, f"{values.dtype} {values.shape}", f"give numbers of the shape {shape}, in m")
+    finite = np.isfinite(values)
+    require(bool(finite.all()), field, str(values[~finite][0]) if not finite.all() else "", "give finite numbers, in m")
+
+
+def check_grid(positions: np.ndarray, uses: np.ndarray, low: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> None:
+    """Raise `UserError` unless the goals of the grid come first, in C order, at its positions."""
+    count = math.prod(shape)
+    in_grid = int((uses == GRID).sum())
+    require(in_grid == count, "grid_shape", shape, f"the bank has {in_grid} goals of the grid (use 0), not {count}")
+    require(bool((uses[:count] == GRID).all()), "uses", "another goal before the last of the grid", "put the goals of the grid (use 0) first")
+    distance = np.abs(positions[:count] - grid_positions(low, spacing, shape)).max(1)
+    worst = int(distance.argmax())
+    require(
+        distance[worst] <= GRID_TOLERANCE, "positions", np.round(positions[worst].astype(float), 4).tolist(),
+        f"goal {worst} is off the grid; put goals at grid_low + spacing * (i, j, k), in C order of grid_shape {shape}",
+    )
+
+
+def read_only(values, dtype) -> np.ndarray:
+    """A copy that nobody can write to."""
+    array = np.array(values, dtype)
+    array.flags.writeable = False
+    return array
+
+
+def shipped(task: str) -> Path:
+    """Where the bank of a task that comes with the package is."""
+    return SHIPPED_FOLDER / f"{task}.npz"
+
+
+def load(path: str | os.PathLike, task: str) -> GoalImages:
+    """Read the bank of a task. Raises `UserError` for a file that is missing, damaged, something else or of another task."""
+    path = Path(path)
+    try:
+        with open(path, "rb") as file:
+            fields = read_fields(file, task)
+        return GoalImages(**fields)
+    except FileNotFoundError:
+        raise UserError(f"goal images = {str(path)!r}: no such file; {REMEDY}") from None
+    except OSError as error:
+        raise UserError(f"goal images = {str(path)!r}: cannot be read ({error.strerror or error}); {REMEDY}") from error
+    except UserError as error:
+        raise UserError(f"goal images = {str(path)!r}: {error}") from error
+
+
+def read_fields(file, task: str) -> dict:
+    """The fields of a bank in an open file, those that say what it is before those that are large."""
+    require(zipfile.is_zipfile(file), "format", "not an npz", f"the file is damaged or something else; {REMEDY}")
+    fields = {}
+    try:
+        with zipfile.ZipFile(file) as archive:
+            sizes = {info.filename: info.file_size for info in archive.infolist()}
+    except Exception as error:
+        raise UserError(f"format = a damaged npz ({error}); {REMEDY}") from error
+    missing = [field for field in FIELDS if f"{field}.npy" not in sizes]
+    require(not missing, "arrays", sorted(sizes), f"{', '.join(missing)} missing; {REMEDY}")
+    largest = MOST_IMAGES * math.prod(IMAGE_SHAPE) + 4096
+    longest = max(sizes.values())
+    require(longest <= largest, "arrays", f"one of {longest} bytes", f"give at most {MOST_IMAGES} images, uint8 [N, 64, 64, 3]")
+    for field in FIELDS:
+        try:
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                fields[field] = archive[field]
+        except Exception as error:  # numpy, zipfile and lzma raise a dozen types between them on a damaged file
+            raise UserError(f"{field} = unreadable ({error}); the file is damaged or holds pickled objects; {REMEDY}") from error
+        if field == "task":
+            found = str(fields["task"])
+            require(found == task, "task", found, f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}")
+    for field, shape in (("spacing", ()), ("grid_shape", (3,))):
+        values = fields[field]
+        kinds = "iu" if field == "grid_shape" else "fiu"
+        require(values.dtype.kind in kinds and values.shape == shape, field, f"{values.dtype} {values.shape}", f"give numbers of the shape {shape}")
+    try:
+        about = json.loads(str(fields["about"]))
+    except ValueError as error:
+        raise UserError(f"about = {str(fields['about'])[:40]!r}: is no JSON ({error}); {REMEDY}") from error
+    return fields | {"task": task, "about": about, "spacing": float(fields["spacing"])}
+
+
+def save(path: str | os.PathLike, bank: GoalImages) -> None:
+    """Write a bank. The file at `path` is always whole: the old one or the new one. The same bank gives the same bytes.
+
+    Packed with LZMA: neighbouring goals share most of their pixels, and its window spans hundreds of images where that of deflate spans three.
+    """
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with open(beside, "wb") as file:
+                write_fields(file, bank)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(beside, path)
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise UserError(f"goal images = {str(path)!r}: cannot be written ({error.strerror}); give another place") from error
+
+
+def write_fields(file, bank: GoalImages) -> None:
+    """The bank as an npz whose members are packed with LZMA, which `numpy.savez` cannot do."""
+    with zipfile.ZipFile(file, "w") as archive:
+        for field in FIELDS:
+            value = json.dumps(bank.about) if field == "about" else getattr(bank, field)
+            member = zipfile.ZipInfo(f"{field}.npy")
+            member.compress_type = zipfile.ZIP_LZMA
+            with archive.open(member, "w") as stream:
+                np.lib.format.write_array(stream, np.asarray(value), allow_pickle=False)
