@@ -53,7 +53,7 @@ def scores_by_epsilon(sweep: host.Sweep) -> dict[str, np.ndarray]:
     train = sweep.train
 
     def one(params, epsilon, env):
-        policies = {"": train.policy(params, epsilon, env), "_mean_code": train.policy(params, epsilon, env, use_mean=True)}
+        policies = train.test_policies(params, train.config.hyper.replace(test_epsilon=epsilon), env, STARTS, seed=START_SEED)
         scores = evaluate(env, policies, STARTS, START_SEED)
         return {name: value for name, value in scores.items() if name != "first_reached"}
 
@@ -63,7 +63,7 @@ def scores_by_epsilon(sweep: host.Sweep) -> dict[str, np.ndarray]:
 
 def baselines(env) -> dict[str, float]:
     """The same scores of a random policy (`_random`) and of shortest paths (`_shortest`)."""
-    policies = {"_random": random_policy(env), "_shortest": shortest_path_policy(env)}
+    policies = {"{group}_goal_random": random_policy(env), "{group}_goal_shortest": shortest_path_policy(env)}
     scores = jax.device_get(jax.jit(lambda env: evaluate(env, policies, STARTS, START_SEED))(env))
     return {name: float(value) for name, value in scores.items() if name != "first_reached"}
 

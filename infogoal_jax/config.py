@@ -26,6 +26,12 @@ class Hyperparameters:
     """Discount of one environment step, in [0, 1)."""
     epsilon: float = 0.2
     """Share of random actions while collecting, in [0, 1]."""
+    noise: float = 0.2
+    """Standard deviation of the noise on continuous actions while collecting: 3 cm of the subgoal's 15. 0 or more."""
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the actions that TD3's targets are made from. 0 or more."""
+    adjacency_weight: float = 20.0
+    """Weight of HRAC's penalty for subgoals that cannot be reached in time. 0 or more."""
     test_epsilon: float = 0.0
     """Share of random actions in evaluation, in [0, 1]. Choose it on training goals only."""
     target_rate: float = 0.01
@@ -52,7 +58,7 @@ class Hyperparameters:
             require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{field.name}", value, "give a finite number")
         for name in ("learning_rate", "max_gradient_norm"):
             require(getattr(self, name) > 0, f"hyper.{name}", getattr(self, name), "give a number greater than 0")
-        for name in ("learner_weight", "intrinsic_weight", "beta_step"):
+        for name in ("learner_weight", "intrinsic_weight", "beta_step", "noise", "target_noise", "adjacency_weight"):
             require(getattr(self, name) >= 0, f"hyper.{name}", getattr(self, name), "give 0 or more")
         for name in ("epsilon", "test_epsilon", "beta_start", "fixed_beta"):
             require(0 <= getattr(self, name) <= 1, f"hyper.{name}", getattr(self, name), "give a number from 0 to 1")
@@ -113,6 +119,10 @@ class TrainConfig:
     """Environment steps that the replay buffer holds, rounded up to whole epochs."""
     known_goals: KnownGoals = "visited"
     """Goals that may enter representation learning: training goals, goals achieved so far, or all. One protocol for every method."""
+    training_corruption: float = 0.0
+    """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
+    test_corruption: float = 0.4
+    """Weight of the backgrounds in the evaluation on corrupted goal images [P], in [0, 1]."""
     stop_encoder_gradient: bool = False
     """Keep the gradient of the agent's loss from reaching the goal encoder (the paper lets it through)."""
     evaluation_starts: int = 10
@@ -130,6 +140,8 @@ class TrainConfig:
         require(self.buffer_steps >= self.num_envs * self.rollout_steps, "buffer_steps", self.buffer_steps,
                 f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}")
         require(self.known_goals in ("train", "visited", "all"), "known_goals", self.known_goals, "give train, visited or all")
+        require(0 <= self.training_corruption < 1, "training_corruption", self.training_corruption, "give a weight from 0 to below 1")
+        require(0 <= self.test_corruption <= 1, "test_corruption", self.test_corruption, "give a weight from 0 to 1, for example 0.4")
         if isinstance(self.hyper.learning_rate, int | float):
             self.hyper.check()
         for part in (self.state_encoder, self.env, self.learner, self.agent):

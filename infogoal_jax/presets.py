@@ -5,11 +5,20 @@ from typing import Any
 
 from infogoal_jax import envs, learners
 from infogoal_jax.agents.dqn import DQNConfig
-from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 
-AGENTS = {"object_search": DQNConfig}
+IMAGE_TASKS = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+
+AGENTS = {"object_search": DQNConfig} | dict.fromkeys(IMAGE_TASKS, HRACConfig)
 """The agent of each task [P]."""
+
+ENVIRONMENTS: dict[str, dict[str, Any]] = {task: {"goals": "images"} for task in IMAGE_TASKS}
+"""Fields of each task's environment that training sets."""
+
+LEARNERS: dict[tuple[str, str], dict[str, Any]] = {(task, "infogoal"): {"window": 3, "num_pairs": 64} for task in IMAGE_TASKS}
+"""Fields of each learner: within 3 steps a gripper moves less than the 20 cm between test and training goals (methods of the paper's authors)."""
 
 HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_search", "infogoal"): {"learning_rate": 5e-4, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 3.0},
@@ -17,16 +26,25 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
 }
 """What was tuned away from the defaults of `Hyperparameters` [M], on houses of other seeds than those that results are shown on."""
 
+FETCH = {
+    "num_envs": 64, "rollout_steps": 50, "updates_per_epoch": 100, "batch_size": 128, "buffer_steps": 200_000, "num_epochs": 30,
+    "epochs_per_evaluation": 5, "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=128),
+}
+
 TRAINING: dict[tuple[str, str], dict[str, Any]] = {
     ("object_search", "infogoal"): {"num_epochs": 100},
     ("object_search", "none"): {"num_epochs": 160},  # Without the intrinsic reward, training goals take longer to level off.
+    ("fetch_reach", "infogoal"): FETCH, ("fetch_reach", "none"): FETCH,
+    ("fetch_push", "infogoal"): FETCH, ("fetch_push", "none"): FETCH,
+    ("fetch_pick_and_place", "infogoal"): FETCH, ("fetch_pick_and_place", "none"): FETCH,
 }
 """What was tuned away from the defaults of `TrainConfig` [M]."""
 
 
 def load(task: str, method: str = "infogoal", **changes: Any) -> TrainConfig:
     """The configuration for a task and a method; `changes` replace fields of `TrainConfig`. Raises `UserError` for an unknown name."""
-    env, learner = envs.entry(task).config(), learners.entry(method).config()
+    env = envs.entry(task).config(**ENVIRONMENTS.get(task, {}))
+    learner = learners.entry(method).config(**LEARNERS.get((task, method), {}))
     require(task in AGENTS, "task", task, f"there is no agent for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(AGENTS)}")
     settings = {
         "task": task, "method": method, "env": env, "learner": learner, "agent": AGENTS[task](),

@@ -14,7 +14,8 @@ class Rows:
     """R rows of T transitions.
 
     observation, record: pytrees of [R, T + 1, ...] (what the agent saw; what was achieved there).
-    action, goal: int32 [R, T]; valid, terminated, truncated: bool [R, T] of the transition t -> t + 1.
+    action, goal: int32 [R, T], or floats with axes of their own; valid, terminated, truncated: bool [R, T] of the transition t -> t + 1.
+    decided: bool [R, T], whether the action was decided at t (a subgoal stays for several steps).
     """
 
     observation: jax.Array
@@ -24,6 +25,7 @@ class Rows:
     valid: jax.Array
     terminated: jax.Array
     truncated: jax.Array
+    decided: jax.Array
 
     def episode(self) -> jax.Array:
         """Number of the episode that each observation belongs to, int32 [R, T + 1], counted from 0 in each row."""
@@ -34,7 +36,7 @@ class Rows:
 class Transitions:
     """B transitions of up to n steps that stay within one episode.
 
-    observation, next_observation: [B, ...] at the start and after the last step; action, goal: int32 [B].
+    observation, next_observation: [B, ...] at the start and after the last step; action, goal: [B, ...].
     records: [B, n, ...] achieved after each step; mask: float32 [B, n], 1 for a step that was taken; terminated: bool [B] after the last.
     """
 
@@ -73,8 +75,12 @@ def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Ar
 
 def sample_transitions(key: jax.Array, buffer: Rows, valid_count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
     """Transitions whose first step is uniform over all valid ones, followed for at most `num_steps` steps of the same episode."""
+    return transitions_at(buffer, *draw(key, valid_count, batch_size, buffer.valid.shape[1]), num_steps)
+
+
+def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: int) -> Transitions:
+    """The transitions that start at these rows and steps, int32 [B] each, followed for at most `num_steps` steps of the same episode."""
     length = buffer.valid.shape[1]
-    row, first = draw(key, valid_count, batch_size, length)
     step = first[:, None] + jnp.arange(num_steps)
     inside = step < length
     step = jnp.minimum(step, length - 1)
@@ -90,6 +96,16 @@ def sample_transitions(key: jax.Array, buffer: Rows, valid_count: jax.Array, bat
         mask=mask.astype(jnp.float32),
         terminated=buffer.terminated[row, last],
     )
+
+
+def steps_left(valid: jax.Array) -> jax.Array:
+    """Valid transitions in a row from each step to the end of its episode, itself included: bool [R, T] to int32 [R, T]."""
+    def back(following, now):
+        left = jnp.where(now, following + 1, 0)
+        return left, left
+
+    start = jnp.zeros(valid.shape[0], jnp.int32)
+    return jax.lax.scan(back, start, valid.T, reverse=True)[1].T
 
 
 def sample_within_window(key: jax.Array, buffer: Rows, achieved: jax.Array, count: jax.Array, num: int, window: int):

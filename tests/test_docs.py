@@ -17,7 +17,8 @@ OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
 COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
     "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": command_line.CheckCommand,
     "data build house": command_line.BuildHouseCommand, "data embed": command_line.EmbedCommand,
-    "video": command_line.VideoCommand,
+    "video": command_line.VideoCommand, "data build fetch": command_line.BuildFetchCommand,
+    "data build backgrounds": command_line.BuildBackgroundsCommand, "data download cifar10": command_line.DownloadCifar10Command,
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

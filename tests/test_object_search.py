@@ -58,7 +58,7 @@ def test_achieved_goals_agree_with_what_is_reached(env):
 
 
 def test_oracle_takes_shortest_paths_and_random_does_not(env):
-    metrics = evaluate(env, {"": shortest_path_policy(env), "_random": random_policy(env)}, 10)
+    metrics = evaluate(env, {"{group}_goal": shortest_path_policy(env), "{group}_goal_random": random_policy(env)}, 10)
     for group in ("train", "test"):
         assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"{group}_goal/spl"] == 1
         assert metrics[f"{group}_goal_random/spl"] < 0.7
@@ -66,7 +66,7 @@ def test_oracle_takes_shortest_paths_and_random_does_not(env):
 
 
 def test_a_failed_goal_counts_as_reached_after_the_end(env):
-    stay = evaluate(env, {"": lambda observation, goal, key: jnp.full(goal.shape, 4)}, 5)
+    stay = evaluate(env, {"{group}_goal": lambda observation, goal, key: jnp.full(goal.shape, 4)}, 5)
     failed = stay["first_reached"] > env.episode_length
     assert failed.any() and (stay["first_reached"][failed] == env.episode_length + 1).all()
 

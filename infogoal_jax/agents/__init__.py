@@ -1,10 +1,10 @@
 """Reinforcement-learning agents, a file a method. `registry` is the one place where a new agent is named."""
 
-from infogoal_jax.agents import dqn
+from infogoal_jax.agents import dqn, hrac
 
-registry = {dqn.DQNConfig: dqn.make}
+registry = {dqn.DQNConfig: dqn.make, hrac.HRACConfig: hrac.make}
 
 
-def make(config, num_actions: int):
-    """The agent that this configuration belongs to."""
-    return registry[type(config)](config, num_actions)
+def make(config, env):
+    """The agent that this configuration belongs to, for this environment: it reads the size of its actions, and the space of its subgoals."""
+    return registry[type(config)](config, env)

@@ -34,24 +34,24 @@ def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
     return jnp.where(action_mask, values, -jnp.inf).argmax(-1)
 
 
-def make(config: DQNConfig, num_actions: int) -> Agent:
-    """The DQN agent for this configuration."""
-    head = networks.MLP(config.hidden, num_actions)
+def make(config: DQNConfig, env) -> Agent:
+    """The DQN agent for this configuration, with as many actions as the environment has."""
+    head = networks.MLP(config.hidden, env.action_size)
 
     def values(params, features, code):
         return head.apply(params, jnp.concatenate([features, code], axis=-1))
 
     def init(key, features, code):
-        return head.init(key, jnp.concatenate([features, code], axis=-1))
+        return head.init(key, jnp.concatenate([features, code], axis=-1)), ()
 
-    def act(params, features, code, action_mask, key, epsilon):
+    def act(params, features, code, action_mask, key, exploration):
         """Epsilon-greedy among the allowed actions."""
         choose, pick = jax.random.split(key)
         best = greedy(values(params, features, code), action_mask)
         random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape), -1.0).argmax(-1)
-        return jnp.where(jax.random.uniform(choose, best.shape) < epsilon, random, best).astype(jnp.int32)
+        return jnp.where(jax.random.uniform(choose, best.shape) < exploration.epsilon, random, best).astype(jnp.int32)
 
-    def loss(params, target_params, batch: AgentBatch):
+    def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """Temporal-difference error of double Q-learning (van Hasselt et al. 2016, Eq. 4) over n steps."""
         chosen = greedy(values(params, batch.next_features, batch.next_code), batch.next_action_mask)
         following = jnp.take_along_axis(values(target_params, batch.target_features, batch.target_code), chosen[:, None], axis=1)[:, 0]
@@ -60,4 +60,4 @@ def make(config: DQNConfig, num_actions: int) -> Agent:
         error = optax.huber_loss(value, target) if config.huber else optax.l2_loss(value, target)
         return error.mean(), {"td_error": jnp.abs(value - target).mean(), "value": value.mean()}
 
-    return Agent(init, act, loss, config.num_steps)
+    return Agent(init, act, loss, lambda state, rows: state, config.num_steps)

@@ -12,8 +12,7 @@ import os
 from collections.abc import Mapping
 
 from infogoal_jax.errors import UserError
-
-USES = ("train", "validation", "test")
+from infogoal_jax.goals import USES
 
 
 @dataclasses.dataclass(frozen=True)

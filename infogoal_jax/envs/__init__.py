@@ -19,9 +19,9 @@ class Entry(NamedTuple):
 
 def make_fetch(name: str, config: FetchConfig):
     """A Fetch task. MuJoCo is imported only now: it takes half a second that no other task needs."""
-    from infogoal_jax.envs.fetch.environment import make
+    from infogoal_jax.envs.fetch import environment, image_goals
 
-    return make(name, config)
+    return (image_goals if config.goals == "images" else environment).make(name, config)
 
 
 registry: dict[str, Entry] = {

@@ -87,7 +87,10 @@ class ObjectSearch:
     episode_length: int = flax.struct.field(pytree_node=False)
     source: str = flax.struct.field(pytree_node=False)
 
-    num_actions = len(active_vision.ACTIONS)
+    test_backgrounds = None
+    """Its goals are texts: there is no image to corrupt."""
+    action_size = len(active_vision.ACTIONS)
+    """Number of actions."""
 
     @property
     def num_observations(self) -> int:
@@ -138,6 +141,10 @@ class ObjectSearch:
         mask = self.next_node[observation] != observation[..., None]
         return mask | ~mask.any(-1, keepdims=True)
 
+    def decides(self, state: SearchState) -> jax.Array:
+        """Whether the next step follows a decision of the agent: always, bool."""
+        return jnp.ones_like(state.terminated)
+
     def shortest_path(self, state: SearchState) -> jax.Array:
         """Steps to the nearest image with the goal in view, int32."""
         return self.distance[state.goal, state.node].astype(jnp.int32)
@@ -183,12 +190,7 @@ def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.
             "lower env.min_box_size, or run `infogoal data check` on the dataset")
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (scenes.images, scenes.next_state, scenes.visible, inputs)))
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
-    goals = GoalSet(
-        inputs=jnp.asarray(inputs), regions=jnp.asarray([split.rooms[name] for name in names], jnp.int32),
-        train_mask=jnp.asarray(uses == 0), validation_mask=jnp.asarray(uses == 1), test_mask=jnp.asarray(uses == 2),
-        names=tuple(names), region_names=tuple(split.room_names),
-        groups=tuple(use for use in splits.USES if getattr(split, use)),
-    )
+    goals = GoalSet.of(inputs, [split.rooms[name] for name in names], uses, names, split.room_names)
     return ObjectSearch(
         images=jnp.asarray(scenes.images), next_node=jnp.asarray(scenes.next_state), achieved_goals=jnp.asarray(pad_true(scenes.visible)),
         in_view=jnp.asarray(scenes.visible), distance=jnp.asarray(distance), starts=jnp.asarray(np.maximum(pad_true(may_start), 0)),

@@ -144,15 +144,15 @@ def make(config: InfoGoalConfig) -> Learner:
             beta = jnp.minimum(state.beta + SIGN_STEP, hyper.fixed_beta)
         return state.replace(beta=jnp.clip(beta, 0.0, 1.0))
 
-    def intrinsic_reward(state, encode: Encode, desired, achieved):
+    def intrinsic_reward(state, encode: Encode, desired, achieved, mask):
         """Eq. 16 with its minus sign: minus the distance of mean codes over its running mean; the farthest of the batch if nothing is achieved."""
         target = encode(desired).mean[:, None, None]
         distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)
         nearest = jnp.where(achieved >= 0, distance, jnp.inf).min(-1)
         found = jnp.isfinite(nearest)
-        farthest = jnp.where(found, nearest, 0.0).max()
+        farthest = jnp.where(found & (mask > 0), nearest, 0.0).max()
         distance = jax.lax.stop_gradient(jnp.where(found, nearest, farthest))
-        scale = state.scale + SCALE_RATE * (distance.mean() - state.scale)
+        scale = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
         return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
 
     request = PairRequest(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")

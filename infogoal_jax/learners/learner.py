@@ -1,12 +1,14 @@
 """What a goal-representation learner is: a record of pure functions, like an optax transformation. No learner knows an environment."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import flax.struct
 import jax
+import jax.numpy as jnp
 
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
 from infogoal_jax.pairs import GoalPairs
 
 
@@ -43,11 +45,12 @@ class Learner(NamedTuple):
     """A goal-representation learner.
 
     init(key, goal_inputs, hyper) -> (params, state): parameters are trained by gradient, state is everything else.
-    encode(params, goal_inputs [..., D]) -> GoalCode.
+    encode(params, goal_inputs) -> GoalCode; inputs are vectors float32 [..., D] or images uint8 [..., H, W, C].
     pairs: what the learner wants sampled for its loss.
     loss(params, state, encode, pairs: GoalPairs, key) -> (loss, metrics); called with the goal encoder's gradient on.
     update(state, metrics, hyper) -> state: after the gradient (the Lagrange multiplier, running means).
-    intrinsic_reward(state, encode, desired int32 [B], achieved int32 [B, n, K] padded with -1) -> (float32 [B, n], state).
+    intrinsic_reward(state, encode, desired int32 [B], achieved int32 [B, n, K] padded with -1, mask float32 [B, n] of the steps that were taken) ->
+    (float32 [B, n], state).
     """
 
     init: Callable[[jax.Array, jax.Array, Any], tuple[Any, Any]]
@@ -55,11 +58,52 @@ class Learner(NamedTuple):
     pairs: PairRequest
     loss: Callable[[Any, Any, Encode, GoalPairs, jax.Array], tuple[jax.Array, dict[str, jax.Array]]]
     update: Callable[[Any, dict[str, jax.Array], Any], Any]
-    intrinsic_reward: Callable[[Any, Encode, jax.Array, jax.Array], tuple[jax.Array, Any]]
+    intrinsic_reward: Callable[[Any, Encode, jax.Array, jax.Array, jax.Array], tuple[jax.Array, Any]]
 
 
-def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int) -> Encode:
-    """How to encode goals under these parameters: all of them once if they are fewer than `batch_size`, else only those asked for."""
+GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 MB.
+
+
+class Corruption(NamedTuple):
+    """How the images of goals are corrupted while training: key of the draws, backgrounds uint8 [M, H, W, C], and their weight."""
+
+    key: jax.Array
+    backgrounds: jax.Array
+    weight: float
+
+
+def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int, corruption: Corruption | None = None) -> Encode:
+    """How to encode any goals under these parameters: all of them once if they are fewer than `batch_size`, else only those asked for.
+
+    With a corruption every goal gets a background of its own each time it is encoded.
+    """
+    if corruption is not None:
+        calls = itertools.count()
+
+        def encode(indices):
+            key = jax.random.fold_in(corruption.key, next(calls))
+            backgrounds = draw_backgrounds(key, corruption.backgrounds, indices.shape)
+            return learner.encode(params, corrupt(goals.inputs[indices], backgrounds, corruption.weight))
+
+        return encode
     if goals.num_goals <= batch_size:
         return learner.encode(params, goals.inputs).__getitem__
     return lambda indices: learner.encode(params, goals.inputs[indices])
+
+
+def encode_all(learner: Learner, params: Any, goals: GoalSet) -> GoalCode:
+    """The codes of all goals [N], a few hundred at a time: a large set of images does not fit into memory at once."""
+    return jax.lax.map(lambda inputs: learner.encode(params, inputs), goals.inputs, batch_size=GOALS_AT_ONCE)
+
+
+def in_place(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
+    """Codes of the goals `which`, in their order, looked up by goal."""
+    place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which)))
+    return lambda indices: codes[place[indices]]
+
+
+def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: int, corruption: Corruption | None = None) -> Encode:
+    """How to encode goals that are commanded while training: they are few, so each is encoded once however large the goal space is."""
+    if corruption is not None or goals.num_goals <= batch_size:
+        return encode_goals(learner, params, goals, batch_size, corruption)
+    return in_place(learner.encode(params, goals.inputs[goals.commanded]), goals, goals.commanded)

@@ -26,7 +26,7 @@ class NoneConfig:
 
 def make(config: NoneConfig) -> Learner:
     """The learner that learns nothing by itself."""
-    encoder = networks.VectorEncoder(config.hidden, config.latent_size)
+    encoder = networks.GoalLayers(config.hidden, config.latent_size)
 
     def encode(params, goal_inputs):
         mean = encoder.apply(params, goal_inputs)
@@ -38,5 +38,5 @@ def make(config: NoneConfig) -> Learner:
         pairs=PairRequest(num_pairs=0, window=0, num_negatives=0, anchored=True),
         loss=lambda params, state, encode, pairs, key: (jnp.zeros(()), {}),
         update=lambda state, metrics, hyper: state,
-        intrinsic_reward=lambda state, encode, desired, achieved: (jnp.zeros(achieved.shape[:2]), state),
+        intrinsic_reward=lambda state, encode, desired, achieved, mask: (jnp.zeros(achieved.shape[:2]), state),
     )

@@ -116,13 +116,14 @@ def walks_of_policy(subject: Subject) -> list[list[Walk]]:
 
     @jax.jit
     def episodes(params, env):
-        policy = subject.train.policy(params, run.config.hyper.test_epsilon, env)
+        policy = subject.train.test_policies(params, run.config.hyper, env, num_starts)["{group}_goal"]
         return run_episodes(env, goal_starts(env, num_starts), policy, jax.random.key(EVALUATION_SEED + 1))
 
     found = jax.device_get(episodes(subject.params, env))
+    shortest = jax.device_get(jax.vmap(env.shortest_path)(goal_starts(env, num_starts)))
     walks = [
-        Walk(index // num_starts, nodes[: steps + 1], bool(success), int(shortest))
-        for index, (nodes, steps, success, shortest) in enumerate(zip(found.observations, found.steps, found.success, found.shortest, strict=True))
+        Walk(index // num_starts, nodes[: steps + 1], bool(success), int(fewest))
+        for index, (nodes, steps, success, fewest) in enumerate(zip(found.observations, found.steps, found.success, shortest, strict=True))
     ]
     return [walks[goal * num_starts : (goal + 1) * num_starts] for goal in range(env.goals.num_goals)]
 

@@ -96,12 +96,12 @@ def learner_numbers(run: Run, epochs: tables.Table) -> str:
 
 
 def evaluate_run(
-    folder: Path, starts: int, start_seed: int, test_epsilon: float, env: Any = None, console: Console | None = None
+    folder: Path, starts: int, start_seed: int, test_epsilon: float, corruption: float | None = None, env: Any = None, console: Console | None = None
 ) -> dict[str, np.ndarray]:
     """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
 
     starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random actions, negative for the
-    run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
+    run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
     Raises `UserError` for values out of range, a folder without a run, or damaged parameters.
     """
     require(starts > 0, "starts", starts, "give a whole number greater than 0")
@@ -114,8 +114,8 @@ def evaluate_run(
     epsilon = run.config.hyper.test_epsilon if test_epsilon < 0 else test_epsilon
 
     def evaluate_seed(params, env):
-        policies = {suffix: train.policy(params, epsilon, env, use_mean=suffix == "_mean_code") for suffix in CODES}
-        return evaluate(env, policies, starts, start_seed)
+        hyper = run.config.hyper.replace(test_epsilon=epsilon)
+        return evaluate(env, train.test_policies(params, hyper, env, starts, corruption, start_seed), starts, start_seed)
 
     metrics = jax.device_get(jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None)))(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]

@@ -1,4 +1,4 @@
-"""The command `infogoal`: train, evaluate, report, data, check-fetch, video. Each command is a dataclass whose fields are its flags (tyro)."""
+"""The command `infogoal`: train, pretrain, evaluate, report, data, check-fetch, video. A command is a dataclass; its fields are the flags (tyro)."""
 
 import dataclasses
 import os
@@ -19,10 +19,14 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal train object_search --method none     the bare agent, without goal-representation learning
   infogoal train object_search --seeds 16        sixteen seeds in one program
   infogoal train object_search --resume RUN      go on from the last checkpoint of a run
+  infogoal pretrain fetch_push --seeds 4         train the low level that drives the robot to target states, keep the best of four seeds
   infogoal evaluate RUN                          evaluate a run's last parameters again, with other starts or another epsilon
   infogoal report RUN                            draw the figures and print the table of a run
   infogoal data check PATH                       list everything that is wrong with a dataset
   infogoal data build house PATH --seed 1        build a synthetic house in the format of the Active Vision Dataset
+  infogoal data build backgrounds PATH           cut background images out of photographs of installed packages
+  infogoal data build fetch PATH --seed 1        draw banks of goal images of Fetch tasks (needs gymnasium-robotics and OpenGL)
+  infogoal data download cifar10 [PATH]          download CIFAR-10 as background images (170 MB)
   infogoal data embed "a red mug" --out FILE     embed the text of new goals (needs the sentence encoder's weights)
   infogoal video fetch_reach --out FILE.mp4      watch a random policy
   infogoal check-fetch FILE.npz                  replay recorded episodes of the reference Fetch tasks, print how far ours are from them
@@ -111,6 +115,29 @@ def train(arguments: list[str]) -> int:
     return 0
 
 
+def pretrain(arguments: list[str]) -> int:
+    """`infogoal pretrain TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then)."""
+    from infogoal_jax.train import pretrain_host
+    from infogoal_jax.train.pretrain import PRESETS, preset
+
+    if not arguments or (arguments[0].startswith("-") and not {"-h", "--help"} & set(arguments)):
+        raise UserError(f"task = {' '.join(arguments[:1])!r}: name the task first: infogoal pretrain {' | '.join(PRESETS)}")
+    named = not arguments[0].startswith("-")
+    default = pretrain_host.PretrainCommand(config=preset(arguments[0] if named else "fetch_push"))
+    command = tyro.cli(pretrain_host.PretrainCommand, prog="infogoal pretrain TASK", args=arguments[named:], default=default)
+    if command.config.task != default.config.task:
+        raise UserError(f"task = {command.config.task!r}: the task named first is {default.config.task!r}; name one")
+    if command.seeds <= 0:
+        raise UserError(f"seeds = {command.seeds}: give at least 1")
+    use_compilation_cache()
+    folder = Path(command.out or f"runs/{command.config.task}-low-level-{time.strftime('%Y%m%d-%H%M%S')}")
+    seeds = list(range(command.first_seed, command.first_seed + command.seeds))
+    words = " ".join(["infogoal pretrain", *arguments])
+    result = pretrain_host.pretrain(command.config, seeds, folder, command.evaluation_episodes, words)
+    pretrain_host.print_result(result)
+    return 130 if result.stopped else 0
+
+
 @dataclasses.dataclass(frozen=True)
 class EvaluateCommand:
     """Evaluate the last parameters of a run: every goal from several starts."""
@@ -174,6 +201,40 @@ class BuildHouseCommand:
 
 
 @dataclasses.dataclass(frozen=True)
+class BuildBackgroundsCommand:
+    """Cut the shipped background images out of photographs again (needs `pip install 'infogoal-jax[backgrounds]'`)."""
+
+    path: tyro.conf.Positional[str]
+    """Folder to write to; must not exist yet, or be empty."""
+    seed: int = 0
+    """Seed of the crops' places and sizes; 0: the shipped ones."""
+    crops_of_each: int = 84
+    """Crops of each photograph."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BuildFetchCommand:
+    """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL; docs/goal_images.md)."""
+
+    path: tyro.conf.Positional[str]
+    """Folder to write to, one file a task; files that are there already are never overwritten."""
+    seed: int = 0
+    """Seed of the goals for training, validation and tests; 0: the shipped ones."""
+    tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+    """The tasks."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DownloadCifar10Command:
+    """Download CIFAR-10's binary version, 170 MB, as background images (docs/backgrounds.md)."""
+
+    path: tyro.conf.Positional[str] = ""
+    """Folder to unpack into; empty: the user's cache, where `cifar10` as the path of the backgrounds finds it."""
+    url: str = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
+    """Where the archive is; a mirror must have the same file, by its checksum."""
+
+
+@dataclasses.dataclass(frozen=True)
 class EmbedCommand:
     """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/text_goals.md)."""
 
@@ -201,17 +262,72 @@ def data_check(arguments: list[str]) -> int:
 
 
 def data_build(arguments: list[str]) -> int:
-    """`infogoal data build house PATH`."""
+    """`infogoal data build house PATH`, `infogoal data build backgrounds PATH`, `infogoal data build fetch PATH`."""
+    if arguments and arguments[0] == "backgrounds":
+        return data_build_backgrounds(arguments[1:])
+    if arguments and arguments[0] == "fetch":
+        return data_build_fetch(arguments[1:])
     if not arguments or arguments[0] != "house":
-        raise UserError(f"data build {arguments[0] if arguments else ''!r}: no such dataset. Known: house")
+        raise UserError(f"data build {arguments[0] if arguments else ''!r}: no such dataset. Known: house, backgrounds, fetch")
     command = tyro.cli(BuildHouseCommand, prog="infogoal data build house", args=arguments[1:])
     from infogoal_jax.data.house import build_house
 
-    target = Path(command.path)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise UserError(f"path = {command.path!r}: is there already and not empty; give a new folder")
+    target = new_folder(command.path)
     build_house(target, seed=command.seed)
     print(f"{target}: built from seed {command.seed}")
+    return 0
+
+
+def new_folder(path: str) -> Path:
+    """The path of a folder that does not exist yet, or is empty."""
+    target = Path(path)
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise UserError(f"path = {path!r}: is there already and not empty; give a new folder")
+    return target
+
+
+def data_build_backgrounds(arguments: list[str]) -> int:
+    """`infogoal data build backgrounds PATH`."""
+    command = tyro.cli(BuildBackgroundsCommand, prog="infogoal data build backgrounds", args=arguments)
+    from infogoal_jax.data.photographs import build_backgrounds
+
+    target = new_folder(command.path)
+    build_backgrounds(target, command.seed, command.crops_of_each)
+    print(f"{target}: built from seed {command.seed}")
+    return 0
+
+
+def data_build_fetch(arguments: list[str]) -> int:
+    """`infogoal data build fetch PATH`: a file a task, and what is in it."""
+    command = tyro.cli(BuildFetchCommand, prog="infogoal data build fetch", args=arguments)
+    from rich.progress import track
+
+    from infogoal_jax.data import fetch_goal_images, goal_images
+
+    paths = {name: Path(command.path) / f"{name}.npz" for name in command.tasks}
+    for path in paths.values():
+        if path.exists():
+            raise UserError(f"path = {str(path)!r}: is there already; give a new folder")
+    fetch_goal_images.check(tuple(paths), command.seed)
+    for name, path in paths.items():
+        start = time.perf_counter()
+        bank = fetch_goal_images.build(name, command.seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
+        goal_images.save(path, bank)
+        seconds = time.perf_counter() - start
+        print(f"{path}: {len(bank.images)} images, {path.stat().st_size / 1e6:.2f} MB, built in {seconds:.0f} s")
+        for field, words in bank.about.items():
+            print(f"  {field}: {words}")
+    return 0
+
+
+def data_download(arguments: list[str]) -> int:
+    """`infogoal data download cifar10 [PATH]`."""
+    if not arguments or arguments[0] != "cifar10":
+        raise UserError(f"data download {arguments[0] if arguments else ''!r}: no such dataset. Known: cifar10")
+    command = tyro.cli(DownloadCifar10Command, prog="infogoal data download cifar10", args=arguments[1:])
+    from infogoal_jax.data.backgrounds import download_cifar10
+
+    print(f"{download_cifar10(command.path, command.url)}: CIFAR-10, complete")
     return 0
 
 
@@ -227,7 +343,7 @@ def data_embed(arguments: list[str]) -> int:
     return 0
 
 
-DATA_COMMANDS = {"check": data_check, "build": data_build, "embed": data_embed}
+DATA_COMMANDS = {"check": data_check, "build": data_build, "download": data_download, "embed": data_embed}
 
 
 def data(arguments: list[str]) -> int:
@@ -294,7 +410,7 @@ def video(arguments: list[str]) -> int:
     return 0
 
 
-COMMANDS = {"train": train, "evaluate": evaluate, "report": report, "data": data, "check-fetch": check_fetch, "video": video}
+COMMANDS = {"train": train, "pretrain": pretrain, "evaluate": evaluate, "report": report, "data": data, "check-fetch": check_fetch, "video": video}
 
 
 def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:

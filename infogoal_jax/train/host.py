@@ -23,6 +23,7 @@ from infogoal_jax.train.program import Train, make_train
 
 MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
+EVALUATION_POLICIES = 4  # Code sampled or mean, goals clean or corrupted.
 WORKING_COPIES = 2  # Copies of a seed's state that a running chunk holds beside the one that is carried: updated, and gradients.
 
 
@@ -100,12 +101,16 @@ def device_memory(device) -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def working_bytes(config: TrainConfig, env: Any) -> int:
-    """Bytes that a seed takes beside copies of its state, roughly: three images of each transition, cut into patches; episodes of an evaluation."""
-    image = jax.eval_shape(env.render, jax.ShapeDtypeStruct((), jnp.int32))
-    batch = config.batch_size * image.size * np.dtype("float32").itemsize * 3 * 2
-    episodes = env.goals.num_goals * config.evaluation_starts * (env.episode_length + 1) * np.dtype("int32").itemsize * 2
-    return batch + episodes
+def working_bytes(train: Train) -> int:
+    """Bytes that a seed takes beside copies of its state, roughly: what is seen of each transition three times over and cut into patches, the goals
+    that it achieved, and the episodes of an evaluation."""
+    config, env = train.config, train.env
+    observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    seen, goal = jax.eval_shape(env.render, observation), env.goals.inputs[0]
+    num_goals = env.goals.num_goals if env.goals.num_goals <= config.batch_size else config.batch_size * train.parts.agent.num_steps
+    encoded = (6 * config.batch_size * seen.size + 4 * num_goals * goal.size) * np.dtype("float32").itemsize
+    episodes = len(env.goals.evaluated) * config.evaluation_starts * (env.episode_length + 1) * bytes_of(observation) * EVALUATION_POLICIES
+    return encoded + episodes
 
 
 def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int) -> int:
@@ -194,7 +199,7 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
     one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
     memory = sum(device_memory(device) for device in by_seed.device_set)
-    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(config, train.env), bytes_of(train.env), len(seeds), memory)
+    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds), memory)
     states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
     description = describe(config, train.env, seeds)
     done, states = 0, None

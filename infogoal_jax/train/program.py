@@ -17,14 +17,17 @@ import jax.numpy as jnp
 import optax
 
 from infogoal_jax import agents, envs, learners, networks, pairs, replay
-from infogoal_jax.agents.agent import Agent
-from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.agents.agent import Agent, Exploration
+from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import Learner, encode_goals
+from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.learners.learner import Encode, Learner, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
-from infogoal_jax.train.evaluation import evaluate
-from infogoal_jax.train.rollout import Policy, collect
-from infogoal_jax.train.update import Experience, update, usable_goals
+from infogoal_jax.train import hierarchy
+from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate
+from infogoal_jax.train.rollout import Policy, collect, rows_shape
+from infogoal_jax.train.update import Experience, training_corruption, update, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE = range(3)
@@ -36,18 +39,19 @@ class Parts(NamedTuple):
     method: str
     learner: Learner
     agent: Agent
-    state_encoder: networks.PatchEncoder
+    state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
     batch_size: int
     table_limit: int
     stop_encoder_gradient: bool
+    training_corruption: float
 
 
 @flax.struct.dataclass
 class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
-    params, target_params: {"goal", "state", "agent"}; learner: state of the learner; dissimilarity: bool [N, N]; seen: bool [N] goals achieved;
+    params, target_params: {"goal", "state", "agent"}; learner, agent: their states; dissimilarity: bool [N, N]; seen: bool [N] goals achieved;
     buffer: Rows; env_states: [num_envs]; key: the seed's key, never consumed; env_steps: int32.
     """
 
@@ -55,6 +59,7 @@ class TrainState:
     target_params: dict
     optimizer_state: Any
     learner: Any
+    agent: Any
     dissimilarity: jax.Array
     seen: jax.Array
     buffer: Rows
@@ -84,7 +89,7 @@ class Train:
     env: Any
     initial: Callable[[jax.Array, Hyperparameters, Any], TrainState]
     chunk: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
-    policy: Callable[..., Policy]
+    test_policies: Callable[..., dict[str, Policy]]
     parts: Parts
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
@@ -105,76 +110,111 @@ class Train:
 
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent and encoders that the configuration names."""
-    size, method = config.state_encoder, learners.entry(config.method)
+    method = learners.entry(config.method)
     require(isinstance(config.learner, method.config), "learner", type(config.learner).__name__,
             f"method {config.method!r} needs a {method.config.__name__}; make the configuration with presets.load, and resume with the same --method")
     return Parts(
         method=config.method,
         learner=method.make(config.learner),
-        agent=agents.make(config.agent, env.num_actions),
-        state_encoder=networks.PatchEncoder(size.patch, size.channels, size.features),
+        agent=agents.make(config.agent, env),
+        state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
         table_limit=config.batch_size,
         stop_encoder_gradient=config.stop_encoder_gradient,
+        training_corruption=config.training_corruption,
     )
+
+
+def make_state_encoder(size: StateEncoderConfig, env):
+    """psi(s) for what the network sees of a state: an image, or a vector."""
+    seen = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
+    return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
+
+
+def load_environment(config: TrainConfig):
+    """The environment that the configuration names; under HRAC with the low level in it, so that its actions are subgoals."""
+    env = envs.load(config.task, config.env)
+    return hierarchy.steer(env, config.agent) if isinstance(config.agent, HRACConfig) else env
 
 
 def make_train(config: TrainConfig, env: Any = None) -> Train:
     """The training function of this configuration. `env`: an environment already loaded; None loads the one that the configuration names."""
-    env = envs.load(config.task, config.env) if env is None else env
+    env = load_environment(config) if env is None else env
     parts = make_parts(config, env)
     learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
 
-    def policy(params, hyper_epsilon, env, use_mean=False) -> Policy:
+    def policy(params, exploration: Exploration, env, encode: Encode, use_mean=False) -> Policy:
         """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. IV), or its mean is used."""
-        observations = jnp.arange(env.num_observations)
-        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit)
-        table = env.num_observations <= config.num_envs * config.rollout_steps  # Each image once, if that is cheaper than step by step.
-        features = encoder.apply(params["state"], env.render(observations)) if table else None
+        # Each image once, if there are fewer than a rollout looks at.
+        table = env.num_observations is not None and env.num_observations <= config.num_envs * config.rollout_steps
+        features = encoder.apply(params["state"], env.render(jnp.arange(env.num_observations))) if table else None
 
         def act(observation, goal, key):
             sample_key, act_key = jax.random.split(key)
             code = encode(goal)
             code = code.mean if use_mean else code.sample(sample_key)
             seen = features[observation] if table else encoder.apply(params["state"], env.render(observation))
-            return agent.act(params["agent"], seen, code, env.action_mask(observation), act_key, hyper_epsilon)
+            return agent.act(params["agent"], seen, code, env.action_mask(observation), act_key, exploration)
 
         return act
 
-    def rollout(state, hyper, env, key):
-        return collect(env, state.env_states, policy(state.params, hyper.epsilon, env), key, config.rollout_steps)
+    def test_policies(params, hyper, env, num_starts, corruption=None, seed=EVALUATION_SEED) -> dict[str, Policy]:
+        """The policies that an evaluation compares, by the names of their metrics: code sampled or mean, goals as they are or corrupted.
+
+        They act on the episodes of `evaluation.goal_starts` with this number of starts. corruption: weight, None for the configuration's.
+        """
+        exploration = Exploration(hyper.test_epsilon, 0.0)
+        views = {"": in_place(learner.encode(params["goal"], env.goals.inputs[env.goals.evaluated]), env.goals, env.goals.evaluated)}
+        if env.test_backgrounds is not None:
+            images = jnp.repeat(env.goals.inputs[env.goals.evaluated], num_starts, axis=0)
+            backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, images.shape[:1])
+            weight = config.test_corruption if corruption is None else corruption
+            codes = learner.encode(params["goal"], corrupt(images, backgrounds, weight))
+            views["corrupted_"] = lambda goal: codes  # A background for each episode, the same for its whole length.
+        return {
+            f"{prefix}{{group}}_goal{suffix}": policy(params, exploration, env, encode, use_mean=bool(suffix))
+            for suffix in ("", "_mean_code") for prefix, encode in views.items()
+        }
+
+    def training_policy(params, hyper, env, key) -> Policy:
+        encode = encode_commanded(learner, params["goal"], env.goals, parts.table_limit, training_corruption(parts, env, key))
+        return policy(params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
     def initial(key, hyper, env) -> TrainState:
-        """The state before the first epoch. Compile it with the rest: it traces a rollout for the shapes of the buffer."""
+        """The state before the first epoch."""
         keys = jax.random.split(jax.random.fold_in(key, INITIAL), 4)
         goal_params, learner_state = learner.init(keys[0], env.goals.inputs, hyper)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
         observation = env.render(jax.tree.map(lambda leaf: leaf[0], env.observe(env_states)))
-        state_params, code = encoder.init(keys[1], observation), learner.encode(goal_params, env.goals.inputs[0]).mean
-        params = {"goal": goal_params, "state": state_params, "agent": agent.init(keys[2], encoder.apply(state_params, observation), code)}
+        state_params, code = encoder.init(keys[1], observation), learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
+        agent_params, agent_state = agent.init(keys[2], encoder.apply(state_params, observation), code)
+        params = {"goal": goal_params, "state": state_params, "agent": agent_params}
         state = TrainState(
-            params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state,
+            params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state, agent=agent_state,
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),
             buffer=None, env_states=env_states, key=key, env_steps=jnp.zeros((), jnp.int32),
         )
-        example = jax.eval_shape(lambda: rollout(state, hyper, env, key)[1])
+        example = rows_shape(env, env_states, training_policy(params, hyper, env, key), config.rollout_steps)
         return state.replace(buffer=replay.empty(example, config.buffer_epochs))
 
     def epoch(state: TrainState, number, hyper, env):
-        env_states, rows = rollout(state, hyper, env, jax.random.fold_in(jax.random.fold_in(state.key, COLLECT), number))
+        collect_key = jax.random.fold_in(jax.random.fold_in(state.key, COLLECT), number)
+        env_states, rows = collect(env, state.env_states, training_policy(state.params, hyper, env, collect_key), collect_key, config.rollout_steps)
         buffer = replay.add(state.buffer, rows, number)
         usable = env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
         seen = state.seen.at[jnp.where((achieved := env.goals_of(rows.record)) < 0, env.goals.num_goals, achieved)].set(True, mode="drop")
-        state = state.replace(env_states=env_states, buffer=buffer, seen=seen, env_steps=state.env_steps + rows.valid.sum())
+        state = state.replace(env_states=env_states, buffer=buffer, agent=agent.observe(state.agent, rows), seen=seen,
+                              env_steps=state.env_steps + rows.valid.sum())
         if learner.pairs.num_pairs:
             dissimilarity = pairs.remove_similar(state.dissimilarity, usable_goals(env, rows.record, usable), rows.episode(), learner.pairs.window)
             state = state.replace(dissimilarity=dissimilarity)
         written = jnp.arange(buffer.valid.shape[0]) < (number + 1) * config.num_envs
         achieved = (usable_goals(env, buffer.record, usable) >= 0).any(-1) & written[:, None]
         experience = Experience(
-            buffer=buffer, valid_count=replay.running_count(buffer.valid), achieved=achieved, achieved_count=replay.running_count(achieved),
-            known=jnp.ones_like(usable) if config.known_goals == "all" else usable & seen, usable=usable, dissimilarity=state.dissimilarity,
+            buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved,
+            achieved_count=replay.running_count(achieved), known=jnp.ones_like(usable) if config.known_goals == "all" else usable & seen, usable=usable, dissimilarity=state.dissimilarity,
+            codes=encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None,
         )
         update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
         state, metrics = jax.lax.scan(
@@ -185,14 +225,16 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             left = pairs.count_similar_regions(state.dissimilarity, env.goals.regions, seen)
             metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
         ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
-        metrics |= {"collect/success_rate": rows.terminated.sum() / ended, "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean()}
+        metrics |= {
+            "collect/success_rate": rows.terminated.sum() / ended, "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(),
+            "collect/valid": rows.valid.mean(), "collect/goals_seen": seen.sum(),
+        }
         return state, metrics | {"env_steps": state.env_steps}
 
     def chunk(state: TrainState, numbers, hyper, env):
         """Epochs `numbers` (int32 [E], not batched over seeds), then an evaluation: (state, {name: [E]}, {name: evaluation})."""
         state, epoch_metrics = jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
-        policies = {"": policy(state.params, hyper.test_epsilon, env), "_mean_code": policy(state.params, hyper.test_epsilon, env, use_mean=True)}
-        metrics = evaluate(env, policies, config.evaluation_starts)
+        metrics = evaluate(env, test_policies(state.params, hyper, env, config.evaluation_starts), config.evaluation_starts)
         return state, epoch_metrics, metrics | {"env_steps": state.env_steps}
 
-    return Train(config=config, env=env, initial=initial, chunk=chunk, policy=policy, parts=parts)
+    return Train(config=config, env=env, initial=initial, chunk=chunk, test_policies=test_policies, parts=parts)

@@ -30,6 +30,7 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         outcome = {
             "observation": env.observe(states), "record": env.achieved(states), "action": actions, "goal": states.goal,
             "valid": ~finished & ~stepped.diverged, "terminated": ~finished & stepped.terminated, "truncated": ~finished & stepped.truncated,
+            "decided": env.decides(states),
         }
         return following, outcome
 
@@ -41,6 +42,21 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     return env_states, Rows(**rows)
 
 
+def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Rows:
+    """The shapes of the rows that `collect` returns, without tracing the environment's step."""
+    def row(states):
+        actions = policy(env.observe(states), states.goal, jax.random.key(0))
+        flag = states.terminated
+        steps = {"action": actions, "goal": states.goal, "valid": flag, "terminated": flag, "truncated": flag, "decided": flag}
+        ends = {"observation": env.observe(states), "record": env.achieved(states)}
+        return Rows(**jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps), **jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends))
+
+    def repeated(leaf, times):
+        return jnp.broadcast_to(leaf[:, None], (leaf.shape[0], times, *leaf.shape[1:]))
+
+    return jax.eval_shape(row, env_states)
+
+
 def expand(mask: jax.Array, like: jax.Array) -> jax.Array:
     """The mask [E] with trailing axes of length 1, so that it broadcasts against `like` [E, ...]."""
     return mask.reshape(mask.shape + (1,) * (like.ndim - mask.ndim))
@@ -48,14 +64,13 @@ def expand(mask: jax.Array, like: jax.Array) -> jax.Array:
 
 @flax.struct.dataclass
 class Episodes:
-    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E]; shortest: int32 [E] steps of a shortest path from the start.
+    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E].
 
     observations: [E, T + 1, ...] stored observations; after the end of an episode the last one is repeated.
     """
 
     steps: jax.Array
     success: jax.Array
-    shortest: jax.Array
     observations: jax.Array
 
 
@@ -70,4 +85,4 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
 
     states, observations = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))
     observations = jax.tree.map(lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations)
-    return Episodes(steps=states.time, success=states.terminated, shortest=jax.vmap(env.shortest_path)(starts), observations=observations)
+    return Episodes(steps=states.time, success=states.terminated, observations=observations)

@@ -10,7 +10,7 @@ import optax
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
 from infogoal_jax.agents.agent import AgentBatch
-from infogoal_jax.learners.learner import Encode, encode_goals
+from infogoal_jax.learners.learner import Corruption, GoalCode, encode_commanded, encode_goals
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Rows, Transitions
 
@@ -19,17 +19,24 @@ from infogoal_jax.replay import Rows, Transitions
 class Experience:
     """What an epoch's updates sample from; fixed while they run.
 
-    buffer: Rows; valid_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
+    buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
+    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where the goal space is too large to encode in every update; or None.
     """
 
     buffer: Rows
-    valid_count: jax.Array
+    decision_count: jax.Array
     achieved: jax.Array
     achieved_count: jax.Array
     known: jax.Array
     usable: jax.Array
     dissimilarity: jax.Array
+    codes: GoalCode | None
+
+
+def training_corruption(parts, env, key: jax.Array) -> Corruption | None:
+    """How images of goals are corrupted while training: not at all by default."""
+    return Corruption(key, env.train_backgrounds, parts.training_corruption) if parts.training_corruption else None
 
 
 def usable_goals(env, record, usable: jax.Array) -> jax.Array:
@@ -55,32 +62,39 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 
-def returns(learner, learner_state, encode: Encode, env, hyper, usable: jax.Array, batch: Transitions) -> tuple[jax.Array, Any, dict]:
+def returns(parts, state, env, hyper, experience: Experience, batch: Transitions) -> tuple[jax.Array, Any, dict]:
     """Discounted reward of each transition's steps, float32 [B]: 1 for reaching the goal (Eq. 5), plus the intrinsic reward (Eq. 16)."""
     external = env.reached(batch.records, batch.goal[:, None]).astype(jnp.float32)
-    intrinsic, learner_state = learner.intrinsic_reward(learner_state, encode, batch.goal, usable_goals(env, batch.records, usable))
+    encode = encode_goals(parts.learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
+    encode = encode if experience.codes is None else experience.codes.__getitem__
+    achieved = usable_goals(env, batch.records, experience.usable)
+    intrinsic, learner_state = parts.learner.intrinsic_reward(state.learner, encode, batch.goal, achieved, batch.mask)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
-    metrics = {"external_reward": external.mean(), "intrinsic_reward": intrinsic.mean()}
+    taken = batch.mask.sum()
+    metrics = {"external_reward": (external * batch.mask).sum() / taken, "intrinsic_reward": (intrinsic * batch.mask).sum() / taken}
     return (step_reward * batch.mask * discounts).sum(1), learner_state, metrics
 
 
-def agent_batch(parts, env, hyper, params, target_params, encode: Encode, batch: Transitions, reward, key) -> AgentBatch:
+def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, corruption, key) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own."""
     keys = jax.random.split(key, 3)
     frozen = jax.lax.stop_gradient(params)
     images, next_images = env.render(batch.observation), env.render(batch.next_observation)
-    code = encode(batch.goal)
-    target_encode = encode_goals(parts.learner, target_params["goal"], env.goals, parts.table_limit)
+    code, target_code = (
+        encode_commanded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
+    )
     code = jax.lax.stop_gradient(code) if parts.stop_encoder_gradient else code
     return AgentBatch(
+        observation=batch.observation,
+        next_observation=batch.next_observation,
         features=parts.state_encoder.apply(params["state"], images),
         code=code.sample(keys[0]),
         action=batch.action,
         next_features=parts.state_encoder.apply(frozen["state"], next_images),
         next_code=jax.lax.stop_gradient(code).sample(keys[1]),
         target_features=parts.state_encoder.apply(target_params["state"], next_images),
-        target_code=target_encode(batch.goal).sample(keys[2]),
+        target_code=target_code.sample(keys[2]),
         reward=reward,
         discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
         next_action_mask=env.action_mask(batch.next_observation),
@@ -98,17 +112,17 @@ def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Arra
 def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
     """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part."""
     learner, agent = parts.learner, parts.agent
-    transition_key, pair_key, loss_key, code_key = jax.random.split(key, 4)
-    batch = replay.sample_transitions(transition_key, experience.buffer, experience.valid_count, parts.batch_size, agent.num_steps)
+    transition_key, pair_key, loss_key, code_key, agent_key, corruption_key = jax.random.split(key, 6)
+    batch = replay.sample_transitions(transition_key, experience.buffer, experience.decision_count, parts.batch_size, agent.num_steps)
     pairs = sample_pairs(learner.pairs, env, experience, pair_key) if learner.pairs.num_pairs else None
-    encode_now = encode_goals(learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
-    reward, learner_state, reward_metrics = returns(learner, state.learner, encode_now, env, hyper, experience.usable, batch)
+    corruption = training_corruption(parts, env, corruption_key)
+    reward, learner_state, reward_metrics = returns(parts, state, env, hyper, experience, batch)
 
     def total_loss(params):
-        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit)
+        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, corruption)
         learner_loss, learner_metrics = learner.loss(params["goal"], learner_state, encode, pairs, loss_key)
-        codes = agent_batch(parts, env, hyper, params, state.target_params, encode, batch, reward, code_key)
-        agent_loss, agent_metrics = agent.loss(params["agent"], state.target_params["agent"], codes)
+        codes = agent_batch(parts, env, hyper, params, state.target_params, batch, reward, corruption, code_key)
+        agent_loss, agent_metrics = agent.loss(params["agent"], state.target_params["agent"], codes, state.agent, hyper, agent_key)
         return agent_loss + hyper.learner_weight * learner_loss, (learner_metrics, agent_metrics | {"loss": agent_loss})
 
     gradient, (learner_metrics, agent_metrics) = jax.grad(total_loss, has_aux=True)(state.params)

@@ -71,13 +71,13 @@ class Fetch:
     def reset(self, key: jax.Array) -> FetchState:
         """A new episode: goal and object placed anew around the grip, as the reference draws them."""
         goal_key, object_key = jax.random.split(key)
-        return self._start(object_key, self.sample_goal(goal_key))
+        return self.begin_anew(object_key, self.sample_goal(goal_key))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> FetchState:
         """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the workspace, unless it is traced."""
         if not isinstance(goal, jax.core.Tracer):
             self.check_goals(goal)
-        return self._start(key, jnp.asarray(goal, jnp.float32))
+        return self.begin_anew(key, jnp.asarray(goal, jnp.float32))
 
     def check_goals(self, goals) -> None:
         """Raise `UserError` unless all goals [..., 3] lie in the workspace."""
@@ -109,7 +109,8 @@ class Fetch:
         far = jnp.sqrt((places**2).sum(-1)) >= NEAREST_START
         return jnp.array(self.task.start_grip[:2]) + places[jnp.where(far.any(), jnp.argmax(far), len(places) - 1)]
 
-    def _start(self, key: jax.Array, goal: jax.Array) -> FetchState:
+    def begin_anew(self, key: jax.Array, goal: jax.Array) -> FetchState:
+        """A new episode for this goal [3] (m), wherever it lies."""
         motion = self.physics.start()
         if self.task.object_height is not None:
             motion = self.physics.place_object(motion, self.sample_object(key))

@@ -2,6 +2,7 @@
 environments)."""
 
 import dataclasses
+from typing import Literal
 
 from infogoal_jax.errors import UserError, nearest, require
 
@@ -88,6 +89,14 @@ class FetchConfig:
     ends_at_goal: bool = True
     """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the reference."""
 
+    goals: Literal["positions", "images"] = "positions"
+    """What a goal is: a position (m), as in the reference, or an image of the object or gripper there, out of a finite set, as in the paper."""
+    goal_images: str = ""
+    """File of goal images, of `infogoal data build fetch`; empty: the one that the project ships for the task."""
+    backgrounds: str = ""
+    """Backgrounds that goal images are corrupted with: `cifar10`, or a folder; empty: the crops of photographs that the project ships."""
+
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
+        require(self.goals in ("positions", "images"), "env.goals", self.goals, "give positions or images")
         require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")

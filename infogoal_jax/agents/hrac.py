@@ -1,0 +1,168 @@
+"""The high level of HRAC (Zhang et al. 2020): TD3 that chooses a subgoal every k steps, kept among those that can be reached within k steps.
+
+A subgoal in [-1, 1] stands for a target state near the present one; a low level that was trained beforehand drives the robot there (Sec. V-C of the
+paper). Which states are k steps apart at most is learned as a distance (the adjacency network), and subgoals farther away cost the actor.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import networks, pairs
+from infogoal_jax.agents import td3
+from infogoal_jax.agents.agent import Agent, AgentBatch
+from infogoal_jax.errors import require
+
+ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
+"""Adjacent states lie nearer than the first, others farther than the second, and subgoals cost from the third on (HRAC's own code)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HRACConfig:
+    """Sizes and switches of HRAC's high level."""
+
+    interval: int = 5
+    """Steps k that a subgoal stays."""
+    subgoal_scale: float = 0.15
+    """Farthest displacement that a subgoal asks for along an axis, in m."""
+    hidden: tuple[int, ...] = (256, 256)
+    """Widths of the layers of actor and critics."""
+    num_decisions: int = 1
+    """Decisions that a return spans before it is bootstrapped."""
+    adjacency_hidden: tuple[int, ...] = (128, 128)
+    """Widths of the adjacency network's layers."""
+    adjacency_size: int = 32
+    """Size of the adjacency network's code."""
+    cell: float = 0.05
+    """Side of the cells between which adjacency is remembered, in m."""
+    low_level: str = ""
+    """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(0 < self.interval <= config.env.episode_length, "agent.interval", self.interval,
+                f"must lie between 1 and the episode length, {config.env.episode_length}")
+        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale, "give metres, above 0 and at most 1, for example 0.15")
+        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m: the memory of adjacency grows with its sixth power")
+        for name in ("hidden", "adjacency_hidden"):
+            require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")
+        for name in ("num_decisions", "adjacency_size"):
+            require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cells:
+    """A grid over the space that goals lie in, one cell wider on each side, for grip and object alike."""
+
+    low: np.ndarray
+    side: float
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def over(cls, bounds: np.ndarray, side: float) -> "Cells":
+        """The grid over these corners [2, 3] (m)."""
+        counts = np.ceil((bounds[1] - bounds[0]) / side).astype(int) + 2
+        return cls(bounds[0] - side, side, tuple(int(count) for count in counts))
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.shape))
+
+    def of(self, position: jax.Array) -> jax.Array:
+        """The cell of each position [..., 3], int32 [...]; -1 outside of the grid."""
+        place = jnp.floor((position - self.low) / self.side).astype(jnp.int32)
+        inside = ((place >= 0) & (place < jnp.array(self.shape))).all(-1)
+        flat = (place[..., 0] * self.shape[1] + place[..., 1]) * self.shape[2] + place[..., 2]
+        return jnp.where(inside, flat, -1)
+
+
+def adjacency_loss(distance: jax.Array, adjacent: jax.Array, weight: jax.Array) -> jax.Array:
+    """Contrastive loss of the adjacency network (HRAC, Eq. 12), for distances, labels and weights of one shape."""
+    error = jnp.where(adjacent, jnp.maximum(distance - ADJACENT, 0.0), jnp.maximum(APART - distance, 0.0))
+    return (error * weight).sum() / jnp.maximum(weight.sum(), 1.0)
+
+
+def adjacency_penalty(distance: jax.Array) -> jax.Array:
+    """What a subgoal costs (HRAC, Eq. 14): how far beyond k steps it lies."""
+    return jnp.maximum(distance - PENALTY_STARTS, 0.0)
+
+
+def length(vectors: jax.Array) -> jax.Array:
+    """Euclidean length over the last axis, with a gradient at 0 too."""
+    return jnp.sqrt((vectors**2).sum(-1) + 1e-12)
+
+
+def make(config: HRACConfig, env) -> Agent:
+    """HRAC's high level over the target states of this environment (`train.hierarchy.Steered`)."""
+    space = env.space
+    actor, critic = td3.Actor(config.hidden, space.size), td3.TwinCritic(config.hidden)
+    adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
+    cells = Cells.over(space.bounds, config.cell)
+
+    def positions(states):
+        """Grip and object of target states [..., S]: [components, ..., 3]."""
+        return jnp.moveaxis(states.reshape(*states.shape[:-1], space.components, 3), -2, 0)
+
+    def embed(params, states):
+        """psi_adj of grip and object, each by a network of its own: [components, ..., size]."""
+        centred = (positions(states) - space.bounds.mean(0)) / config.subgoal_scale
+        return jnp.stack([adjacency.apply(own, place) for own, place in zip(params["adjacency"], centred, strict=True)])
+
+    def init(key, features, code):
+        keys = jax.random.split(key, 2 + space.components)
+        inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size)
+        params = {
+            "actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], inputs, action),
+            "adjacency": [adjacency.init(own, jnp.zeros(3)) for own in keys[2:]],
+        }
+        return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
+
+    def act(params, features, code, action_mask, key, exploration):
+        """The subgoal, with noise, or a random one."""
+        best = actor.apply(params["actor"], jnp.concatenate([features, code], axis=-1))
+        return td3.explore(key, best, exploration.noise, exploration.epsilon)
+
+    def observe(apart, rows):
+        """The pairs of cells not yet seen within k steps of each other, bool [components, C, C]."""
+        places = cells.of(positions(space.of(rows.observation)))[..., None]
+        episode = rows.episode()
+        return jnp.stack([pairs.remove_similar(matrix, place, episode, config.interval) for matrix, place in zip(apart, places, strict=True)])
+
+    def learn_adjacency(params, batch: AgentBatch, apart):
+        """The adjacency loss over states of the batch: each with the one k steps later, and with one of another transition."""
+        state, following = space.of(batch.observation), space.of(batch.next_observation)
+        first = jnp.concatenate([state, state])
+        second = jnp.concatenate([following, jnp.roll(state, 1, axis=0)])
+        here, there = cells.of(positions(first)), cells.of(positions(second))
+        component = jnp.arange(space.components)[:, None]
+        adjacent = ~apart[component, here, there]
+        weight = ((here >= 0) & (there >= 0)).astype(jnp.float32)
+        return adjacency_loss(length(embed(params, first) - embed(params, second)), adjacent, weight)
+
+    def loss(params, target_params, batch: AgentBatch, apart, hyper, key):
+        """TD3 over k steps (discounts are those of the batch), the adjacency loss, and the actor's penalty for subgoals out of reach."""
+        frozen = jax.lax.stop_gradient(params)
+        inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
+        target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)
+        next_action = td3.smoothed(key, actor.apply(target_params["actor"], target_inputs), hyper.target_noise)
+        following = critic.apply(target_params["critic"], target_inputs, next_action).min(0)
+        target = batch.reward + batch.discount * following
+        values = critic.apply(params["critic"], inputs, batch.action)
+        critic_error = td3.critic_loss(values, target, huber=True)
+
+        subgoal = actor.apply(params["actor"], jax.lax.stop_gradient(inputs))
+        value = critic.apply(frozen["critic"], jax.lax.stop_gradient(inputs), subgoal)[0].mean()
+        asked = space.from_subgoal(batch.observation, subgoal, config.subgoal_scale)
+        distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
+        penalty = adjacency_penalty(distance).mean()
+        adjacency_error = learn_adjacency(params, batch, apart)
+        metrics = {
+            "td_error": jnp.abs(values - target).mean(), "value": values.mean(), "adjacency_loss": adjacency_error, "adjacency_penalty": penalty,
+            "subgoal_size": jnp.abs(subgoal).mean(),
+        }
+        return critic_error - value + hyper.adjacency_weight * penalty + adjacency_error, metrics
+
+    return Agent(init, act, loss, observe, config.interval * config.num_decisions)

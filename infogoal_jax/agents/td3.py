@@ -1,0 +1,55 @@
+"""TD3 (Fujimoto et al. 2018): a deterministic actor, twin critics, and noise on the actions that targets are made from.
+
+Both levels of HRAC learn by it: the low level in `train/pretrain.py`, the high level in `agents/hrac.py`. As in HRAC's own code the actor is
+updated as often as the critics.
+"""
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+
+from infogoal_jax import networks
+
+
+class Actor(nn.Module):
+    """pi(x): inputs [..., D] to actions [..., size] in [-1, 1]."""
+
+    hidden: tuple[int, ...]
+    size: int
+
+    @nn.compact
+    def __call__(self, inputs):
+        return jnp.tanh(networks.MLP(self.hidden, self.size)(inputs))
+
+
+class TwinCritic(nn.Module):
+    """Q1 and Q2 of inputs [..., D] and actions [..., A], stacked: [2, ...]."""
+
+    hidden: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self, inputs, action):
+        together = jnp.concatenate([inputs, action], axis=-1)
+        twin = nn.vmap(networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2)
+        return twin(self.hidden, 1)(together)[..., 0]
+
+
+def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
+    """Actions [..., A] with Gaussian noise of this standard deviation, of which a share is drawn uniformly from [-1, 1] instead."""
+    noise_key, choose_key, random_key = jax.random.split(key, 3)
+    noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape), -1.0, 1.0)
+    random = jax.random.uniform(random_key, action.shape, minval=-1.0)
+    return jnp.where(jax.random.uniform(choose_key, (*action.shape[:-1], 1)) < random_share, random, noisy)
+
+
+def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float = 2.5) -> jax.Array:
+    """The target policy's actions [..., A] with clipped noise (Eq. 14): noise of this standard deviation, clipped at `largest` of them."""
+    return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape), -largest, largest), -1.0, 1.0)
+
+
+def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
+    """Temporal-difference error of both critics [2, B] against one target [B] (Eq. 10, clipped double Q-learning)."""
+    target = jnp.broadcast_to(jax.lax.stop_gradient(target), values.shape)
+    error = optax.huber_loss(values, target) if huber else optax.l2_loss(values, target)
+    return error.mean(1).sum()

@@ -1,0 +1,153 @@
+"""The Fetch tasks as the paper has them (Sec. V-A.1): a goal is an image of the object, or the gripper, at the desired position.
+
+The finite goal space is a grid of rendered positions; training, validation and test goals lie between its points. Whether a goal is reached is a
+matter of true distance; which goal a position counts as, for representation learning, is a matter of the nearest grid point.
+"""
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.data import backgrounds, goal_images
+from infogoal_jax.envs.fetch import environment, targets
+from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.goals import GoalSet
+
+POSITION_SCALE = 0.1
+"""Positions enter the networks in units of this, from the start of the grip, in m."""
+VELOCITY_SCALE = 0.02
+"""Velocities (times 40 ms) enter the networks in units of this: a gripper at full speed moves twice as far in a step, in m."""
+FINGER_SCALE = 0.05
+"""Openings of the fingers enter the networks in units of this, the widest, in m."""
+
+
+@flax.struct.dataclass
+class ImageGoalState:
+    """One episode: the robot's state, whose goal is a position [3], and the index of the goal, int32."""
+
+    robot: environment.FetchState
+    goal: jax.Array
+
+    time = property(lambda self: self.robot.time)
+    terminated = property(lambda self: self.robot.terminated)
+    truncated = property(lambda self: self.robot.truncated)
+    diverged = property(lambda self: self.robot.diverged)
+
+
+@flax.struct.dataclass
+class ImageGoals:
+    """A Fetch task with image goals. A pytree of the goal images and what belongs to them.
+
+    positions: float32 [N, 3] of each goal (m). train_backgrounds, test_backgrounds: uint8 [M, 64, 64, 3], to corrupt goal images with.
+    grid_low: float32 [3], the grid's first point; spacing: its step (m); grid_shape: its points along x, y, z. Grid goals come first.
+    """
+
+    robot: environment.Fetch
+    goals: GoalSet
+    positions: jax.Array
+    train_backgrounds: jax.Array
+    test_backgrounds: jax.Array
+    grid_low: jax.Array
+    spacing: jax.Array
+    grid_shape: tuple[int, int, int] = flax.struct.field(pytree_node=False)
+    source: str = flax.struct.field(pytree_node=False)
+
+    num_observations = None
+    """Observations are vectors, not indices."""
+
+    @property
+    def space(self) -> targets.TargetSpace:
+        """The target states of this task, for a low level."""
+        return targets.TargetSpace(self.robot.task)
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return self.robot.action_size
+
+    @property
+    def episode_length(self) -> int:
+        """Steps of 40 ms after which an episode is truncated."""
+        return self.robot.episode_length
+
+    def reset(self, key: jax.Array) -> ImageGoalState:
+        """A new episode for a training goal, uniform among them."""
+        goal_key, start_key = jax.random.split(key)
+        return self.reset_to(start_key, jax.random.choice(goal_key, self.goals.commanded))
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> ImageGoalState:
+        """A new episode for this goal, int32."""
+        return ImageGoalState(robot=self.robot.begin_anew(key, self.positions[goal]), goal=jnp.asarray(goal, jnp.int32))
+
+    def step(self, state: ImageGoalState, action: jax.Array) -> ImageGoalState:
+        """40 ms under an action [4] in [-1, 1]."""
+        return state.replace(robot=self.robot.step(state.robot, action))
+
+    def decides(self, state: ImageGoalState) -> jax.Array:
+        """Whether the next step follows a decision of the agent: always, bool."""
+        return jnp.ones_like(state.terminated)
+
+    def observe(self, state: ImageGoalState) -> jax.Array:
+        """What is stored of the observation: all of it, float32 [10 or 25]."""
+        return state.robot.observation
+
+    def render(self, observation: jax.Array) -> jax.Array:
+        """What the network sees: the observation, centred and scaled so that each number is of the order of 1."""
+        centre, scale = observation_units(self.robot)
+        return (observation - centre) / scale
+
+    def achieved(self, state: ImageGoalState) -> jax.Array:
+        """The record of what was achieved: position [3] of the object, or of the grip without one (m)."""
+        return self.robot.achieved(state.robot)
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether the position [..., 3] lies within 5 cm of the goal's, bool [...]."""
+        return self.robot.reached(record, self.positions[goal])
+
+    def goals_of(self, record: jax.Array) -> jax.Array:
+        """The grid goal nearest to each position, int32 [..., 1]; -1 where the position is more than a step outside of the grid."""
+        place = (record - self.grid_low) / self.spacing
+        last = jnp.array(self.grid_shape) - 1
+        near = ((place > -1.0) & (place < last + 1.0)).all(-1)
+        x, y, z = jnp.moveaxis(jnp.clip(jnp.round(place), 0, last).astype(jnp.int32), -1, 0)
+        return jnp.where(near, (x * self.grid_shape[1] + y) * self.grid_shape[2] + z, -1)[..., None]
+
+    def action_mask(self, observation: jax.Array) -> jax.Array:
+        """All actions can be taken, bool [..., A]."""
+        return jnp.ones((*observation.shape[:-1], self.action_size), bool)
+
+
+def observation_units(robot: environment.Fetch) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and scale of each number of an observation, [10 or 25]: positions around the start of the grip, velocities as they come."""
+    grip = np.array(robot.task.start_grip)
+    if robot.task.object_height is None:
+        blocks = [(grip, POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(5), VELOCITY_SCALE)]
+    else:
+        thing = np.array([*grip[:2], robot.task.object_height])
+        blocks = [(grip, POSITION_SCALE), (thing, POSITION_SCALE), (np.zeros(3), POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(3), 1.0),
+                  (np.zeros(11), VELOCITY_SCALE)]
+    return np.concatenate([centre for centre, _ in blocks]), np.concatenate([np.full(len(centre), scale) for centre, scale in blocks])
+
+
+def make(name: str, config: FetchConfig) -> ImageGoals:
+    """The task with the goal images and backgrounds that the configuration names. Raises `UserError` for files that cannot be used."""
+    robot = environment.make(name, config)
+    bank = goal_images.load(config.goal_images or goal_images.shipped(name), name)
+    behind = backgrounds.load(config.backgrounds)
+    uses = bank.uses.astype(np.int32) - 1
+    return lay_out(robot, bank, behind, uses)
+
+
+def lay_out(robot: environment.Fetch, bank: goal_images.GoalImages, behind: backgrounds.Backgrounds, uses: np.ndarray) -> ImageGoals:
+    """The task over these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the training goal nearest to it."""
+    training = np.flatnonzero(uses == 0)
+    nearest = np.linalg.norm(bank.positions[:, None] - bank.positions[training], axis=-1).argmin(1)
+    kinds = ("grid", "training", "validation", "test")
+    names = tuple(f"{kinds[use + 1]} {np.round(place, 3).tolist()}" for use, place in zip(uses, bank.positions, strict=True))
+    return ImageGoals(
+        robot=robot, goals=GoalSet.of(bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))),
+        positions=jnp.asarray(bank.positions), train_backgrounds=jnp.asarray(behind.train), test_backgrounds=jnp.asarray(behind.test),
+        grid_low=jnp.asarray(bank.grid_low, jnp.float32), spacing=jnp.float32(bank.spacing), grid_shape=tuple(int(n) for n in bank.grid_shape),
+        source=f"MJX physics, rendered goal images ({bank.describe()}); backgrounds: {behind.source}",
+    )

@@ -1,0 +1,157 @@
+"""Target states: what the high level of HRAC asks of the low level, read off the observation (paper, Sec. V-C: "a target state").
+
+fetch_reach: the grip [3]. With an object: grip and object [6]; the grip has to be near the object's target, the object has to be there.
+"""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.envs.fetch import environment
+from infogoal_jax.envs.fetch.tasks import Task
+
+REACHED = environment.DISTANCE_THRESHOLD
+"""A target state counts as reached when grip (fetch_reach) or object is as near as a goal has to be, in m."""
+BESIDE = 0.1
+"""The grip is beside the object's target: a pushing finger touches the cube up to 7 cm from its centre, in m."""
+PRECISE = 0.03
+"""How near the low level is rewarded for coming, in m: nearer than `REACHED`, so that what it leaves over adds little to the goal's own 5 cm."""
+FARTHEST, HELD = 0.15, 5
+"""A moving target lies up to this far from where grip or object are, along each axis (m), and is held for so many steps."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TargetSpace:
+    """Target states of one task, all in m."""
+
+    task: Task
+
+    @property
+    def size(self) -> int:
+        """3 numbers (the grip), or 6 (grip, then object)."""
+        return 3 if self.task.object_height is None else 6
+
+    @property
+    def components(self) -> int:
+        """Positions that a target state is made of."""
+        return self.size // 3
+
+    def of(self, observation: jax.Array) -> jax.Array:
+        """The state [..., S] that an observation [..., 10 or 25] shows, in the space of targets."""
+        return observation[..., : self.size]
+
+    def reached(self, state: jax.Array, target: jax.Array, precision: float = REACHED) -> jax.Array:
+        """Whether the state [..., S] is at the target, bool [...]: `precision` for grip or object, `BESIDE` for a grip that has an object."""
+        distance = jnp.linalg.norm((state - target).reshape(*state.shape[:-1], self.components, 3), axis=-1)
+        tolerance = jnp.array([precision] if self.components == 1 else [BESIDE, precision])
+        return (distance < tolerance).all(-1)
+
+    def reward(self, state: jax.Array, target: jax.Array) -> jax.Array:
+        """The low level's reward [...] for the state [..., S] that a step led to: 0 within `PRECISE` of the target, -1 elsewhere."""
+        return self.reached(state, target, PRECISE) - 1.0
+
+    def at_goal(self, goal: jax.Array) -> jax.Array:
+        """The target state [..., S] that is the finished task for a goal [..., 3]: grip, or grip and object, at the goal."""
+        return jnp.concatenate([goal] * self.components, axis=-1)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of the space that goals are drawn from, [2, 3] in m."""
+        task, grip = self.task, np.array(self.task.start_grip)
+        low, high = grip - task.goal_range, grip + task.goal_range
+        if task.object_height is not None:
+            low[2], high[2] = task.object_height, task.object_height + environment.HIGHEST_GOAL * task.goals_in_air
+            low[0], high[0] = low[0] + task.goal_offset, high[0] + task.goal_offset
+        return np.array([low, high])
+
+    def from_subgoal(self, observation: jax.Array, subgoal: jax.Array, scale: float) -> jax.Array:
+        """The target state [..., S] that a subgoal [..., S] in [-1, 1] means: a displacement of grip or object by up to `scale` m along each axis.
+
+        The object's target stays inside of the space of goals, the grip's beside the object's: other target states cannot be reached in time.
+        """
+        low, high = self.bounds
+        subgoal = jnp.clip(subgoal, -1.0, 1.0)
+        moved = jnp.clip(observation[..., self.size - 3 : self.size] + scale * subgoal[..., -3:], low, high)
+        if self.components == 1:
+            return moved
+        return jnp.concatenate([moved + 0.5 * BESIDE * subgoal[..., :3], moved], axis=-1)
+
+
+@flax.struct.dataclass
+class TargetState:
+    """An episode of reaching target states: the robot's state, and the target [S], which is the goal here.
+
+    moving: bool, whether the target changes; key: that changes are drawn from.
+    """
+
+    robot: environment.FetchState
+    goal: jax.Array
+    moving: jax.Array
+    key: jax.Array
+
+    @property
+    def terminated(self) -> jax.Array:
+        """Never set: the robot has to stay at its target."""
+        return jnp.zeros_like(self.robot.terminated)
+
+    @property
+    def truncated(self) -> jax.Array:
+        """Time is up, or the simulation diverged."""
+        return self.robot.truncated
+
+    @property
+    def diverged(self) -> jax.Array:
+        """The last step was thrown away."""
+        return self.robot.diverged
+
+
+@flax.struct.dataclass
+class TargetReaching:
+    """The task that the low level is trained on: full episodes under target states.
+
+    An episode keeps the target state that is the finished task, or its target moves as a high level would have it: every `HELD` steps a subgoal,
+    drawn at random or leading straight to the task's goal.
+    """
+
+    robot: environment.Fetch
+    space: TargetSpace = flax.struct.field(pytree_node=False)
+    moving_share: jax.Array | float = 0.0
+    """Share of episodes with a moving target."""
+    random_share: jax.Array | float = 0.5
+    """Share of subgoals that are drawn at random; the others lead to the task's goal."""
+
+    def reset(self, key: jax.Array) -> TargetState:
+        """A new episode."""
+        start_key, choose_key, key = jax.random.split(key, 3)
+        robot = self.robot.reset(start_key)
+        state = TargetState(robot, self.space.at_goal(robot.goal), jax.random.bernoulli(choose_key, self.moving_share), key)
+        return self._aim(state)
+
+    def step(self, state: TargetState, action: jax.Array) -> TargetState:
+        """40 ms under an action [4] in [-1, 1]."""
+        return self._aim(state.replace(robot=self.robot.step(state.robot, action)))
+
+    def _aim(self, state: TargetState) -> TargetState:
+        """The state with its next target, where a moving one is due."""
+        choose_key, draw_key = jax.random.split(jax.random.fold_in(state.key, state.robot.time))
+        here = self.achieved(state)
+        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(0.0) / FARTHEST  # The grip's share stays beside the object.
+        drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0)
+        subgoal = jnp.where(jax.random.bernoulli(choose_key, self.random_share), drawn, ahead)
+        due = state.moving & (state.robot.time % HELD == 0)
+        return state.replace(goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal))
+
+    def decides(self, state: TargetState) -> jax.Array:
+        """Whether an action is decided now: at every step."""
+        return jnp.ones_like(state.moving)
+
+    def observe(self, state: TargetState) -> jax.Array:
+        """The robot's observation, float32 [..., 10 or 25]."""
+        return state.robot.observation
+
+    def achieved(self, state: TargetState) -> jax.Array:
+        """The state in the space of targets, float32 [..., S]."""
+        return self.space.of(state.robot.observation)

@@ -1,0 +1,1 @@
+"""Relabelling in hindsight, a file a method."""

@@ -1,0 +1,91 @@
+"""A robot steered by subgoals: the environment that the high level of HRAC acts in, with the frozen low level inside (Sec. V-C of the paper)."""
+
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.errors import require
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.train import low_level_file
+
+
+@flax.struct.dataclass
+class SteeredState:
+    """An episode: the environment's own state, and the target state [S] that the low level is on its way to."""
+
+    inner: Any
+    target: jax.Array
+
+    goal = property(lambda self: self.inner.goal)
+    time = property(lambda self: self.inner.time)
+    terminated = property(lambda self: self.inner.terminated)
+    truncated = property(lambda self: self.inner.truncated)
+    diverged = property(lambda self: self.inner.diverged)
+
+
+@flax.struct.dataclass
+class Steered:
+    """An environment whose actions are subgoals, each followed for `interval` steps by a frozen policy over target states.
+
+    A step is still one step of the environment inside; the action of a step between two decisions is not looked at. A pytree.
+    """
+
+    env: Any
+    low_level: Any
+    space: Any = flax.struct.field(pytree_node=False)
+    interval: int = flax.struct.field(pytree_node=False)
+    subgoal_scale: float = flax.struct.field(pytree_node=False)
+
+    @property
+    def goals(self) -> GoalSet:
+        """The goals of the environment inside."""
+        return self.env.goals
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of a subgoal."""
+        return self.space.size
+
+    def __getattr__(self, name: str):
+        """What steering does not change is that of the environment inside: observations, records, goals, backgrounds."""
+        if name.startswith("__") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+    def reset(self, key: jax.Array) -> SteeredState:
+        """A new episode."""
+        return self._begin(self.env.reset(key))
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> SteeredState:
+        """A new episode for this goal."""
+        return self._begin(self.env.reset_to(key, goal))
+
+    def _begin(self, inner) -> SteeredState:
+        return SteeredState(inner=inner, target=self.space.of(self.env.observe(inner)))
+
+    def decides(self, state: SteeredState) -> jax.Array:
+        """Whether the next step follows a new subgoal, bool."""
+        return state.inner.time % self.interval == 0
+
+    def step(self, state: SteeredState, subgoal: jax.Array) -> SteeredState:
+        """One step of the low level towards this subgoal [S] in [-1, 1], or towards the one that was decided before."""
+        observation = self.env.observe(state.inner)
+        asked = self.space.from_subgoal(observation, subgoal, self.subgoal_scale)
+        target = jnp.where(self.decides(state), asked, state.target)
+        return SteeredState(inner=self.env.step(state.inner, self.low_level.act(observation, target)), target=target)
+
+    def observe(self, state: SteeredState) -> jax.Array:
+        """What is stored of the observation."""
+        return self.env.observe(state.inner)
+
+    def achieved(self, state: SteeredState) -> jax.Array:
+        """The record of what was achieved."""
+        return self.env.achieved(state.inner)
+
+
+def steer(env, config) -> Steered:
+    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
+    require(hasattr(env, "space"), "agent", type(config).__name__, "this task has no target states that a low level could be sent to")
+    return Steered(env, low_level_file.load(config.low_level, env.space.task.name), env.space, config.interval, config.subgoal_scale)

@@ -1,0 +1,71 @@
+"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of three tasks are shipped (docs/low_level.md)."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.agents import td3
+from infogoal_jax.agents.low_level import LowLevel
+from infogoal_jax.envs.fetch.environment import Fetch
+from infogoal_jax.envs.fetch.targets import TargetSpace
+from infogoal_jax.envs.fetch.tasks import find
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import checkpoint
+
+SHIPPED = Path(__file__).parent.parent / "data" / "files" / "fetch" / "low_level"
+KIND = "low level"
+
+
+def shipped(task: str) -> Path:
+    """The file of the low level that the project ships for a task. Raises `UserError` for an unknown task, or one that has none."""
+    path = SHIPPED / find(task).name
+    if not path.exists():
+        known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*") if not file.suffix))
+        raise UserError(f"low_level = '': no low level is shipped for {task}; give the file of one. Shipped: {known}")
+    return path
+
+
+def save(path: Path, header: dict[str, Any], low_level: LowLevel) -> None:
+    """Write a low level: actor and normalisation, no critics. header: JSON values, `task` among them."""
+    header = {"kind": KIND, **header, "hidden": list(low_level.hidden)}
+    checkpoint.save(path, header, {"actor": low_level.actor, "mean": low_level.mean, "std": low_level.std})
+
+
+def load(path: str, task: str) -> LowLevel:
+    """The low level of a task from its file, or from the folder that it was trained in; empty: the shipped one.
+
+    Raises `UserError` for a file that is missing, damaged, something else, of another task, or of other shapes.
+    """
+    return load_with_header(path, task)[1]
+
+
+def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
+    """The header and the low level, as `load` reads them."""
+    file = Path(path) if path else shipped(task)
+    file = file / "low_level" if file.is_dir() else file
+    if not file.exists():
+        raise UserError(f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or none at all for the "
+                        "shipped one")
+    header, _ = checkpoint.read_header(file)
+    if header.get("kind") != KIND:
+        raise UserError(f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain {task}` wrote")
+    if header["task"] != task:
+        raise UserError(f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal pretrain {task}`")
+    template = empty(task, tuple(header["hidden"]))
+    try:
+        _, tree = checkpoint.load(file, {"actor": template.actor, "mean": template.mean, "std": template.std})
+    except UserError as error:
+        raise UserError(f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal pretrain {task}`"
+                        ) from error
+    return header, template.replace(**jax.tree.map(jnp.asarray, tree))
+
+
+def empty(task: str, hidden: tuple[int, ...]) -> LowLevel:
+    """Shapes of the low level of a task, with layers of these widths."""
+    robot = Fetch(task=find(task), physics=None, episode_length=0, ends_at_goal=False)  # Asked for its sizes only.
+    observation = jnp.zeros(robot.observation_size)
+    inputs = jnp.zeros(robot.observation_size + TargetSpace(robot.task).size)
+    actor = jax.eval_shape(td3.Actor(hidden, robot.action_size).init, jax.random.key(0), inputs)
+    return LowLevel(actor, observation, observation, hidden, robot.action_size)
