@@ -9,6 +9,8 @@ import pytest
 
 from infogoal_jax import envs, learners, presets
 from infogoal_jax.train import command_line
+from infogoal_jax.train.pretrain import PretrainConfig, preset
+from infogoal_jax.train.pretrain_host import PretrainCommand
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -17,7 +19,7 @@ OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
 COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
     "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": command_line.CheckCommand,
     "data build house": command_line.BuildHouseCommand, "data embed": command_line.EmbedCommand,
-    "video": command_line.VideoCommand, "data build fetch": command_line.BuildFetchCommand,
+    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": command_line.VideoCommand, "data build fetch": command_line.BuildFetchCommand,
     "data build backgrounds": command_line.BuildBackgroundsCommand, "data download cifar10": command_line.DownloadCifar10Command,
 }
 
@@ -36,7 +38,7 @@ def flags_of(record, prefix: str = "") -> set[str]:
         value = getattr(record, field.name, None)
         name = field.name.replace("_", "-")
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            found |= flags_of(value, "" if isinstance(value, command_line.TrainConfig) else f"{prefix}{name}.")
+            found |= flags_of(value, "" if isinstance(value, command_line.TrainConfig | PretrainConfig) else f"{prefix}{name}.")
         else:
             found |= {f"--{prefix}{name}", f"--{prefix}no-{name}"} if isinstance(value, bool) else {f"--{prefix}{name}"}
     return found
