@@ -28,15 +28,27 @@ def patches(images: jax.Array, side: int) -> jax.Array:
     return jnp.moveaxis(cut, -4, -3).reshape(*batch, height // side, width // side, side * side * channels)
 
 
+def standardised(images: jax.Array) -> jax.Array:
+    """Images [..., H, W, C] less their mean, over their standard deviation: what a background laid over an image takes away first is contrast."""
+    axes = (-3, -2, -1)
+    return (images - images.mean(axes, keepdims=True)) / (images.std(axes, keepdims=True) + 1e-3)
+
+
 class ImageLayers(nn.Module):
     """Two convolutions without overlap, 16 channels over patches of 4 x 4 pixels and 32 over 2 x 2 of those: images uint8 [..., H, W, C] to [..., D].
 
-    The authors' own (8 channels, side 4, stride 2; 16, side 2, stride 1) take six times as long on a CPU at 64 x 64 pixels, and learn no better [M].
+    The authors' own overlap (8 channels, side 4, stride 2; 16, side 2, stride 1). At 64 x 64 pixels a gradient through them takes 2.5 times as long
+    on a CPU even with a second stride of 2 [M].
+    standardise: give every image the same mean and contrast first.
     """
+
+
+    standardise: bool
 
     @nn.compact
     def __call__(self, images):
         values = images.astype(jnp.float32) / 127.5 - 1.0
+        values = standardised(values) if self.standardise else values
         values = nn.relu(nn.Dense(16)(patches(values, 4)))
         values = nn.relu(nn.Dense(32)(patches(values, 2)))
         return values.reshape(*values.shape[:-3], -1)
@@ -48,11 +60,12 @@ class GoalLayers(nn.Module):
 
     hidden: tuple[int, ...]
     out: int
+    standardise: bool = False
 
     @nn.compact
     def __call__(self, inputs):
         if inputs.dtype == jnp.uint8:
-            return MLP(self.hidden[-1:], self.out)(ImageLayers()(inputs))
+            return MLP(self.hidden[-1:], self.out)(ImageLayers(self.standardise)(inputs))
         return MLP(self.hidden, self.out)(inputs)
 
 
@@ -61,10 +74,11 @@ class GaussianEncoder(nn.Module):
 
     hidden: tuple[int, ...]
     latent_size: int
+    standardise: bool = False
 
     @nn.compact
     def __call__(self, inputs):
-        mean, raw = jnp.split(GoalLayers(self.hidden, 2 * self.latent_size)(inputs), 2, axis=-1)
+        mean, raw = jnp.split(GoalLayers(self.hidden, 2 * self.latent_size, self.standardise)(inputs), 2, axis=-1)
         return mean, jax.nn.softplus(raw) + MINIMUM_STD
 
 

@@ -51,7 +51,7 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
     return dissimilarity & dissimilarity.T
 
 
-def count_similar_regions(dissimilarity: jax.Array, regions: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
+def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
     """How many dissimilar pairs of seen goals are left within and between regions: tells whether the window fits the geometry."""
     same_region = regions[:, None] == regions[None, :]
     upper = jnp.triu(dissimilarity & seen[:, None] & seen[None, :])

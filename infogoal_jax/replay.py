@@ -73,9 +73,12 @@ def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Ar
     return flat // width, flat % width
 
 
-def sample_transitions(key: jax.Array, buffer: Rows, valid_count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
-    """Transitions whose first step is uniform over all valid ones, followed for at most `num_steps` steps of the same episode."""
-    return transitions_at(buffer, *draw(key, valid_count, batch_size, buffer.valid.shape[1]), num_steps)
+def sample_transitions(key: jax.Array, buffer: Rows, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
+    """Transitions whose first step is uniform over those that `count` was made from, followed for at most `num_steps` steps of the same episode.
+
+    count: `running_count` of a mask [R, T] of valid transitions.
+    """
+    return transitions_at(buffer, *draw(key, count, batch_size, buffer.valid.shape[1]), num_steps)
 
 
 def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: int) -> Transitions:

@@ -63,6 +63,10 @@ MISTAKES = [
     ("trian object_search", ["trian", "Did you mean 'train'"]),
     ("evaluate not_there", ["run = 'not_there'"]),
     ("report not_there", ["run = 'not_there'"]),
+    ("evaluate not_there --corruption 1.5", ["corruption = 1.5", "from 0 to 1"]),
+    ("video fetch_reach --out a.mp4 --corruption 0.4", ["corruption = 0.4", "random policy"]),
+    ("video runs/not_there --out a.mp4", ["run = 'runs/not_there'", "config.json"]),
+    ("train fetch_slide", ["fetch_slide", "no agent", "fetch_push"]),
     ("data build castle somewhere", ["castle", "Known: house"]),
     ("data build house a_folder", ["a_folder", "not empty"]),
     ("data chekc somewhere", ["chekc", "Did you mean 'check'"]),
@@ -165,6 +169,9 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
     assert main(["evaluate", "run", "--starts", "2"]) == 0
+    assert main(["evaluate", "run", "--corruption", "0.4"]) == 2 and main(["video", "run", "--out", "a.mp4"]) == 2
+    refusals = capsys.readouterr().err
+    assert "goals of object_search are no images" in refusals and "is of object_search; videos are of tasks with image goals" in refusals
     assert main("train object_search --resume run --num-epochs 3 --no-figures".split()) == 0
     assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [1, 1, 2, 2, 3, 3]
     capsys.readouterr()

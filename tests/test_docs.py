@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from infogoal_jax import envs, learners, presets
-from infogoal_jax.train import command_line
+from infogoal_jax.train import command_line, data_commands
 from infogoal_jax.train.pretrain import PretrainConfig, preset
 from infogoal_jax.train.pretrain_host import PretrainCommand
 
@@ -17,10 +17,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
 OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
 COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
-    "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": command_line.CheckCommand,
-    "data build house": command_line.BuildHouseCommand, "data embed": command_line.EmbedCommand,
-    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": command_line.VideoCommand, "data build fetch": command_line.BuildFetchCommand,
-    "data build backgrounds": command_line.BuildBackgroundsCommand, "data download cifar10": command_line.DownloadCifar10Command,
+    "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": data_commands.CheckCommand,
+    "data build house": data_commands.BuildHouseCommand, "data embed": data_commands.EmbedCommand,
+    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": command_line.VideoCommand, "data build fetch": data_commands.BuildFetchCommand,
+    "data build backgrounds": data_commands.BuildBackgroundsCommand, "data download cifar10": data_commands.DownloadCifar10Command,
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -92,10 +92,21 @@ def test_intrinsic_reward_is_never_positive_and_zero_at_the_goal():
     codes = GoalCode(jax.random.normal(jax.random.key(0), (5, 32)), jnp.ones((5, 32)))
     state = infogoal.InfoGoalState(beta=jnp.zeros(()), scale=jnp.ones(()))
     achieved = jnp.asarray([[[0, -1], [1, -1], [-1, -1], [3, 0]]])
-    reward, after = learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), achieved)
+    reward, after = learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), achieved, jnp.ones((1, 4)))
     assert reward[0, 0] == 0 and reward[0, 3] == 0  # The goal itself, and the goal beside another.
     assert reward[0, 1] < 0 and reward[0, 2] == reward.min()  # Seeing nothing is no better than the farthest goal seen.
     assert after.scale != state.scale
+
+
+def test_steps_that_were_not_taken_count_for_nothing_in_the_intrinsic_reward():
+    """Neither the farthest goal, which stands in for nothing achieved, nor the running mean looks at them."""
+    learner = infogoal.make(infogoal.InfoGoalConfig(latent_size=1))
+    codes = GoalCode(jnp.array([[0.0], [1.0], [50.0]]), jnp.ones((3, 1)))
+    state = infogoal.InfoGoalState(beta=jnp.zeros(()), scale=jnp.ones(()))
+    achieved, mask = jnp.asarray([[[-1], [1], [2]]]), jnp.asarray([[1.0, 1.0, 0.0]])
+    reward, after = learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), achieved, mask)
+    np.testing.assert_allclose(reward[0, :2], [-1.0, -1.0], rtol=1e-5)
+    np.testing.assert_allclose(after.scale, 1.0, rtol=1e-5)
 
 
 def test_intrinsic_reward_does_not_train_the_encoder():
@@ -105,7 +116,7 @@ def test_intrinsic_reward_does_not_train_the_encoder():
 
     def total(params):
         codes = learner.encode(params, inputs)
-        return learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), jnp.asarray([[[1], [2]]]))[0].sum()
+        return learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), jnp.asarray([[[1], [2]]]), jnp.ones((1, 2)))[0].sum()
 
     assert all(not leaf.any() for leaf in jax.tree.leaves(jax.grad(total)(params)))
 

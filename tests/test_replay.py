@@ -12,7 +12,10 @@ from infogoal_jax.replay import Rows
 
 @pytest.fixture
 def rows() -> Rows:
-    """Six rows of 25 transitions; an observation is 1000 * episode + step, episodes numbered through all rows; some end by reaching the goal."""
+    """Six rows of 25 transitions; an observation is 1000 * episode + step, episodes numbered through all rows; some end by reaching the goal.
+
+    Every third step of an episode is decided, also those that only a reset follows.
+    """
     generator = np.random.default_rng(0)
     observation = np.zeros((6, 26), np.int32)
     valid, terminated, truncated = np.zeros((6, 25), bool), np.zeros((6, 25), bool), np.zeros((6, 25), bool)
@@ -29,8 +32,8 @@ def rows() -> Rows:
                     terminated[row, column + step - 1] = reached and step == length
                     truncated[row, column + step - 1] = not reached and step == length
             column += length + 1
-    goal = observation[:, :-1] // 1000
-    return jax.tree.map(jnp.asarray, Rows(observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated))
+    goal, decided = observation[:, :-1] // 1000, observation[:, :-1] % 1000 % 3 == 0
+    return jax.tree.map(jnp.asarray, Rows(observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided))
 
 
 def test_transitions_stay_within_their_episode_and_step_by_one(rows):
@@ -66,6 +69,17 @@ def test_first_steps_are_uniform_over_all_valid_transitions(rows):
     count = np.array([(np.asarray(batch.observation) == start).sum() for start in valid_starts])
     assert count.sum() == 20_000  # Nothing but valid transitions.
     assert scipy.stats.chisquare(count).pvalue > 1e-6
+
+
+def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decisions(rows):
+    batch = replay.sample_transitions(jax.random.key(3), rows, replay.running_count(rows.valid & rows.decided), 20_000, 3)
+    decisions = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid & rows.decided)]
+    count = np.array([(np.asarray(batch.observation) == start).sum() for start in decisions])
+    assert count.sum() == 20_000 and (batch.observation % 1000 % 3 == 0).all()
+    assert scipy.stats.chisquare(count).pvalue > 1e-6
+    whole = batch.mask.sum(1) == 3
+    assert (batch.next_observation[whole] % 1000 % 3 == 0).all()  # A whole interval leads to the next decision.
+    assert (batch.mask.sum(1)[batch.terminated] < 3).any()  # Some episodes end within an interval.
 
 
 @pytest.mark.parametrize("window", [0, 1, 5])

@@ -54,7 +54,10 @@ class HRACConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """A grid over the space that goals lie in, one cell wider on each side, for grip and object alike."""
+    """A grid over the space that goals lie in and at least one cell around it, for grip and object alike.
+
+    Its cells are centred on the corner of that space: an object at rest lies in the middle of a cell, not where the last bit decides between two.
+    """
 
     low: np.ndarray
     side: float
@@ -63,8 +66,8 @@ class Cells:
     @classmethod
     def over(cls, bounds: np.ndarray, side: float) -> "Cells":
         """The grid over these corners [2, 3] (m)."""
-        counts = np.ceil((bounds[1] - bounds[0]) / side).astype(int) + 2
-        return cls(bounds[0] - side, side, tuple(int(count) for count in counts))
+        counts = np.round((bounds[1] - bounds[0]) / side).astype(int) + 3
+        return cls(bounds[0] - 1.5 * side, side, tuple(int(count) for count in counts))
 
     @property
     def count(self) -> int:

@@ -87,7 +87,7 @@ class ObjectSearch:
     episode_length: int = flax.struct.field(pytree_node=False)
     source: str = flax.struct.field(pytree_node=False)
 
-    test_backgrounds = None
+    train_backgrounds = test_backgrounds = None
     """Its goals are texts: there is no image to corrupt."""
     action_size = len(active_vision.ACTIONS)
     """Number of actions."""

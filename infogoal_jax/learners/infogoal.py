@@ -28,6 +28,8 @@ class InfoGoalConfig:
     """Latent dimension d [A]. The scale of beta holds for 32 only."""
     hidden: tuple[int, ...] = (128, 128, 128)
     """Widths of the goal encoder's layers [A]."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
     window: int = 4
     """Steps within which two achieved goals count as similar [M]; the authors' 10 spans two rooms of a small house."""
     num_pairs: int = 256
@@ -90,7 +92,7 @@ def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
 
 def make(config: InfoGoalConfig) -> Learner:
     """The InfoGoal learner for this configuration."""
-    encoder = networks.GaussianEncoder(config.hidden, config.latent_size)
+    encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
 
     def init(key, goal_inputs, hyper):
         params = {"encoder": encoder.init(key, goal_inputs[:1])}

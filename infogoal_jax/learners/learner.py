@@ -75,7 +75,8 @@ class Corruption(NamedTuple):
 def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int, corruption: Corruption | None = None) -> Encode:
     """How to encode any goals under these parameters: all of them once if they are fewer than `batch_size`, else only those asked for.
 
-    With a corruption every goal gets a background of its own each time it is encoded.
+    With a corruption every goal gets a background of its own each time that this is called; within a scan each place
+    in the batch keeps its background.
     """
     if corruption is not None:
         calls = itertools.count()

@@ -17,6 +17,8 @@ class NoneConfig:
     """Size of the goal code."""
     hidden: tuple[int, ...] = (128, 128, 128)
     """Widths of the goal encoder's layers."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -26,7 +28,7 @@ class NoneConfig:
 
 def make(config: NoneConfig) -> Learner:
     """The learner that learns nothing by itself."""
-    encoder = networks.GoalLayers(config.hidden, config.latent_size)
+    encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
 
     def encode(params, goal_inputs):
         mean = encoder.apply(params, goal_inputs)

@@ -4,6 +4,7 @@ Figures are made as objects and never through pyplot, so that drawing changes no
 """
 
 import dataclasses
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,14 @@ from infogoal_jax.train import files
 from infogoal_jax.train.program import Train
 
 DOTS_PER_INCH = 130
+LETTERS_PER_INCH = 17
+"""Of the small print."""
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
 ROOM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#7A6A00", "#555555")
 USE_COLOURS = {"train": "#0072B2", "validation": "#009E73", "test": "#D55E00"}
 USE_TITLES = {"train": "training goals", "validation": "validation goals", "test": "test goals"}
+USE_MARKERS = {"train": ("o", 90), "validation": ("D", 60), "test": ("*", 190)}
+"""Marker of a goal by its use, and its area."""
 SUCCESS, FAILURE, NOTHING = "#1A9641", "#D7191C", "#DDDDDD"
 
 
@@ -50,16 +55,23 @@ def in_words(name: str, longest: int = 44) -> str:
     return words if len(words) <= longest else words[: longest - 3].rstrip() + "..."
 
 
-def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
-    """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below. shown: instead of the seeds."""
+def empty_figure(title: str, below: tuple[str, ...], size: tuple[float, float]) -> Figure:
+    """An empty figure (size in inches) with a line above and small print below, broken where it is wider than the figure."""
+    below = "\n".join(textwrap.fill(line, round(LETTERS_PER_INCH * size[0])) for line in below)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=12)
+    figure.supxlabel(below, fontsize=8, color="#444444")
+    return figure
+
+
+def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
+    """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below. shown: instead of the seeds."""
     config, count = subject.run.config, len(subject.evaluations.seeds)
     seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
     left_out = "".join(f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items())
-    figure.suptitle(f"{config.task.replace('_', ' ')}, {config.method}: {title}", fontsize=12)
-    figure.supxlabel(f"{seeds}{left_out}\ndata: {subject.run.data}", fontsize=8, color="#444444")
-    return figure
+    below = (f"{seeds}{left_out}", f"data: {subject.run.data}")
+    return empty_figure(f"{config.task.replace('_', ' ')}, {config.method}: {title}", below, size)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -1,4 +1,6 @@
-"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by goal; plans of the house."""
+"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by goal. Those of a house and of
+image goals are in files of their own.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -7,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
     USE_COLOURS,
@@ -23,12 +25,13 @@ from infogoal_jax.report.canvas import (
     room_colour,
     save,
 )
+from infogoal_jax.report.fetch_figures import draw_image_goals
+from infogoal_jax.report.goal_codes import representations
 from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.runs import read_params, read_run
 from infogoal_jax.train.evaluation import goal_starts
 from infogoal_jax.train.program import make_train
 
-CODE_SAMPLES = 60  # Drawn from the Gaussian of each goal.
 MOST_BARS = 60  # Goals up to which every one gets a bar of its own.
 
 
@@ -41,7 +44,7 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
     if not subject.evaluations.values:
         return []
     drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
-    figures = {draw.__name__: draw(subject) for draw in drawings} | draw_plans(subject)
+    figures = {draw.__name__: draw(subject) for draw in drawings} | draw_plans(subject) | draw_image_goals(subject)
     paths = {folder / "figures" / f"{name}.png": figure for name, figure in figures.items() if figure is not None}
     for path, figure in paths.items():
         save(figure, path)
@@ -61,14 +64,21 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
 
 
 def learning_curves(subject: Subject) -> Figure:
-    """Success rate and SPL of training, validation and test goals against environment steps."""
-    figure = new_figure(subject, "success while training", (10, 4.2))
-    values = subject.evaluations.values
+    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals."""
+    values, groups = subject.evaluations.values, subject.train.env.goals.groups
     steps = values["env_steps"].mean(0)
-    for axes, (name, label) in zip(figure.subplots(1, 2), {"success_rate": "success rate", "spl": "success weighted by path length (SPL)"}.items(),
-                                   strict=True):
-        for group in subject.train.env.goals.groups:
-            draw_curve(axes, steps, values[f"{group}_goal/{name}"], USE_COLOURS[group], USE_TITLES[group])
+    panels = {
+        "success rate": {f"{group}_goal/success_rate": (group, USE_TITLES[group]) for group in groups},
+        "success weighted by path length (SPL)": {f"{group}_goal/spl": (group, USE_TITLES[group]) for group in groups},
+        f"success rate, corruption {subject.run.config.test_corruption:g}": {
+            f"corrupted_{group}_goal/success_rate": (group, f"corrupted {USE_TITLES[group]}") for group in groups if group != "validation"
+        },
+    }
+    panels = {label: curves for label, curves in panels.items() if all(name in values for name in curves)}
+    figure = new_figure(subject, "success while training", (10, 4.2))
+    for axes, (label, curves) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+        for name, (group, title) in curves.items():
+            draw_curve(axes, steps, values[name], USE_COLOURS[group], title)
         finish_share_axis(axes, label)
         axes.set_xlabel("environment steps")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
@@ -104,64 +114,33 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     return figure
 
 
-def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre [d], the first two principal axes [2, d] and their shares of the variance [2] of points [n, d]."""
-    centre = points.mean(0)
-    _, scales, axes = np.linalg.svd(points - centre, full_matrices=False)
-    shares = scales**2 / max((scales**2).sum(), np.finfo(float).tiny)
-    return centre, axes[:2], shares[:2]
-
-
-def representations(subject: Subject) -> Figure | None:
-    """Goal codes of one seed on the principal axes of their means, coloured by room (paper, Fig. 10): means, and samples of the Gaussians."""
-    goals, learner = subject.train.env.goals, subject.train.parts.learner
-    if subject.params is None or goals.num_goals < 3:
-        return None
-    code = jax.tree.map(np.asarray, learner.encode(subject.params["goal"], goals.inputs))
-    centre, directions, shares = principal_components(code.mean)
-    means = (code.mean - centre) @ directions.T
-    noise = np.random.default_rng(0).normal(size=(CODE_SAMPLES, *code.mean.shape))
-    samples = (code.mean + code.std * noise - centre) @ directions.T
-    regions, test = np.asarray(goals.regions), np.asarray(goals.test_mask)
-    figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
-    axes = figure.subplots()
-    random_code = bool((code.std > 0).any())
-    for goal, region in enumerate(regions):
-        if random_code:
-            axes.scatter(*samples[:, goal].T, s=5, color=room_colour(region), alpha=0.18, linewidths=0)
-    for mask, marker, size in ((~test, "o", 90), (test, "*", 190)):
-        colours = [room_colour(region) for region in regions[mask]]
-        axes.scatter(*means[mask].T, marker=marker, s=size, c=colours, edgecolors="black", linewidths=0.8, zorder=3)
-    entries = [Line2D([], [], linestyle="", marker="s", color=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
-    entries += [Line2D([], [], linestyle="", marker=marker, markersize=size, markerfacecolor="white", markeredgecolor="black", label=label)
-                for marker, size, label in (("o", 9, "mean, training goal"), ("*", 13, "mean, test goal"))]
-    if random_code:
-        entries.append(Line2D([], [], linestyle="", marker=".", color="#888888", label="samples of a code"))
-    axes.legend(handles=entries, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
-    axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
-    axes.grid(alpha=0.3, linewidth=0.6)
-    return figure
+def evaluated_mask(goals: GoalSet, group: str) -> np.ndarray:
+    """Which of the evaluated goals belong to this group, bool [M]."""
+    return np.asarray(getattr(goals, f"{group}_mask"))[np.asarray(goals.evaluated)]
 
 
 def success_within(first_reached: np.ndarray, mask: np.ndarray, longest: int) -> np.ndarray:
-    """Share of episodes that reached their goal within 0, 1, ..., `longest` steps, [..., longest + 1]: first_reached [..., N, starts], mask [N]."""
+    """Share of episodes that reached their goal within 0, 1, ..., `longest` steps, [..., longest + 1]: first_reached [..., M, starts], mask [M]."""
     episodes = first_reached[..., mask, :].reshape(*first_reached.shape[:-2], -1)
     return (episodes[..., None] <= np.arange(longest + 1)).mean(-2)
 
 
 def success_by_length(subject: Subject) -> Figure:
-    """Success against the allowed episode length at the last evaluation (paper, Fig. 8 right), beside a shortest path from the same starts."""
+    """Success against the allowed episode length at the last evaluation (paper, Fig. 8 right), beside a shortest path where one is known."""
     env = subject.train.env
     first_reached = subject.evaluations.last()["first_reached"]
     num_starts, longest = first_reached.shape[-1], env.episode_length
-    shortest = np.asarray(jax.vmap(env.shortest_path)(goal_starts(env, num_starts))).reshape(env.goals.num_goals, num_starts)
+    shortest = None
+    if hasattr(env, "shortest_path"):
+        shortest = np.asarray(jax.vmap(env.shortest_path)(goal_starts(env, num_starts))).reshape(-1, num_starts)
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
     for group in env.goals.groups:
-        mask, colour = np.asarray(getattr(env.goals, f"{group}_mask")), USE_COLOURS[group]
+        mask, colour = evaluated_mask(env.goals, group), USE_COLOURS[group]
         draw_curve(axes, np.arange(longest + 1), success_within(first_reached, mask, longest), colour, USE_TITLES[group])
-        axes.plot(success_within(shortest, mask, longest), color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
+        if shortest is not None:
+            curve = success_within(shortest, mask, longest)
+            axes.plot(curve, color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
     finish_share_axis(axes, "success rate")
     axes.set_xlabel("allowed episode length (steps)")
     axes.set_xlim(0, longest)
@@ -170,17 +149,18 @@ def success_by_length(subject: Subject) -> Figure:
 
 
 def success_by_goal(subject: Subject) -> Figure | None:
-    """Success rate of every goal at the last evaluation, room by room; training goals filled, the others hatched. None for very many goals."""
+    """Success rate of every evaluated goal at the last evaluation, room by room; training goals filled, the others hatched. None for very many."""
     env = subject.train.env
-    goals, regions, trained = env.goals, np.asarray(env.goals.regions), np.asarray(env.goals.train_mask)
-    if goals.num_goals > MOST_BARS:
+    goals, which = env.goals, np.asarray(env.goals.evaluated)
+    if len(which) > MOST_BARS:
         return None
+    regions, trained, names = np.asarray(goals.regions)[which], evaluated_mask(goals, "train"), [goals.names[goal] for goal in which]
     reached = (subject.evaluations.last()["first_reached"] <= env.episode_length).mean(-1)
-    order = sorted(range(goals.num_goals), key=lambda goal: (regions[goal], not trained[goal], goals.names[goal]))
+    order = sorted(range(len(which)), key=lambda goal: (regions[goal], not trained[goal], names[goal]))
     count, num_starts = len(reached), subject.evaluations.values["first_reached"].shape[-1]
     shown = f"{num_starts} starts a goal; " + ("1 seed" if count == 1 else f"mean of {count} seeds, each seed a dot")
     title = f"success by goal, epoch {subject.evaluations.epochs[-1]}"
-    figure = new_figure(subject, title, (9, 1.8 + 0.26 * goals.num_goals), shown=shown)
+    figure = new_figure(subject, title, (9, 1.8 + 0.26 * len(which)), shown=shown)
     axes = figure.subplots()
     # A gap between rooms; the first goal on top.
     places = [-(row + 0.7 * int(np.searchsorted(np.unique(regions), regions[goal]))) for row, goal in enumerate(order)]
@@ -189,7 +169,7 @@ def success_by_goal(subject: Subject) -> Figure | None:
         axes.barh(place, mean, height=0.8, color=colour if trained[goal] else "white", edgecolor=colour, hatch=None if trained[goal] else "////")
         if count > 1:  # Dots side by side, where seeds agree.
             axes.scatter(reached[:, goal], place + np.linspace(-0.25, 0.25, count), s=9, color="black", linewidths=0, zorder=3)
-    axes.set_yticks(places, [in_words(goals.names[goal]) for goal in order], fontsize=8)
+    axes.set_yticks(places, [in_words(names[goal]) for goal in order], fontsize=8)
     entries = [Patch(facecolor=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
     entries.append(Patch(facecolor="#888888", label="training goal"))
     entries.append(Patch(facecolor="white", edgecolor="#888888", hatch="////", label="not trained on"))

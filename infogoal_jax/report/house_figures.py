@@ -223,7 +223,8 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     state = learner.init(jax.random.key(0), env.goals.inputs, subject.run.config.hyper)[1]
     encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
     achieved = env.goals_of(jnp.arange(env.num_observations))
-    reward = np.asarray(learner.intrinsic_reward(state, encode, jnp.asarray([goal]), achieved[None])[0][0], float)
+    every = jnp.ones((1, env.num_observations))
+    reward = np.asarray(learner.intrinsic_reward(state, encode, jnp.asarray([goal]), achieved[None], every)[0][0], float)
     reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
     return reward / max(np.abs(np.nanmean(reward)), 1e-12)
 

@@ -18,7 +18,10 @@ from infogoal_jax.train.evaluation import evaluate
 from infogoal_jax.train.program import make_train
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
-GROUPS = {"train": "training", "validation": "validation", "test": "test"}
+GOALS = {
+    "train_goal": "training", "validation_goal": "validation", "test_goal": "test", "corrupted_train_goal": "training, corrupted",
+    "corrupted_test_goal": "test, corrupted",
+}
 COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}  # Title and decimals.
 FILES = ("config.json", "timing.json", "epochs.csv", "evaluations.csv", "policy", "checkpoint", "evaluation.json", "figures")
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
@@ -35,17 +38,23 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
 
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:
-    """Success rate, SPL and episode length of each group of goals, for scores {name: [seeds]} with the names of `evaluation.summarise`."""
+    """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name: [seeds]} with the names of
+    `evaluation.summarise`."""
     table = Table()
-    for column in ("goals", "code", *(title for title, _ in COLUMNS.values())):
+    columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
+    for column in ("goals", "code", *(title for title, _ in columns.values())):
         table.add_column(column, justify="left" if column in ("goals", "code") else "right")
-    for group, group_title in GROUPS.items():
+    for goals, goals_title in GOALS.items():
         for suffix, code in CODES.items():
-            names = [f"{group}_goal{suffix}/{column}" for column in COLUMNS]
-            if names[0] in scores:
-                cells = [mean_interval(scores[name]).show(decimals) for name, (_, decimals) in zip(names, COLUMNS.values(), strict=True)]
-                table.add_row(group_title, code, *cells)
+            if f"{goals}{suffix}/success_rate" in scores:
+                cells = [mean_interval(scores[f"{goals}{suffix}/{column}"]).show(decimals) for column, (_, decimals) in columns.items()]
+                table.add_row(goals_title, code, *cells)
     return table
+
+
+def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
+    """What corrupted goals are, with a semicolon before; nothing for a task without them."""
+    return f"; corrupted goals: images with a random background of weight {weight:g}" if "corrupted_test_goal/success_rate" in scores else ""
 
 
 def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
@@ -68,7 +77,8 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         last = evaluations.last()
         num_goals, num_starts = last["first_reached"].shape[1:]
         steps = f"{last['env_steps'].mean():,.0f} environment steps a seed"
-        console.print(f"{head}, {steps}\n{num_goals} goals x {num_starts} starts; {seeds_in_words(left)}", style="bold", soft_wrap=True)
+        corrupted = corruption_in_words(last, run.config.test_corruption)
+        console.print(f"{head}, {steps}\n{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}", style="bold", soft_wrap=True)
         console.print(score_table(last))
     else:
         console.print(f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold")
@@ -76,6 +86,8 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         console.print(sentence, style="bold red", soft_wrap=True)
     known = {"train": "training goals", "visited": "goals achieved so far", "all": "all goals"}[run.config.known_goals]
     protocol = f"only training goals were commanded in training; {known} could enter the representation (known_goals = {run.config.known_goals})"
+    if run.config.training_corruption:
+        protocol += f"; goal images were corrupted while training too, with weight {run.config.training_corruption:g}"
     lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[run.config.method] = f"{numbers} (mean of the last epoch)"
@@ -101,32 +113,38 @@ def evaluate_run(
     """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
 
     starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random actions, negative for the
-    run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
-    Raises `UserError` for values out of range, a folder without a run, or damaged parameters.
+    run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's own; env: the environment if it is loaded already.
+    Returns {name: [seeds]} of the seeds that did not diverge. Raises `UserError` for values out of range, a corruption of goals that are no
+    images, a folder without a run, or damaged parameters.
     """
     require(starts > 0, "starts", starts, "give a whole number greater than 0")
     require(start_seed >= 0, "start_seed", start_seed, "give 0 or more")
     require(test_epsilon <= 1, "test_epsilon", test_epsilon, "give a share from 0 to 1, or a negative number for the run's own")
+    require(corruption is None or 0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
     run, console = read_run(folder), console or Console()
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
+    has_images = train.env.test_backgrounds is not None
+    require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are no images; leave it out")
+    weight = run.config.test_corruption if corruption is None else float(corruption)
     params = read_params(run, train)
     epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]
     epsilon = run.config.hyper.test_epsilon if test_epsilon < 0 else test_epsilon
 
     def evaluate_seed(params, env):
         hyper = run.config.hyper.replace(test_epsilon=epsilon)
-        return evaluate(env, train.test_policies(params, hyper, env, starts, corruption, start_seed), starts, start_seed)
+        return evaluate(env, train.test_policies(params, hyper, env, starts, weight, start_seed), starts, start_seed)
 
     metrics = jax.device_get(jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None)))(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
     written = {
-        "epoch": epoch, "starts": starts, "start_seed": start_seed, "test_epsilon": float(epsilon), "seeds": seeds, "diverged": diverged,
-        "data": run.data, "metrics": {name: value.tolist() for name, value in scores.items()},
+        "epoch": epoch, "starts": starts, "start_seed": start_seed, "test_epsilon": float(epsilon), "corruption": weight if has_images else None,
+        "seeds": seeds, "diverged": diverged, "data": run.data, "metrics": {name: value.tolist() for name, value in scores.items()},
     }
     files.write_atomically(folder / "evaluation.json", lambda file: file.write((json.dumps(written) + "\n").encode()))
-    protocol = f"{train.env.goals.num_goals} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
+    protocol = f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
+    protocol += corruption_in_words(scores, weight)
     head = f"{run.config.task}, {run.config.method}: epoch {epoch} of {run.config.num_epochs}"
     console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
     console.print(score_table(scores))

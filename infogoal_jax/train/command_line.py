@@ -1,4 +1,7 @@
-"""The command `infogoal`: train, pretrain, evaluate, report, data, check-fetch, video. A command is a dataclass; its fields are the flags (tyro)."""
+"""The command `infogoal`: train, pretrain, evaluate, report, data (in data_commands.py), check-fetch, video.
+
+A command is a dataclass; its fields are the flags (tyro).
+"""
 
 import dataclasses
 import os
@@ -11,16 +14,20 @@ import tyro
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.train.data_commands import DATA_COMMANDS
 
 USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in JAX
 
   infogoal train object_search                   train; progress, table, figures and checkpoint under runs/
+  infogoal train fetch_push                      the same for a Fetch task, whose goals are images; also fetch_reach, fetch_pick_and_place
   infogoal train object_search --method none     the bare agent, without goal-representation learning
   infogoal train object_search --seeds 16        sixteen seeds in one program
   infogoal train object_search --resume RUN      go on from the last checkpoint of a run
   infogoal pretrain fetch_push --seeds 4         train the low level that drives the robot to target states, keep the best of four seeds
   infogoal evaluate RUN                          evaluate a run's last parameters again, with other starts or another epsilon
+  infogoal evaluate RUN --corruption 0.4         the same with backgrounds of another weight over the images of corrupted goals
   infogoal report RUN                            draw the figures and print the table of a run
   infogoal data check PATH                       list everything that is wrong with a dataset
   infogoal data build house PATH --seed 1        build a synthetic house in the format of the Active Vision Dataset
@@ -28,6 +35,7 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal data build fetch PATH --seed 1        draw banks of goal images of Fetch tasks (needs gymnasium-robotics and OpenGL)
   infogoal data download cifar10 [PATH]          download CIFAR-10 as background images (170 MB)
   infogoal data embed "a red mug" --out FILE     embed the text of new goals (needs the sentence encoder's weights)
+  infogoal video RUN --out FILE.mp4              watch the policy of a run of a Fetch task on test goals (--corruption 0.4: on corrupted ones)
   infogoal video fetch_reach --out FILE.mp4      watch a random policy
   infogoal check-fetch FILE.npz                  replay recorded episodes of the reference Fetch tasks, print how far ours are from them
 
@@ -150,15 +158,17 @@ class EvaluateCommand:
     """Seed of the start states; training's own evaluations use others."""
     test_epsilon: float = -1.0
     """Share of random actions; negative: the run's own."""
+    corruption: float | None = None
+    """Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the run's own."""
 
 
 def evaluate(arguments: list[str]) -> int:
-    """`infogoal evaluate RUN`: prints success, SPL and episode length of each group of goals over the run's seeds."""
+    """`infogoal evaluate RUN`: prints success, SPL and episode length of each kind of goals over the run's seeds."""
     command = tyro.cli(EvaluateCommand, prog="infogoal evaluate", args=arguments)
     use_compilation_cache()
     from infogoal_jax.report.summary import evaluate_run
 
-    evaluate_run(Path(command.run), command.starts, command.start_seed, command.test_epsilon)
+    evaluate_run(Path(command.run), command.starts, command.start_seed, command.test_epsilon, command.corruption)
     return 0
 
 
@@ -180,170 +190,6 @@ def report(arguments: list[str]) -> int:
     for path in draw_figures(Path(command.run)):
         print(f"figure      {path}")
     return 0
-
-
-@dataclasses.dataclass(frozen=True)
-class CheckCommand:
-    """List everything that is wrong with a dataset in the format of the Active Vision Dataset."""
-
-    path: tyro.conf.Positional[str]
-    """Folder that holds the scenes."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BuildHouseCommand:
-    """Build a synthetic house, a stand-in in the format of the Active Vision Dataset."""
-
-    path: tyro.conf.Positional[str]
-    """Folder to write to; must not exist yet, or be empty."""
-    seed: int = 0
-    """Seed of the generator: rooms, furniture, objects and textures."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BuildBackgroundsCommand:
-    """Cut the shipped background images out of photographs again (needs `pip install 'infogoal-jax[backgrounds]'`)."""
-
-    path: tyro.conf.Positional[str]
-    """Folder to write to; must not exist yet, or be empty."""
-    seed: int = 0
-    """Seed of the crops' places and sizes; 0: the shipped ones."""
-    crops_of_each: int = 84
-    """Crops of each photograph."""
-
-
-@dataclasses.dataclass(frozen=True)
-class BuildFetchCommand:
-    """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL; docs/goal_images.md)."""
-
-    path: tyro.conf.Positional[str]
-    """Folder to write to, one file a task; files that are there already are never overwritten."""
-    seed: int = 0
-    """Seed of the goals for training, validation and tests; 0: the shipped ones."""
-    tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
-    """The tasks."""
-
-
-@dataclasses.dataclass(frozen=True)
-class DownloadCifar10Command:
-    """Download CIFAR-10's binary version, 170 MB, as background images (docs/backgrounds.md)."""
-
-    path: tyro.conf.Positional[str] = ""
-    """Folder to unpack into; empty: the user's cache, where `cifar10` as the path of the backgrounds finds it."""
-    url: str = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
-    """Where the archive is; a mirror must have the same file, by its checksum."""
-
-
-@dataclasses.dataclass(frozen=True)
-class EmbedCommand:
-    """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/text_goals.md)."""
-
-    texts: tyro.conf.Positional[tuple[str, ...]]
-    """The texts."""
-    out: str
-    """File to write, or to add to: an npz for --env.text-embeddings."""
-    weights: str = ""
-    """Folder with model.safetensors, tokenizer.json and config.json; empty: the installed package."""
-    allow_other_weights: bool = False
-    """Take weights with another checksum than the official one; the checksum is recorded."""
-
-
-def data_check(arguments: list[str]) -> int:
-    """`infogoal data check PATH`: 1 if anything is an error."""
-    command = tyro.cli(CheckCommand, prog="infogoal data check", args=arguments)
-    from infogoal_jax.data.check import check_active_vision
-
-    findings = check_active_vision(command.path)
-    for finding in findings:
-        print(f"{finding.severity:8s} {finding.where}: {finding.problem}")
-    errors = sum(finding.severity == "error" for finding in findings)
-    print(f"{command.path}: {errors} errors, {len(findings) - errors} warnings")
-    return 1 if errors else 0
-
-
-def data_build(arguments: list[str]) -> int:
-    """`infogoal data build house PATH`, `infogoal data build backgrounds PATH`, `infogoal data build fetch PATH`."""
-    if arguments and arguments[0] == "backgrounds":
-        return data_build_backgrounds(arguments[1:])
-    if arguments and arguments[0] == "fetch":
-        return data_build_fetch(arguments[1:])
-    if not arguments or arguments[0] != "house":
-        raise UserError(f"data build {arguments[0] if arguments else ''!r}: no such dataset. Known: house, backgrounds, fetch")
-    command = tyro.cli(BuildHouseCommand, prog="infogoal data build house", args=arguments[1:])
-    from infogoal_jax.data.house import build_house
-
-    target = new_folder(command.path)
-    build_house(target, seed=command.seed)
-    print(f"{target}: built from seed {command.seed}")
-    return 0
-
-
-def new_folder(path: str) -> Path:
-    """The path of a folder that does not exist yet, or is empty."""
-    target = Path(path)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise UserError(f"path = {path!r}: is there already and not empty; give a new folder")
-    return target
-
-
-def data_build_backgrounds(arguments: list[str]) -> int:
-    """`infogoal data build backgrounds PATH`."""
-    command = tyro.cli(BuildBackgroundsCommand, prog="infogoal data build backgrounds", args=arguments)
-    from infogoal_jax.data.photographs import build_backgrounds
-
-    target = new_folder(command.path)
-    build_backgrounds(target, command.seed, command.crops_of_each)
-    print(f"{target}: built from seed {command.seed}")
-    return 0
-
-
-def data_build_fetch(arguments: list[str]) -> int:
-    """`infogoal data build fetch PATH`: a file a task, and what is in it."""
-    command = tyro.cli(BuildFetchCommand, prog="infogoal data build fetch", args=arguments)
-    from rich.progress import track
-
-    from infogoal_jax.data import fetch_goal_images, goal_images
-
-    paths = {name: Path(command.path) / f"{name}.npz" for name in command.tasks}
-    for path in paths.values():
-        if path.exists():
-            raise UserError(f"path = {str(path)!r}: is there already; give a new folder")
-    fetch_goal_images.check(tuple(paths), command.seed)
-    for name, path in paths.items():
-        start = time.perf_counter()
-        bank = fetch_goal_images.build(name, command.seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
-        goal_images.save(path, bank)
-        seconds = time.perf_counter() - start
-        print(f"{path}: {len(bank.images)} images, {path.stat().st_size / 1e6:.2f} MB, built in {seconds:.0f} s")
-        for field, words in bank.about.items():
-            print(f"  {field}: {words}")
-    return 0
-
-
-def data_download(arguments: list[str]) -> int:
-    """`infogoal data download cifar10 [PATH]`."""
-    if not arguments or arguments[0] != "cifar10":
-        raise UserError(f"data download {arguments[0] if arguments else ''!r}: no such dataset. Known: cifar10")
-    command = tyro.cli(DownloadCifar10Command, prog="infogoal data download cifar10", args=arguments[1:])
-    from infogoal_jax.data.backgrounds import download_cifar10
-
-    print(f"{download_cifar10(command.path, command.url)}: CIFAR-10, complete")
-    return 0
-
-
-def data_embed(arguments: list[str]) -> int:
-    """`infogoal data embed TEXT ... --out FILE`."""
-    command = tyro.cli(EmbedCommand, prog="infogoal data embed", args=arguments)
-    if not command.texts:
-        raise UserError("texts = (): give at least one text to embed")
-    from infogoal_jax.data.sentence_encoder import embed_file
-
-    embeddings = embed_file(command.texts, command.out, command.weights or None, command.allow_other_weights)
-    print(f"{command.out}: {len(embeddings.texts)} texts")
-    return 0
-
-
-DATA_COMMANDS = {"check": data_check, "build": data_build, "download": data_download, "embed": data_embed}
 
 
 def data(arguments: list[str]) -> int:
@@ -379,31 +225,44 @@ def check_fetch(arguments: list[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class VideoCommand:
-    """Draw episodes of a Fetch task under a random policy as an mp4."""
+    """Draw episodes of a Fetch task as an mp4: of a random policy, or of a run's policy on test goals."""
 
-    task: tyro.conf.Positional[str]
-    """fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide."""
+    subject: tyro.conf.Positional[str]
+    """Folder of a run; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy."""
     out: str
     """File to write; must end in .mp4."""
     episodes: int = 1
     """Episodes, one after the other."""
     seed: int = 0
-    """Seed of starts, goals and actions."""
+    """Seed of starts, goals, actions and backgrounds."""
+    corruption: float = 0.0
+    """Weight of the backgrounds of the goal images that a run's policy sees, from 0 (clean) to 1."""
     height: int = 480
     """Pixels; the width is 4/3 of it."""
 
 
 def video(arguments: list[str]) -> int:
-    """`infogoal video TASK --out FILE`."""
+    """`infogoal video RUN --out FILE`, `infogoal video TASK --out FILE`."""
     command = tyro.cli(VideoCommand, prog="infogoal video", args=arguments)
+    size = command.height, command.height * 4 // 3
+    use_compilation_cache()
+    if command.subject not in TASKS and (Path(command.subject).is_dir() or os.sep in command.subject):
+        from infogoal_jax.report.fetch_episodes import policy_video
+        from infogoal_jax.report.figures import read_subject
+
+        run = read_subject(Path(command.subject))
+        reached = policy_video(run, command.out, command.episodes, command.seed, command.corruption, size)
+        words = f"corrupted with weight {command.corruption:g}" if command.corruption else "clean"
+        print(f"{command.out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; {sum(reached)} reach the goal")
+        return 0
+    if command.corruption:
+        raise UserError(f"corruption = {command.corruption}: a random policy looks at no goal; leave it out, or give the folder of a run")
     import jax
 
     from infogoal_jax.envs.fetch.environment import make
-    from infogoal_jax.envs.fetch.tasks import FetchConfig
     from infogoal_jax.report.video import episode_video, random_policy
 
-    env, size = make(command.task, FetchConfig(ends_at_goal=False)), (command.height, command.height * 4 // 3)
-    use_compilation_cache()
+    env = make(command.subject, FetchConfig(ends_at_goal=False))
     last = episode_video(env, random_policy, jax.random.key(command.seed), command.out, command.episodes, size)
     at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
     print(f"{command.out}: {command.episodes} episodes of a random policy, {at_goal} end at the goal")

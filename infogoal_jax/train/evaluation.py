@@ -1,5 +1,7 @@
 """Evaluation inside the program: every goal from several starts, the same starts for every seed and every evaluation."""
 
+from collections.abc import Iterable
+
 import jax
 import jax.numpy as jnp
 
@@ -32,30 +34,34 @@ def summarise(env, starts, episodes: Episodes, name: str) -> dict[str, jax.Array
     return metrics
 
 
+def run_side_by_side(env, policies: Iterable[Policy], starts, key: jax.Array) -> list[Episodes]:
+    """Episodes [E] of each policy from the same E start states, all in one rollout: the environment is compiled and stepped once."""
+    policies, count = list(policies), starts.goal.shape[0]
+
+    def block_of(tree, block):
+        return jax.tree.map(lambda leaf: leaf[block * count : (block + 1) * count], tree)
+
+    def act(observation, goal, key):
+        return jnp.concatenate([policy(*block_of((observation, goal), block), key) for block, policy in enumerate(policies)])
+
+    together = run_episodes(env, jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(policies)), starts), act, key)
+    return [block_of(together, block) for block in range(len(policies))]
+
+
 def evaluate(env, policies: dict[str, Policy], num_starts: int, seed: int = EVALUATION_SEED) -> dict[str, jax.Array]:
     """Metrics of each policy, and of the first policy when each goal was first reached. seed: of starts and noise.
 
-    The name of a policy is that of its metrics, with `{group}` for the group of goals, such as `{group}_goal` or `corrupted_{group}_goal`. All of them
-    run side by side, each from the same starts, so that the environment is compiled and stepped once.
+    The name of a policy is that of its metrics, with `{group}` for the group of goals, such as `{group}_goal` or `corrupted_{group}_goal`.
+    All of them run side by side from the same starts.
     `first_reached`: int32 [M, num_starts] steps, episode_length + 1 where it never was; success within t steps is `first_reached <= t`.
     """
     starts = goal_starts(env, num_starts, seed)
-    count, blocks = starts.goal.shape[0], len(policies)
-
-    def act(observation, goal, key):
-        parts = (jax.tree.map(lambda leaf: leaf.reshape(blocks, count, *leaf.shape[1:])[block], (observation, goal)) for block in range(blocks))
-        return jnp.concatenate([policy(*part, key) for policy, part in zip(policies.values(), parts, strict=True)])
-
-    tiled = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * blocks), starts)
-    together = run_episodes(env, tiled, act, jax.random.key(seed + 1))
+    found = run_side_by_side(env, policies.values(), starts, jax.random.key(seed + 1))
     metrics = {}
-    for block, name in enumerate(policies):
-        episodes = jax.tree.map(lambda leaf, block=block: leaf[block * count : (block + 1) * count], together)
+    for name, episodes in zip(policies, found, strict=True):
         metrics |= summarise(env, starts, episodes, name)
-        if not block:
-            reached = jnp.where(episodes.success, episodes.steps, env.episode_length + 1)
-            metrics["first_reached"] = reached.reshape(-1, num_starts)
-    return metrics
+    first = jnp.where(found[0].success, found[0].steps, env.episode_length + 1)
+    return metrics | {"first_reached": first.reshape(-1, num_starts)}
 
 
 def random_policy(env) -> Policy:

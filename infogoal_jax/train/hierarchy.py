@@ -76,6 +76,10 @@ class Steered:
         target = jnp.where(self.decides(state), asked, state.target)
         return SteeredState(inner=self.env.step(state.inner, self.low_level.act(observation, target)), target=target)
 
+    def action_mask(self, observation: jax.Array) -> jax.Array:
+        """All subgoals can be asked for, bool [..., S]."""
+        return jnp.ones((*observation.shape[:-1], self.action_size), bool)
+
     def observe(self, state: SteeredState) -> jax.Array:
         """What is stored of the observation."""
         return self.env.observe(state.inner)

@@ -30,7 +30,7 @@ from infogoal_jax.train.rollout import Policy, collect, rows_shape
 from infogoal_jax.train.update import Experience, training_corruption, update, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
-INITIAL, COLLECT, UPDATE = range(3)
+INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
 
 class Parts(NamedTuple):
@@ -132,15 +132,24 @@ def make_state_encoder(size: StateEncoderConfig, env):
     return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
 
 
-def load_environment(config: TrainConfig):
-    """The environment that the configuration names; under HRAC with the low level in it, so that its actions are subgoals."""
-    env = envs.load(config.task, config.env)
-    return hierarchy.steer(env, config.agent) if isinstance(config.agent, HRACConfig) else env
+def load_environment(config: TrainConfig, env: Any = None):
+    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions are subgoals.
+
+    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
+    """
+    env = envs.load(config.task, config.env) if env is None else env
+    require(hasattr(env, "goals"), "env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set: give images")
+    require(not config.training_corruption or env.train_backgrounds is not None, "training_corruption", config.training_corruption,
+            f"goals of {config.task} are no images that could be corrupted: give 0")
+    if isinstance(config.agent, HRACConfig):
+        return env if isinstance(env, hierarchy.Steered) else hierarchy.steer(env, config.agent)
+    require(not hasattr(env, "space"), "agent", type(config.agent).__name__, f"{config.task} is acted in by subgoals: give an HRACConfig")
+    return env
 
 
 def make_train(config: TrainConfig, env: Any = None) -> Train:
     """The training function of this configuration. `env`: an environment already loaded; None loads the one that the configuration names."""
-    env = load_environment(config) if env is None else env
+    env = load_environment(config, env)
     parts = make_parts(config, env)
     learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
 
@@ -200,7 +209,9 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
 
     def epoch(state: TrainState, number, hyper, env):
         collect_key = jax.random.fold_in(jax.random.fold_in(state.key, COLLECT), number)
-        env_states, rows = collect(env, state.env_states, training_policy(state.params, hyper, env, collect_key), collect_key, config.rollout_steps)
+        corruption_key = jax.random.fold_in(jax.random.fold_in(state.key, CORRUPT), number)
+        acting = training_policy(state.params, hyper, env, corruption_key)
+        env_states, rows = collect(env, state.env_states, acting, collect_key, config.rollout_steps)
         buffer = replay.add(state.buffer, rows, number)
         usable = env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
         seen = state.seen.at[jnp.where((achieved := env.goals_of(rows.record)) < 0, env.goals.num_goals, achieved)].set(True, mode="drop")
@@ -211,9 +222,10 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             state = state.replace(dissimilarity=dissimilarity)
         written = jnp.arange(buffer.valid.shape[0]) < (number + 1) * config.num_envs
         achieved = (usable_goals(env, buffer.record, usable) >= 0).any(-1) & written[:, None]
+        known = jnp.ones_like(usable) if config.known_goals == "all" else usable & seen
         experience = Experience(
             buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved,
-            achieved_count=replay.running_count(achieved), known=jnp.ones_like(usable) if config.known_goals == "all" else usable & seen, usable=usable, dissimilarity=state.dissimilarity,
+            achieved_count=replay.running_count(achieved), known=known, usable=usable, dissimilarity=state.dissimilarity,
             codes=encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None,
         )
         update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
@@ -222,7 +234,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         )
         metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics)
         if learner.pairs.num_pairs:
-            left = pairs.count_similar_regions(state.dissimilarity, env.goals.regions, seen)
+            left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, seen)
             metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
         ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
         metrics |= {

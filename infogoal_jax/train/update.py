@@ -21,7 +21,7 @@ class Experience:
 
     buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
-    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where the goal space is too large to encode in every update; or None.
+    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
     """
 
     buffer: Rows

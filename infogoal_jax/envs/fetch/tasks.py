@@ -99,4 +99,6 @@ class FetchConfig:
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         require(self.goals in ("positions", "images"), "env.goals", self.goals, "give positions or images")
+        require(self.ends_at_goal or self.goals == "positions", "env.ends_at_goal", self.ends_at_goal,
+                "an image goal counts as reached when its episode ends there: give True, or goals = positions")
         require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")

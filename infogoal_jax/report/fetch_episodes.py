@@ -1,0 +1,118 @@
+"""Episodes of a trained policy on image goals, clean or corrupted, as states that can be drawn; and the video of them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.report.canvas import Subject
+from infogoal_jax.report.fetch_scene import draw_fetch
+from infogoal_jax.report.video import LAST_PICTURE, write_video
+from infogoal_jax.train.evaluation import goal_starts, run_side_by_side
+from infogoal_jax.train.hierarchy import Steered
+from infogoal_jax.train.rollout import Episodes, Policy
+
+
+@flax.struct.dataclass
+class Watched:
+    """The environment whose observation is the robot's whole state, so that a rollout keeps it."""
+
+    env: Any
+
+    @property
+    def episode_length(self) -> int:
+        """Steps after which an episode is truncated."""
+        return self.env.episode_length
+
+    def step(self, state, action):
+        """One step of the environment."""
+        return self.env.step(state, action)
+
+    def observe(self, state):
+        """The robot's state, `FetchState`."""
+        return getattr(state, "inner", state).robot
+
+    def policy(self, policy: Policy) -> Policy:
+        """The policy on these observations."""
+        return lambda robot, goal, key: policy(robot.observation, goal, key)
+
+
+def with_evaluated(env: Any, which: np.ndarray) -> Any:
+    """The same environment, of whose goals only these [M] are evaluated, in this order."""
+    goals = env.goals.replace(evaluated=jnp.asarray(which, jnp.int32))
+    return env.replace(env=env.env.replace(goals=goals)) if isinstance(env, Steered) else env.replace(goals=goals)
+
+
+def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
+    """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start a goal."""
+    backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, env.goals.evaluated.shape)
+    return np.asarray(corrupt(env.goals.inputs[env.goals.evaluated], backgrounds, weight))
+
+
+def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
+    """For each weight of the backgrounds (0: clean images) an episode to each of the goals `which` [E], all in one rollout.
+
+    Their observations are states of the robot [E, T + 1]. Starts, noise and backgrounds follow from the seed and are the same for every weight.
+    """
+
+    @jax.jit
+    def run(params, env):
+        watched, hyper = Watched(env), subject.run.config.hyper
+        policies = [
+            watched.policy(subject.train.test_policies(params, hyper, env, 1, weight, seed)["corrupted_{group}_goal"]) for weight in weights
+        ]
+        return run_side_by_side(watched, policies, goal_starts(env, 1, seed), jax.random.key(seed + 1))
+
+    return jax.device_get(run(subject.params, with_evaluated(subject.train.env, which)))
+
+
+def policy_video(
+    subject: Subject, path: str | Path, episodes: int = 1, seed: int = 0, corruption: float = 0.0, size: tuple[int, int] = (480, 640),
+) -> list[bool]:
+    """Write a video of the trained policy on test goals drawn from the seed, each goal's image in the corner; whether each goal was reached.
+
+    corruption: weight of the backgrounds of the images, 0: clean. Raises `UserError` for a run without parameters, or of a task without image goals.
+    """
+    env = subject.train.env
+    require(episodes > 0, "episodes", episodes, "give at least 1")
+    require(seed >= 0, "seed", seed, "give 0 or more")
+    require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
+    if getattr(env, "test_backgrounds", None) is None:
+        raise UserError(f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals")
+    if subject.params is None:
+        raise UserError(f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first")
+    if "test" not in env.goals.groups:
+        raise UserError(f"run = {str(subject.run.folder)!r}: its goal images have no test goals to show; give others with --env.goal-images")
+    which = np.resize(np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes)
+    images, outcomes = seen_images(with_evaluated(env, which), corruption, seed), []
+
+    def frames():
+        found, = policy_episodes(subject, which, [corruption], seed)
+        outcomes.extend(found.success.tolist())
+        for episode, (steps, image) in enumerate(zip(found.steps, images, strict=True)):
+            for step in range(steps + 1):
+                state = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
+                picture = with_inset(draw_fetch(env.robot, state, size), image)
+                yield picture
+            for _ in range(LAST_PICTURE):
+                yield picture
+
+    write_video(path, frames())
+    return outcomes
+
+
+def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The picture with the goal's image in its upper right corner, in a white frame."""
+    side, gap = max(32, round(0.3 * picture.shape[0])), max(2, picture.shape[0] // 60)
+    inset = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+    picture = picture.copy()
+    picture[gap : side + 3 * gap, -side - 3 * gap : -gap] = 255
+    picture[2 * gap : side + 2 * gap, -side - 2 * gap : -2 * gap] = inset
+    return picture
