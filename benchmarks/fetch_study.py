@@ -7,7 +7,7 @@ again, so that runs may come from several machines; without anything to run the 
 each goal, no random actions, the goal's code sampled at every step.
 
 As in the paper, numbers are those "after the agent has converged on the training goals": of the first evaluation by which the mean success on
-training goals was 0.99 or more twice in a row. No other goal has a say in it. A second table has the last parameters, trained on for some time after that.
+training goals was 0.99 or more twice in a row. No other goal has a say in it. A second table has the last parameters.
 """
 
 import argparse

@@ -117,8 +117,8 @@ def config(method: str = "infogoal", **changes) -> TrainConfig:
     small = {
         "env": FetchConfig(goals="images", episode_length=EPISODE_LENGTH), "agent": HRACConfig(interval=INTERVAL, hidden=(64, 64)),
         "learner": learners.entry(method).config(**learner), "state_encoder": StateEncoderConfig(features=32), "hyper": Hyperparameters(),
-        "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 26, "updates_per_epoch": 5, "batch_size": 64, "buffer_steps": 2000,
-        "evaluation_starts": 2,
+        "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 26, "updates_per_epoch": 5, "batch_size": 64,
+        "buffer_steps": 2000, "evaluation_starts": 2,
     }
     return presets.load("fetch_reach", method, **(small | changes))
 

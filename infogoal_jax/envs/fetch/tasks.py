@@ -99,6 +99,8 @@ class FetchConfig:
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         require(self.goals in ("positions", "images"), "env.goals", self.goals, "give positions or images")
+        require(self.goals == "positions" or config is None or config.known_goals != "train", "known_goals", "train",
+                "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited or all")
         require(self.ends_at_goal or self.goals == "positions", "env.ends_at_goal", self.ends_at_goal,
                 "an image goal counts as reached when its episode ends there: give True, or goals = positions")
         require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
