@@ -37,6 +37,12 @@ class Steered:
     space: Any = flax.struct.field(pytree_node=False)
     interval: int = flax.struct.field(pytree_node=False)
     subgoal_scale: float = flax.struct.field(pytree_node=False)
+    low_level_name: str = flax.struct.field(pytree_node=False, default="")
+
+    @property
+    def source(self) -> str:
+        """What the data is, in words, the low level included: a run goes on with the one that it started with."""
+        return f"{self.env.source}; {self.low_level_name}" if self.low_level_name else self.env.source
 
     @property
     def goals(self) -> GoalSet:
@@ -92,4 +98,6 @@ class Steered:
 def steer(env, config) -> Steered:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
     require(hasattr(env, "space"), "agent", type(config).__name__, "this task has no target states that a low level could be sent to")
-    return Steered(env, low_level_file.load(config.low_level, env.space.task.name), env.space, config.interval, config.subgoal_scale)
+    header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
+    name = f"low level, content {header['sha256'][:8]}"
+    return Steered(env, low_level, env.space, config.interval, config.subgoal_scale, name)
