@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import make_train, networks, presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
@@ -279,3 +279,13 @@ def test_an_environment_that_is_given_gets_the_low_level_that_the_configuration_
     train = make_train(hand_made_points.config(), env)
     assert train.env.action_size == 3 and train.env.interval == hand_made_points.INTERVAL
     assert train.env.action_mask(jnp.zeros((4, 10))).shape == (4, 3)
+
+
+def test_standardised_images_are_coded_alike_whatever_their_brightness_and_contrast():
+    image = jax.random.randint(jax.random.key(0), (1, 64, 64, 3), 60, 200).astype(jnp.uint8)
+    duller = jnp.round(0.5 * image.astype(jnp.float32) + 40).astype(jnp.uint8)
+    for standardise in (False, True):
+        encoder = networks.GoalLayers((32,), 8, standardise)
+        params = encoder.init(jax.random.key(1), image)
+        error = jnp.abs(encoder.apply(params, image) - encoder.apply(params, duller)).max()
+        assert (error < 0.05) == standardise
