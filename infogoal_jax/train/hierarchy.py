@@ -8,7 +8,6 @@ import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.train import low_level_file
 
 
 @flax.struct.dataclass
@@ -97,6 +96,8 @@ class Steered:
 
 def steer(env, config) -> Steered:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
+    from infogoal_jax.train import low_level_file  # With it comes MuJoCo, which takes half a second that no other task needs.
+
     require(hasattr(env, "space"), "agent", type(config).__name__, "this task has no target states that a low level could be sent to")
     header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
     name = f"low level, content {header['sha256'][:8]}"

@@ -143,6 +143,10 @@ class Fetch:
         terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
         return state.replace(time=time, terminated=terminated, truncated=((time >= self.episode_length) | diverged) & ~terminated, diverged=diverged)
 
+    def decides(self, state: FetchState) -> jax.Array:
+        """Whether the next step follows a decision of the agent: always, bool."""
+        return jnp.ones_like(state.terminated)
+
     def observe(self, state: FetchState) -> jax.Array:
         """What is stored of the observation: all of it, float32 [10 or 25]."""
         return state.observation

@@ -88,7 +88,7 @@ class ImageGoals:
 
     def decides(self, state: ImageGoalState) -> jax.Array:
         """Whether the next step follows a decision of the agent: always, bool."""
-        return jnp.ones_like(state.terminated)
+        return self.robot.decides(state.robot)
 
     def observe(self, state: ImageGoalState) -> jax.Array:
         """What is stored of the observation: all of it, float32 [10 or 25]."""
