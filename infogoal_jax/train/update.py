@@ -65,8 +65,10 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
 def returns(parts, state, env, hyper, experience: Experience, batch: Transitions) -> tuple[jax.Array, Any, dict]:
     """Discounted reward of each transition's steps, float32 [B]: 1 for reaching the goal (Eq. 5), plus the intrinsic reward (Eq. 16)."""
     external = env.reached(batch.records, batch.goal[:, None]).astype(jnp.float32)
-    encode = encode_goals(parts.learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
-    encode = encode if experience.codes is None else experience.codes.__getitem__
+    if experience.codes is None:
+        encode = encode_goals(parts.learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
+    else:
+        encode = experience.codes.__getitem__
     achieved = usable_goals(env, batch.records, experience.usable)
     intrinsic, learner_state = parts.learner.intrinsic_reward(state.learner, encode, batch.goal, achieved, batch.mask)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
