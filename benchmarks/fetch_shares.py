@@ -19,7 +19,8 @@ from machine import describe_machine
 from infogoal_jax import make_train, presets, replay
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.update import Experience, update
+from infogoal_jax.train.update import Experience
+from infogoal_jax.train.update import updates as updates_of
 
 REPEATS = 3
 
@@ -60,7 +61,7 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
             achieved_count=replay.running_count(achieved), known=every, usable=every, dissimilarity=state.dissimilarity,
             codes=encode_all(learner, state.params["goal"], env.goals),
         )
-        return jax.lax.scan(lambda carry, key: update(train.parts, env, hyper, experience, carry, key), state, draws)[0].params
+        return updates_of(train.parts, env, hyper, experience, state, jax.random.key(2), updates)[0].params
 
     def chosen(key, env):
         return env.goals.inputs[jax.random.randint(key, (images,), 0, env.goals.num_goals)]

@@ -34,6 +34,8 @@ class Hyperparameters:
     """Weight of HRAC's penalty for subgoals that cannot be reached in time. 0 or more."""
     test_epsilon: float = 0.0
     """Share of random actions in evaluation, in [0, 1]. Choose it on training goals only."""
+    conservative_weight: float = 1.0
+    """Weight of CQL's penalty on the values of moves that were not recorded. 0 or more."""
     target_rate: float = 0.01
     """Share by which the target network follows at each update, in (0, 1]."""
     max_gradient_norm: float = 10.0
@@ -58,7 +60,7 @@ class Hyperparameters:
             require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{field.name}", value, "give a finite number")
         for name in ("learning_rate", "max_gradient_norm"):
             require(getattr(self, name) > 0, f"hyper.{name}", getattr(self, name), "give a number greater than 0")
-        for name in ("learner_weight", "intrinsic_weight", "beta_step", "noise", "target_noise", "adjacency_weight"):
+        for name in ("learner_weight", "intrinsic_weight", "beta_step", "noise", "target_noise", "adjacency_weight", "conservative_weight"):
             require(getattr(self, name) >= 0, f"hyper.{name}", getattr(self, name), "give 0 or more")
         for name in ("epsilon", "test_epsilon", "beta_start", "fixed_beta"):
             require(0 <= getattr(self, name) <= 1, f"hyper.{name}", getattr(self, name), "give a number from 0 to 1")
@@ -93,12 +95,18 @@ class TrainConfig:
     """Name of the environment, see `infogoal_jax.envs.registry`."""
     method: str
     """Name of the goal-representation learner, see `infogoal_jax.learners.registry`; `none` is the bare agent."""
+    algorithm: str
+    """Name of the reinforcement-learning agent, see `infogoal_jax.agents.registry`."""
+    relabelling: str
+    """Name of the relabelling in hindsight, see `infogoal_jax.hindsight.registry`; `none` keeps the goals."""
     env: Any
     """Configuration of the environment (dataset, episode length, ...)."""
     learner: Any
     """Configuration of the goal-representation learner."""
     agent: Any
     """Configuration of the reinforcement-learning agent."""
+    hindsight: Any
+    """Configuration of the relabelling."""
     state_encoder: StateEncoderConfig = dataclasses.field(default_factory=StateEncoderConfig)
     """Configuration of the encoder of image observations."""
     hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
@@ -144,7 +152,7 @@ class TrainConfig:
         require(0 <= self.test_corruption <= 1, "test_corruption", self.test_corruption, "give a weight from 0 to 1, for example 0.4")
         if isinstance(self.hyper.learning_rate, int | float):
             self.hyper.check()
-        for part in (self.state_encoder, self.env, self.learner, self.agent):
+        for part in (self.state_encoder, self.env, self.learner, self.agent, self.hindsight):
             part.check(self)
 
     @property

@@ -16,7 +16,8 @@ NO_USE = -1  # Of a goal that is never commanded nor evaluated.
 class GoalSet:
     """N goals, their inputs and their uses.
 
-    inputs: [N, ...] what the goal encoder sees (float32 text embeddings [N, 384], or uint8 images).
+    inputs: [M, ...] what the goal encoder sees (float32 text embeddings [N, 384], or uint8 images); ask `inputs_of` for those of a goal.
+    rows: int32 [N] of the inputs that the goals are seen as, where a dataset holds more images than those of goals; None: they are their own.
     regions: int32 [N] the part of the world a goal lies in (a room); for reports and for the share of positives within and between.
     train_mask, validation_mask, test_mask: bool [N], disjoint. Only training goals are ever commanded while training.
     commanded: int32, the training goals; evaluated: int32 [M], the goals of all three masks. Others fill the goal space, and can be achieved only.
@@ -33,17 +34,22 @@ class GoalSet:
     names: tuple[str, ...] = flax.struct.field(pytree_node=False)
     region_names: tuple[str, ...] = flax.struct.field(pytree_node=False)
     groups: tuple[str, ...] = flax.struct.field(pytree_node=False)
+    rows: jax.Array | None = None
 
     @classmethod
-    def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...]) -> "GoalSet":
-        """The goal set of these inputs [N, ...], regions [N] and uses, [N] of `NO_USE` or a position in `USES`."""
+    def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
+        """The goal set of these inputs [N, ...], regions [N] and uses, [N] of `NO_USE` or a position in `USES`. rows: int [N] into the inputs."""
         uses = np.asarray(uses)
         masks = [jnp.asarray(uses == use) for use in range(len(USES))]
         return cls(
             jnp.asarray(inputs), jnp.asarray(regions, jnp.int32), *masks, commanded=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
             evaluated=jnp.asarray(np.flatnonzero(uses != NO_USE), jnp.int32), names=tuple(names), region_names=tuple(region_names),
-            groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()),
+            groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()), rows=None if rows is None else jnp.asarray(rows, jnp.int32),
         )
+
+    def inputs_of(self, goals: jax.Array) -> jax.Array:
+        """What the goal encoder sees of these goals int32 [...]: [..., *input]."""
+        return self.inputs[goals if self.rows is None else self.rows[goals]]
 
     @property
     def num_goals(self) -> int:

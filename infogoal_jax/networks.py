@@ -83,7 +83,7 @@ class GaussianEncoder(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """psi(s): grey images uint8 [..., H, W], H and W multiples of `patch`, to [..., features]. One matrix for every patch, one for all of them."""
+    """psi(s): images uint8 [..., H, W, C], H and W multiples of `patch`, to [..., features]. One matrix for every patch, one for all of them."""
 
     patch: int
     channels: int
@@ -91,7 +91,7 @@ class PatchEncoder(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        values = patches(images[..., None], self.patch).astype(jnp.float32) / 127.5 - 1.0
+        values = patches(images, self.patch).astype(jnp.float32) / 127.5 - 1.0
         values = nn.relu(nn.Dense(self.channels)(values))
         return nn.relu(nn.LayerNorm()(nn.Dense(self.features)(values.reshape(*values.shape[:-3], -1))))
 

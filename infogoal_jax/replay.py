@@ -73,32 +73,43 @@ def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Ar
     return flat // width, flat % width
 
 
-def sample_transitions(key: jax.Array, buffer: Rows, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
-    """Transitions whose first step is uniform over those that `count` was made from, followed for at most `num_steps` steps of the same episode.
+def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None, reached=None) -> Transitions:
+    """The transitions that start at these rows and steps, int32 [B] each, followed for at most `num_steps` steps of the same episode.
 
-    count: `running_count` of a mask [R, T] of valid transitions.
+    goal: other goals [B] than those of the rows; `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then says where an episode ends.
     """
-    return transitions_at(buffer, *draw(key, count, batch_size, buffer.valid.shape[1]), num_steps)
-
-
-def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: int) -> Transitions:
-    """The transitions that start at these rows and steps, int32 [B] each, followed for at most `num_steps` steps of the same episode."""
     length = buffer.valid.shape[1]
     step = first[:, None] + jnp.arange(num_steps)
     inside = step < length
     step = jnp.minimum(step, length - 1)
     going_on = inside & buffer.valid[row[:, None], step]
     mask = jnp.cumprod(going_on, axis=1)
-    last = first + mask.sum(1) - 1
+    records = jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record)
+    if goal is None:
+        goal = buffer.goal[row, first]
+        last = first + mask.sum(1) - 1
+        terminated = buffer.terminated[row, last]
+    else:
+        hit = reached(records, goal[:, None]) & (mask > 0)
+        mask = mask * (jnp.cumsum(hit, axis=1) - hit == 0)  # Nothing counts after the first hit.
+        last, terminated = first + mask.sum(1) - 1, hit.any(1)
     return Transitions(
         observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
         next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),
         action=buffer.action[row, first],
-        goal=buffer.goal[row, first],
-        records=jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record),
+        goal=goal,
+        records=records,
         mask=mask.astype(jnp.float32),
-        terminated=buffer.terminated[row, last],
+        terminated=terminated,
     )
+
+
+def sample_transitions(key: jax.Array, buffer: Rows, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
+    """Transitions whose first step is uniform over those that `count` was made from, followed for at most `num_steps` steps of the same episode.
+
+    count: `running_count` of a mask [R, T] of valid transitions.
+    """
+    return transitions_at(buffer, *draw(key, count, batch_size, buffer.valid.shape[1]), num_steps)
 
 
 def steps_left(valid: jax.Array) -> jax.Array:

@@ -17,7 +17,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.update import Experience, agent_batch, returns
+from infogoal_jax.train.update import Experience, agent_batch, judged, returns
 
 K = 5
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
@@ -172,7 +172,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(parts, before, env, hyper, experience, batch)
+        reward, after, metrics = returns(parts, before, env, hyper, experience, judged(env, experience, batch))
         return reward, after, metrics, agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0))
 
     reward, after, metrics, made = transitions()

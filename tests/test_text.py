@@ -149,26 +149,32 @@ def test_a_damaged_file_is_a_user_error_and_never_wrong_numbers(tmp_path):
 
 def test_files_that_are_something_else_are_user_errors(tmp_path):
     path = tmp_path / "embeddings.npz"
-    with pytest.raises(UserError, match="no file of text embeddings"):
+    with pytest.raises(UserError, match="no such file; make it: infogoal data embed"):
         text.load(path)
-    with pytest.raises(UserError, match="cannot read"):
+    with pytest.raises(UserError, match="cannot be read"):
         text.load(tmp_path)
     np.savez(path, texts=np.array(["a"]))
-    with pytest.raises(UserError, match="damaged or no file"):
+    with pytest.raises(UserError, match="vectors, weights_sha256, model missing; take it away"):
         text.load(path)
     fields = dict(weights_sha256=np.array("0"), model=np.array("made up"))
     unit = np.eye(1, text.EMBEDDING_SIZE, dtype=np.float32)
-    for texts, vectors in [
-        (np.array(["a", "b"]), unit),  # more texts than vectors
-        (np.array(["a"], object), unit),  # a pickle inside
-        (np.array(["a"]), 2.0 * unit),
-        (np.array(["a"]), np.nan * unit),
-        (np.array(["a"]), unit[:, :-1]),
-        (np.array(["a"]), unit.astype(np.int64)),
+    for texts, vectors, problem in [
+        (np.array(["a", "b"]), unit, "must have the shape"),  # more texts than vectors
+        (np.array(["a"], object), unit, "texts = unreadable.*pickled"),
+        (np.array(["a"]), 2.0 * unit, "length 1"),
+        (np.array(["a"]), np.nan * unit, "finite"),
+        (np.array(["a"]), unit[:, :-1], "must have the shape"),
+        (np.array(["a"]), unit.astype(np.int64), "float32 vectors"),
     ]:
         np.savez(path, texts=texts, vectors=vectors, **fields)
-        with pytest.raises(UserError, match="damaged or no file"):
+        with pytest.raises(UserError, match=f"embeddings.npz.*{problem}"):
             text.load(path)
+
+
+def test_a_write_that_fails_says_why_even_where_nothing_can_be_tidied_up(tmp_path):
+    (tmp_path / "a_file").write_text("kept")
+    with pytest.raises(UserError, match="cannot be written.*give another place"):
+        text.save(tmp_path / "a_file" / "embeddings.npz", made_up_embeddings("a"))
 
 
 def test_merging_keeps_the_first_of_each_text_and_refuses_other_weights():

@@ -16,7 +16,7 @@ class AgentBatch:
     observation, next_observation: [B, ...] as stored.
     features [B, F] and code [B, d] of the state and the desired goal, by the encoders that are trained; action: int32 [B], or float32 [B, A].
     next_features, next_code: after the last step, by the encoders that are trained, without gradient.
-    target_features, target_code: after the last step, by the target encoders; next_action_mask: bool [B, A].
+    target_features, target_code: after the last step, by the target encoders; action_mask, next_action_mask: bool [B, A], what can be done.
     reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination.
     """
 
@@ -31,6 +31,7 @@ class AgentBatch:
     target_code: jax.Array
     reward: jax.Array
     discount: jax.Array
+    action_mask: jax.Array
     next_action_mask: jax.Array
 
 

@@ -34,8 +34,28 @@ def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
     return jnp.where(action_mask, values, -jnp.inf).argmax(-1)
 
 
+def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
+    """The values of these actions: float32 [B, A] and int32 [B] to float32 [B]."""
+    return jnp.take_along_axis(values, actions[:, None], axis=1)[:, 0]
+
+
+def double_q_target(values, params, target_params, batch: AgentBatch) -> jax.Array:
+    """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4) over the steps of each transition, float32 [B], without gradient."""
+    chosen = greedy(values(params, batch.next_features, batch.next_code), batch.next_action_mask)
+    following = of_actions(values(target_params, batch.target_features, batch.target_code), chosen)
+    return jax.lax.stop_gradient(batch.reward + batch.discount * following)
+
+
 def make(config: DQNConfig, env) -> Agent:
     """The DQN agent for this configuration, with as many actions as the environment has."""
+    return value_agent(config, env, regulariser=lambda values, batch, hyper: (0.0, {}))
+
+
+def value_agent(config: DQNConfig, env, regulariser) -> Agent:
+    """An agent that acts by values of actions and learns them by double Q-learning.
+
+    regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics): what is added to the temporal-difference error.
+    """
     head = networks.MLP(config.hidden, env.action_size)
 
     def values(params, features, code):
@@ -52,12 +72,12 @@ def make(config: DQNConfig, env) -> Agent:
         return jnp.where(jax.random.uniform(choose, best.shape) < exploration.epsilon, random, best).astype(jnp.int32)
 
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
-        """Temporal-difference error of double Q-learning (van Hasselt et al. 2016, Eq. 4) over n steps."""
-        chosen = greedy(values(params, batch.next_features, batch.next_code), batch.next_action_mask)
-        following = jnp.take_along_axis(values(target_params, batch.target_features, batch.target_code), chosen[:, None], axis=1)[:, 0]
-        target = jax.lax.stop_gradient(batch.reward + batch.discount * following)
-        value = jnp.take_along_axis(values(params, batch.features, batch.code), batch.action[:, None], axis=1)[:, 0]
+        """Temporal-difference error of double Q-learning, and the regulariser."""
+        target = double_q_target(values, params, target_params, batch)
+        every = values(params, batch.features, batch.code)
+        value = of_actions(every, batch.action)
         error = optax.huber_loss(value, target) if config.huber else optax.l2_loss(value, target)
-        return error.mean(), {"td_error": jnp.abs(value - target).mean(), "value": value.mean()}
+        extra, metrics = regulariser(every, batch, hyper)
+        return error.mean() + extra, {"td_error": jnp.abs(value - target).mean(), "value": value.mean(), **metrics}
 
     return Agent(init, act, loss, lambda state, rows: state, config.num_steps)

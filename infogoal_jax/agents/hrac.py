@@ -8,7 +8,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from infogoal_jax import networks, pairs
 from infogoal_jax.agents import td3
@@ -17,6 +16,8 @@ from infogoal_jax.errors import require
 
 ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
 """Adjacent states lie nearer than the first, others farther than the second, and subgoals cost from the third on (HRAC's own code)."""
+MOST_CELLS = 8192
+"""What is remembered of pairs of cells grows with their square."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +27,7 @@ class HRACConfig:
     interval: int = 5
     """Steps k that a subgoal stays."""
     subgoal_scale: float = 0.15
-    """Farthest displacement that a subgoal asks for along an axis, in m."""
+    """Farthest displacement that a subgoal asks for along an axis, in m; of a joint, in radians."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the layers of actor and critics."""
     num_decisions: int = 1
@@ -36,7 +37,7 @@ class HRACConfig:
     adjacency_size: int = 32
     """Size of the adjacency network's code."""
     cell: float = 0.05
-    """Side of the cells between which adjacency is remembered, in m."""
+    """Side of the cells between which adjacency is remembered, in m or radians."""
     low_level: str = ""
     """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
 
@@ -44,42 +45,12 @@ class HRACConfig:
         """Raise `UserError` for values out of range."""
         require(0 < self.interval <= config.env.episode_length, "agent.interval", self.interval,
                 f"must lie between 1 and the episode length, {config.env.episode_length}")
-        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale, "give metres, above 0 and at most 1, for example 0.15")
-        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m: the memory of adjacency grows with its sixth power")
+        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale, "give metres or radians, above 0 and at most 1, for example 0.15")
+        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m or radians: the memory of adjacency grows with its sixth power")
         for name in ("hidden", "adjacency_hidden"):
             require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")
         for name in ("num_decisions", "adjacency_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
-
-
-@dataclasses.dataclass(frozen=True)
-class Cells:
-    """A grid over the space that goals lie in and at least one cell around it, for grip and object alike.
-
-    Its cells are centred on the corner of that space: an object at rest lies in the middle of a cell, not where the last bit decides between two.
-    """
-
-    low: np.ndarray
-    side: float
-    shape: tuple[int, int, int]
-
-    @classmethod
-    def over(cls, bounds: np.ndarray, side: float) -> "Cells":
-        """The grid over these corners [2, 3] (m)."""
-        counts = np.round((bounds[1] - bounds[0]) / side).astype(int) + 3
-        return cls(bounds[0] - 1.5 * side, side, tuple(int(count) for count in counts))
-
-    @property
-    def count(self) -> int:
-        """Number of cells."""
-        return int(np.prod(self.shape))
-
-    def of(self, position: jax.Array) -> jax.Array:
-        """The cell of each position [..., 3], int32 [...]; -1 outside of the grid."""
-        place = jnp.floor((position - self.low) / self.side).astype(jnp.int32)
-        inside = ((place >= 0) & (place < jnp.array(self.shape))).all(-1)
-        flat = (place[..., 0] * self.shape[1] + place[..., 1]) * self.shape[2] + place[..., 2]
-        return jnp.where(inside, flat, -1)
 
 
 def adjacency_loss(distance: jax.Array, adjacent: jax.Array, weight: jax.Array) -> jax.Array:
@@ -103,23 +74,21 @@ def make(config: HRACConfig, env) -> Agent:
     space = env.space
     actor, critic = td3.Actor(config.hidden, space.size), td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
-    cells = Cells.over(space.bounds, config.cell)
-
-    def positions(states):
-        """Grip and object of target states [..., S]: [components, ..., 3]."""
-        return jnp.moveaxis(states.reshape(*states.shape[:-1], space.components, 3), -2, 0)
+    cells = space.cells(config.cell)
+    require(cells.count <= MOST_CELLS, "agent.cell", config.cell, f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones")
 
     def embed(params, states):
-        """psi_adj of grip and object, each by a network of its own: [components, ..., size]."""
-        centred = (positions(states) - space.bounds.mean(0)) / config.subgoal_scale
-        return jnp.stack([adjacency.apply(own, place) for own, place in zip(params["adjacency"], centred, strict=True)])
+        """psi_adj of the parts of target states [..., S] (grip and object), each by a network of its own: [components, ..., size]."""
+        seen = space.network_input(space.parts(states), config.subgoal_scale)
+        return jnp.stack([adjacency.apply(own, part) for own, part in zip(params["adjacency"], seen, strict=True)])
 
     def init(key, features, code):
         keys = jax.random.split(key, 2 + space.components)
         inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size)
+        seen = space.network_input(space.parts(jnp.zeros(space.size)), config.subgoal_scale)
         params = {
             "actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], inputs, action),
-            "adjacency": [adjacency.init(own, jnp.zeros(3)) for own in keys[2:]],
+            "adjacency": [adjacency.init(own, part) for own, part in zip(keys[2:], seen, strict=True)],
         }
         return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
 
@@ -130,7 +99,7 @@ def make(config: HRACConfig, env) -> Agent:
 
     def observe(apart, rows):
         """The pairs of cells not yet seen within k steps of each other, bool [components, C, C]."""
-        places = cells.of(positions(space.of(rows.observation)))[..., None]
+        places = cells.of(space.parts(space.of(rows.observation)))[..., None]
         episode = rows.episode()
         return jnp.stack([pairs.remove_similar(matrix, place, episode, config.interval) for matrix, place in zip(apart, places, strict=True)])
 
@@ -139,7 +108,7 @@ def make(config: HRACConfig, env) -> Agent:
         state, following = space.of(batch.observation), space.of(batch.next_observation)
         first = jnp.concatenate([state, state])
         second = jnp.concatenate([following, jnp.roll(state, 1, axis=0)])
-        here, there = cells.of(positions(first)), cells.of(positions(second))
+        here, there = cells.of(space.parts(first)), cells.of(space.parts(second))
         component = jnp.arange(space.components)[:, None]
         adjacent = ~apart[component, here, there]
         weight = ((here >= 0) & (there >= 0)).astype(jnp.float32)

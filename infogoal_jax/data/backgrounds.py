@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from infogoal_jax.data.archives import user_cache
 from infogoal_jax.errors import UserError, require
 
 SIZE = 64
@@ -148,10 +149,8 @@ def _read_batch(file: Path) -> np.ndarray:
 
 
 def cifar10_cache() -> Path:
-    """The user's cache folder of this package, where CIFAR-10 is downloaded to by default."""
-    import pooch
-
-    return Path(pooch.os_cache("infogoal"))
+    """Where CIFAR-10 is downloaded to by default."""
+    return user_cache()
 
 
 class DownloadBar:

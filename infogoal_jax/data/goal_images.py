@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 
 IMAGE_SHAPE = (64, 64, 3)
@@ -140,40 +141,20 @@ def shipped(task: str) -> Path:
 
 def load(path: str | os.PathLike, task: str) -> GoalImages:
     """Read the bank of a task. Raises `UserError` for a file that is missing, damaged, something else or of another task."""
-    path = Path(path)
-    try:
-        with open(path, "rb") as file:
-            fields = read_fields(file, task)
-        return GoalImages(**fields)
-    except FileNotFoundError:
-        raise UserError(f"goal images = {str(path)!r}: no such file; {REMEDY}") from None
-    except OSError as error:
-        raise UserError(f"goal images = {str(path)!r}: cannot be read ({error.strerror or error}); {REMEDY}") from error
-    except UserError as error:
-        raise UserError(f"goal images = {str(path)!r}: {error}") from error
+    with archives.naming("goal images", path, REMEDY):
+        return GoalImages(**read_fields(archives.read(path, REMEDY), task))
 
 
-def read_fields(file, task: str) -> dict:
-    """The fields of a bank in an open file, those that say what it is before those that are large."""
-    require(zipfile.is_zipfile(file), "format", "not an npz", f"the file is damaged or something else; {REMEDY}")
+def read_fields(archive: archives.Archive, task: str) -> dict:
+    """The fields of a bank, those that say what it is before those that are large."""
     fields = {}
-    try:
-        with zipfile.ZipFile(file) as archive:
-            sizes = {info.filename: info.file_size for info in archive.infolist()}
-    except Exception as error:
-        raise UserError(f"format = a damaged npz ({error}); {REMEDY}") from error
-    missing = [field for field in FIELDS if f"{field}.npy" not in sizes]
-    require(not missing, "arrays", sorted(sizes), f"{', '.join(missing)} missing; {REMEDY}")
+    missing = [field for field in FIELDS if field not in archive.sizes]
+    require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
     largest = MOST_IMAGES * math.prod(IMAGE_SHAPE) + 4096
-    longest = max(sizes.values())
+    longest = max(archive.sizes.values())
     require(longest <= largest, "arrays", f"one of {longest} bytes", f"give at most {MOST_IMAGES} images, uint8 [N, 64, 64, 3]")
     for field in FIELDS:
-        try:
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                fields[field] = archive[field]
-        except Exception as error:  # numpy, zipfile and lzma raise a dozen types between them on a damaged file
-            raise UserError(f"{field} = unreadable ({error}); the file is damaged or holds pickled objects; {REMEDY}") from error
+        fields[field] = archives.member(archive, field, REMEDY)
         if field == "task":
             found = str(fields["task"])
             require(found == task, "task", found, f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}")
@@ -193,28 +174,5 @@ def save(path: str | os.PathLike, bank: GoalImages) -> None:
 
     Packed with LZMA: neighbouring goals share most of their pixels, and its window spans hundreds of images where that of deflate spans three.
     """
-    path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(beside, "wb") as file:
-                write_fields(file, bank)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(beside, path)
-        finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        raise UserError(f"goal images = {str(path)!r}: cannot be written ({error.strerror}); give another place") from error
-
-
-def write_fields(file, bank: GoalImages) -> None:
-    """The bank as an npz whose members are packed with LZMA, which `numpy.savez` cannot do."""
-    with zipfile.ZipFile(file, "w") as archive:
-        for field in FIELDS:
-            value = json.dumps(bank.about) if field == "about" else getattr(bank, field)
-            member = zipfile.ZipInfo(f"{field}.npy")
-            member.compress_type = zipfile.ZIP_LZMA
-            with archive.open(member, "w") as stream:
-                np.lib.format.write_array(stream, np.asarray(value), allow_pickle=False)
+    members = {field: json.dumps(bank.about) if field == "about" else getattr(bank, field) for field in FIELDS}
+    archives.save(path, members, "goal images", zipfile.ZIP_LZMA)

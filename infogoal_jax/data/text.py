@@ -7,7 +7,6 @@ use them; `sentence_encoder` embeds other texts.
 
 import dataclasses
 import difflib
-import io
 import os
 import shlex
 from collections.abc import Sequence
@@ -15,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.errors import UserError
+from infogoal_jax.data import archives
+from infogoal_jax.errors import UserError, require
 
 EMBEDDING_SIZE = 384
 SHIPPED_FILE = Path(__file__).parent / "files" / "text_embeddings.npz"
@@ -76,48 +76,22 @@ def load(path: str | os.PathLike) -> TextEmbeddings:
     Raises:
       UserError: no such file, or a file that is damaged or something else.
     """
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"no file of text embeddings at {path}; {_remedy(['a red mug'], path)}") from None
-    except OSError as error:
-        raise UserError(f"cannot read the text embeddings {path}: {error.strerror}") from error
-    try:
-        # From memory: numpy leaves a file open when it finds it damaged.
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            texts, vectors, weights_sha256, model = (archive[field] for field in _FIELDS)
-        if texts.dtype.kind != "U" or texts.ndim != 1 or vectors.dtype != np.float32:
-            raise UserError("its arrays are not texts [M] and float32 vectors [M, 384]")
+    again = "take it away and make it again" if Path(path).exists() else "make it"
+    remedy = f"{again}: infogoal data embed 'a red mug' --out {shlex.quote(str(path))}"
+    with archives.naming("text embeddings", path, remedy):
+        archive = archives.read(path, remedy)
+        missing = [field for field in _FIELDS if field not in archive.sizes]
+        require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {remedy}")
+        texts, vectors, weights_sha256, model = (archives.member(archive, field, remedy) for field in _FIELDS)
+        fits = texts.dtype.kind == "U" and texts.ndim == 1 and vectors.dtype == np.float32
+        require(fits, "arrays", f"{texts.dtype} {texts.shape}, {vectors.dtype}", f"not texts [M] and float32 vectors [M, 384]; {remedy}")
         return TextEmbeddings(tuple(texts.tolist()), vectors, str(weights_sha256[()]), str(model[()]))
-    except Exception as error:  # numpy and zipfile raise a dozen types between them on a damaged file
-        raise UserError(
-            f"{path} is damaged or no file of text embeddings ({error}); "
-            f"take it away and {_remedy(['a red mug'], path)}"
-        ) from error
 
 
 def save(path: str | os.PathLike, embeddings: TextEmbeddings) -> None:
     """Writes text embeddings to an npz file. The file at `path` is always whole: the old one or the new one."""
-    path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(beside, "wb") as file:
-            np.savez(
-                file,
-                texts=np.array(embeddings.texts, dtype=np.str_),
-                vectors=embeddings.vectors,
-                weights_sha256=np.array(embeddings.weights_sha256),
-                model=np.array(embeddings.model),
-            )
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except OSError as error:
-        raise UserError(f"cannot write the text embeddings {path}: {error.strerror}") from error
-    finally:
-        beside.unlink(missing_ok=True)
+    members = {field: np.asarray(getattr(embeddings, field)) for field in _FIELDS}
+    archives.save(path, members | {"texts": np.array(embeddings.texts, dtype=np.str_)}, "text embeddings")
 
 
 def merge(first: TextEmbeddings, *others: TextEmbeddings) -> TextEmbeddings:

@@ -1,20 +1,12 @@
 """Environments: pytrees of arrays with pure functions over them. `load` makes one by name; `registry` is the one place where a new one is named."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
-from infogoal_jax.envs import object_search
+from infogoal_jax.envs import object_manipulation, object_search
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.errors import UserError, nearest
-
-
-class Entry(NamedTuple):
-    """The configuration class of a task and the function that makes its environment."""
-
-    config: type
-    make: Callable[[Any], Any]
+from infogoal_jax.registry import Entry, find
 
 
 def make_fetch(name: str, config: FetchConfig):
@@ -26,15 +18,14 @@ def make_fetch(name: str, config: FetchConfig):
 
 registry: dict[str, Entry] = {
     "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
+    "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
     **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
 }
 
 
 def entry(task: str) -> Entry:
     """The registered task of this name, or a `UserError` with the nearest one."""
-    if task not in registry:
-        raise UserError(f"task = {task!r}: no such task.{nearest(task, list(registry))} Known: {', '.join(registry)}")
-    return registry[task]
+    return find(registry, "task", task)
 
 
 def load(task: str, config: Any = None):

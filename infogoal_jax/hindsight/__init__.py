@@ -1,1 +1,14 @@
-"""Relabelling in hindsight, a file a method."""
+"""Relabelling in hindsight, a file a method. `registry` is the one place where a new one is named."""
+
+from infogoal_jax.hindsight import her, none
+from infogoal_jax.registry import Entry, find
+
+registry: dict[str, Entry] = {
+    "none": Entry(none.NoneConfig, none.make),
+    "her": Entry(her.HERConfig, her.make),
+}
+
+
+def entry(relabelling: str) -> Entry:
+    """The registered relabelling of this name, or a `UserError` with the nearest one."""
+    return find(registry, "relabelling", relabelling)

@@ -1,19 +1,7 @@
 """Goal-representation learners, a file a method. `registry` is the one place where a new method is named."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
-
-from infogoal_jax.errors import UserError, nearest
 from infogoal_jax.learners import infogoal, none
-from infogoal_jax.learners.learner import Learner
-
-
-class Entry(NamedTuple):
-    """The configuration class of a method and the function that makes its learner."""
-
-    config: type
-    make: Callable[[Any], Learner]
-
+from infogoal_jax.registry import Entry, find
 
 registry: dict[str, Entry] = {
     "infogoal": Entry(infogoal.InfoGoalConfig, infogoal.make),
@@ -23,6 +11,4 @@ registry: dict[str, Entry] = {
 
 def entry(method: str) -> Entry:
     """The registered method of this name, or a `UserError` with the nearest one."""
-    if method not in registry:
-        raise UserError(f"method = {method!r}: no such method.{nearest(method, list(registry))} Known: {', '.join(registry)}")
-    return registry[method]
+    return find(registry, "method", method)

@@ -84,17 +84,17 @@ def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int,
         def encode(indices):
             key = jax.random.fold_in(corruption.key, next(calls))
             backgrounds = draw_backgrounds(key, corruption.backgrounds, indices.shape)
-            return learner.encode(params, corrupt(goals.inputs[indices], backgrounds, corruption.weight))
+            return learner.encode(params, corrupt(goals.inputs_of(indices), backgrounds, corruption.weight))
 
         return encode
     if goals.num_goals <= batch_size:
-        return learner.encode(params, goals.inputs).__getitem__
-    return lambda indices: learner.encode(params, goals.inputs[indices])
+        return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
+    return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
 
 def encode_all(learner: Learner, params: Any, goals: GoalSet) -> GoalCode:
     """The codes of all goals [N], a few hundred at a time: a large set of images does not fit into memory at once."""
-    return jax.lax.map(lambda inputs: learner.encode(params, inputs), goals.inputs, batch_size=GOALS_AT_ONCE)
+    return jax.lax.map(lambda goal: learner.encode(params, goals.inputs_of(goal)), jnp.arange(goals.num_goals), batch_size=GOALS_AT_ONCE)
 
 
 def in_place(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
@@ -107,4 +107,4 @@ def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: 
     """How to encode goals that are commanded while training: they are few, so each is encoded once however large the goal space is."""
     if corruption is not None or goals.num_goals <= batch_size:
         return encode_goals(learner, params, goals, batch_size, corruption)
-    return in_place(learner.encode(params, goals.inputs[goals.commanded]), goals, goals.commanded)
+    return in_place(learner.encode(params, goals.inputs_of(goals.commanded)), goals, goals.commanded)

@@ -53,7 +53,7 @@ def with_evaluated(env: Any, which: np.ndarray) -> Any:
 def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
     """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start a goal."""
     backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, env.goals.evaluated.shape)
-    return np.asarray(corrupt(env.goals.inputs[env.goals.evaluated], backgrounds, weight))
+    return np.asarray(corrupt(env.goals.inputs_of(env.goals.evaluated), backgrounds, weight))
 
 
 def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:

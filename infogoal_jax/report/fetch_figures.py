@@ -53,7 +53,7 @@ def goal_images(env: Any) -> Figure:
     ):
         chosen = np.flatnonzero(np.asarray(mask))[:EXAMPLES]
         behind = draw_backgrounds(jax.random.fold_in(jax.random.key(EXAMPLE_SEED), len(rows)), backgrounds, chosen.shape)
-        rows += [(title, goals.inputs[goal], background) for goal, background in zip(chosen, behind, strict=True)]
+        rows += [(title, goals.inputs_of(goal), background) for goal, background in zip(chosen, behind, strict=True)]
     columns = {"clean": 0.0, **{f"weight {weight:g}": weight for weight in WEIGHTS}, "background": 1.0}
     title, shown = f"{env.robot.task.name.replace('_', ' ')}: goal images and the weight of their background", "the first goals of each kind"
     figure = empty_figure(title, (f"{shown}; backgrounds drawn from seed {EXAMPLE_SEED}", f"data: {env.source}"), (9.6, 1.56 * len(rows) + 0.9))

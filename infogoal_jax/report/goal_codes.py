@@ -55,7 +55,7 @@ def representations(subject: Subject) -> Figure | None:
     which = np.asarray(goals.evaluated)
     if subject.params is None or len(which) < 3:
         return None
-    code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs[which]))
+    code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs_of(which)))
     centre, directions, shares = principal_components(code.mean)
     figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
     axes = figure.subplots()

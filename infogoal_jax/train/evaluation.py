@@ -76,4 +76,4 @@ def random_policy(env) -> Policy:
 
 def shortest_path_policy(env) -> Policy:
     """A shortest path to the goal, known only to the simulator."""
-    return lambda observation, goal, key: env.distance[goal[:, None], env.next_node[observation]].argmin(-1).astype(jnp.int32)
+    return lambda observation, goal, key: env.distance[env.place[goal][:, None], env.next_node[env.node_of(observation)]].argmin(-1).astype(jnp.int32)

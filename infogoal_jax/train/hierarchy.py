@@ -6,6 +6,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 
@@ -17,6 +18,7 @@ class SteeredState:
     inner: Any
     target: jax.Array
 
+    node = property(lambda self: self.inner.node)  # Of states on a graph.
     goal = property(lambda self: self.inner.goal)
     time = property(lambda self: self.inner.time)
     terminated = property(lambda self: self.inner.terminated)
@@ -83,7 +85,7 @@ class Steered:
 
     def action_mask(self, observation: jax.Array) -> jax.Array:
         """All subgoals can be asked for, bool [..., S]."""
-        return jnp.ones((*observation.shape[:-1], self.action_size), bool)
+        return jnp.ones((*self.space.of(observation).shape[:-1], self.action_size), bool)
 
     def observe(self, state: SteeredState) -> jax.Array:
         """What is stored of the observation."""
@@ -98,7 +100,10 @@ def steer(env, config) -> Steered:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
     from infogoal_jax.train import low_level_file  # With it comes MuJoCo, which takes half a second that no other task needs.
 
-    require(hasattr(env, "space"), "agent", type(config).__name__, "this task has no target states that a low level could be sent to")
-    header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
+    require(hasattr(env, "space"), "algorithm", "hrac", "this task has no target states that a low level could be sent to")
+    if isinstance(env.space, JointSpace):
+        header, low_level = low_level_file.load_joint_level(config.low_level, env.space.size, env.action_size)
+    else:
+        header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
     name = f"low level, content {header['sha256'][:8]}"
     return Steered(env, low_level, env.space, config.interval, config.subgoal_scale, name)

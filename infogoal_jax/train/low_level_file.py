@@ -1,4 +1,4 @@
-"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of three tasks are shipped (docs/low_level.md)."""
+"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped (docs/low_level.md)."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax import networks
 from infogoal_jax.agents import td3
+from infogoal_jax.agents.joint_level import JointLevel, network_input
 from infogoal_jax.agents.low_level import LowLevel
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.targets import TargetSpace
@@ -15,6 +17,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.train import checkpoint
 
 SHIPPED = Path(__file__).parent.parent / "data" / "files" / "fetch" / "low_level"
+SHIPPED_JOINT_LEVEL = Path(__file__).parent.parent / "data" / "files" / "cube" / "low_level"
 KIND = "low level"
 
 
@@ -43,7 +46,14 @@ def load(path: str, task: str) -> LowLevel:
 
 def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
     """The header and the low level, as `load` reads them."""
-    file = Path(path) if path else shipped(task)
+    file, header = find_file(path, shipped(task) if not path else Path(path), task)
+    template = empty(task, tuple(header["hidden"]))
+    tree = read_arrays(file, {"actor": template.actor, "mean": template.mean, "std": template.std}, task)
+    return header, template.replace(**tree)
+
+
+def find_file(path: str, file: Path, task: str) -> tuple[Path, dict[str, Any]]:
+    """The file of a low level of this task and its header."""
     file = file / "low_level" if file.is_dir() else file
     if not file.exists():
         raise UserError(f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or none at all for the "
@@ -53,13 +63,33 @@ def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
         raise UserError(f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain {task}` wrote")
     if header["task"] != task:
         raise UserError(f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal pretrain {task}`")
-    template = empty(task, tuple(header["hidden"]))
+    return file, header
+
+
+def read_arrays(file: Path, template: dict, task: str) -> dict:
+    """The arrays of a low level, if they have the shapes of the template."""
     try:
-        _, tree = checkpoint.load(file, {"actor": template.actor, "mean": template.mean, "std": template.std})
+        return jax.tree.map(jnp.asarray, checkpoint.load(file, template)[1])
     except UserError as error:
         raise UserError(f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal pretrain {task}`"
                         ) from error
-    return header, template.replace(**jax.tree.map(jnp.asarray, tree))
+
+
+def save_joint_level(path: Path, header: dict[str, Any], low_level: JointLevel) -> None:
+    """Write the low level of an arm moved by joint steps. header: JSON values, `task`, `joints` and `moves` among them."""
+    checkpoint.save(path, {"kind": KIND, **header, "hidden": list(low_level.hidden)}, {"params": low_level.params})
+
+
+def load_joint_level(path: str, num_joints: int, num_moves: int, task: str = "object_manipulation") -> tuple[dict[str, Any], JointLevel]:
+    """The header and the low level of an arm with so many joints and moves, from a file as `load` takes it."""
+    file, header = find_file(path, Path(path) if path else SHIPPED_JOINT_LEVEL, task)
+    if (header["joints"], header["moves"]) != (num_joints, num_moves):
+        raise UserError(f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, the dataset's has "
+                        f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, and give it with --agent.low-level")
+    hidden = tuple(header["hidden"])
+    joints = jnp.zeros(num_joints)
+    params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
+    return header, JointLevel(read_arrays(file, {"params": params}, task)["params"], hidden, num_moves)
 
 
 def empty(task: str, hidden: tuple[int, ...]) -> LowLevel:

@@ -1,8 +1,10 @@
 """`make_train(config)`: the whole of training as one pure function of a key.
 
-    epoch  = collect, add to the buffer, scan over updates
+    epoch  = collect, add to the buffer, draw what every update learns from, scan over updates
     chunk  = scan over epochs, then evaluate
     train  = scan over chunks
+
+Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
 The command line runs the same `chunk` between checkpoints. Nothing here calls back to Python, reads a file or keeps state.
 """
@@ -16,18 +18,18 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from infogoal_jax import agents, envs, learners, networks, pairs, replay
+from infogoal_jax import agents, envs, hindsight, learners, networks, pairs, replay
 from infogoal_jax.agents.agent import Agent, Exploration
-from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.hindsight.relabelling import Achievements, Hindsight
 from infogoal_jax.learners.learner import Encode, Learner, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
-from infogoal_jax.train.update import Experience, training_corruption, update, usable_goals
+from infogoal_jax.train.update import Experience, training_corruption, updates, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
@@ -39,6 +41,7 @@ class Parts(NamedTuple):
     method: str
     learner: Learner
     agent: Agent
+    hindsight: Hindsight | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
     batch_size: int
@@ -52,7 +55,7 @@ class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
     params, target_params: {"goal", "state", "agent"}; learner, agent: their states; dissimilarity: bool [N, N]; seen: bool [N] goals achieved;
-    buffer: Rows; env_states: [num_envs]; key: the seed's key, never consumed; env_steps: int32.
+    buffer: Rows; env_states: [num_envs]; both None offline. key: the seed's key, never consumed; env_steps: int32, collected or recorded.
     """
 
     params: dict
@@ -62,7 +65,7 @@ class TrainState:
     agent: Any
     dissimilarity: jax.Array
     seen: jax.Array
-    buffer: Rows
+    buffer: Rows | None
     env_states: Any
     key: jax.Array
     env_steps: jax.Array
@@ -109,14 +112,18 @@ class Train:
 
 
 def make_parts(config: TrainConfig, env) -> Parts:
-    """The learner, agent and encoders that the configuration names."""
-    method = learners.entry(config.method)
-    require(isinstance(config.learner, method.config), "learner", type(config.learner).__name__,
-            f"method {config.method!r} needs a {method.config.__name__}; make the configuration with presets.load, and resume with the same --method")
+    """The learner, agent, relabelling and encoders that the configuration names."""
+    method, algorithm, relabelling = learners.entry(config.method), agents.entry(config.algorithm), hindsight.entry(config.relabelling)
+    for name, part, field, entry in (("method", config.learner, "learner", method), ("algorithm", config.agent, "agent", algorithm),
+                                     ("relabelling", config.hindsight, "hindsight", relabelling)):
+        require(isinstance(part, entry.config), field, type(part).__name__,
+                f"{name} {getattr(config, name)!r} needs a {entry.config.__name__}; make the configuration with presets.load, and resume with the same "
+                f"--{name}")
     return Parts(
         method=config.method,
         learner=method.make(config.learner),
-        agent=agents.make(config.agent, env),
+        agent=algorithm.make(config.agent, env),
+        hindsight=relabelling.make(config.hindsight),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
@@ -141,9 +148,9 @@ def load_environment(config: TrainConfig, env: Any = None):
     require(hasattr(env, "goals"), "env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set: give images")
     require(not config.training_corruption or env.train_backgrounds is not None, "training_corruption", config.training_corruption,
             f"goals of {config.task} are no images that could be corrupted: give 0")
-    if isinstance(config.agent, HRACConfig):
+    if config.algorithm == "hrac":
         return env if isinstance(env, hierarchy.Steered) else hierarchy.steer(env, config.agent)
-    require(not hasattr(env, "space"), "agent", type(config.agent).__name__, f"{config.task} is acted in by subgoals: give an HRACConfig")
+    require(env.discrete, "algorithm", config.algorithm, f"{config.task} is not acted in by a choice among a few moves: give hrac")
     return env
 
 
@@ -174,9 +181,9 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         They act on the episodes of `evaluation.goal_starts` with this number of starts. corruption: weight, None for the configuration's.
         """
         exploration = Exploration(hyper.test_epsilon, 0.0)
-        views = {"": in_place(learner.encode(params["goal"], env.goals.inputs[env.goals.evaluated]), env.goals, env.goals.evaluated)}
+        views = {"": in_place(learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated)}
         if env.test_backgrounds is not None:
-            images = jnp.repeat(env.goals.inputs[env.goals.evaluated], num_starts, axis=0)
+            images = jnp.repeat(env.goals.inputs_of(env.goals.evaluated), num_starts, axis=0)
             backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, images.shape[:1])
             weight = config.test_corruption if corruption is None else corruption
             codes = learner.encode(params["goal"], corrupt(images, backgrounds, weight))
@@ -202,45 +209,69 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         state = TrainState(
             params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state, agent=agent_state,
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),
-            buffer=None, env_states=env_states, key=key, env_steps=jnp.zeros((), jnp.int32),
+            buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
         )
+        if env.recorded is not None:
+            return witness(state, env.recorded, env)
         example = rows_shape(env, env_states, training_policy(params, hyper, env, key), config.rollout_steps)
-        return state.replace(buffer=replay.empty(example, config.buffer_epochs))
+        return state.replace(buffer=replay.empty(example, config.buffer_epochs), env_states=env_states)
 
-    def epoch(state: TrainState, number, hyper, env):
+    def usable_mask(env) -> jax.Array:
+        """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved: bool [N]."""
+        return env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
+
+    def witness(state: TrainState, rows: Rows, env) -> TrainState:
+        """The state that has seen these rows: goals achieved, pairs that are no longer dissimilar, and what the agent makes of them."""
+        achieved = env.goals_of(rows.record)
+        state = state.replace(
+            agent=agent.observe(state.agent, rows), env_steps=state.env_steps + rows.valid.sum(),
+            seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
+        )
+        if not learner.pairs.num_pairs:
+            return state
+        similar = usable_goals(env, rows.record, usable_mask(env))
+        return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.pairs.window))
+
+    def gather(state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
+        """Collect the rows of an epoch into the buffer."""
         collect_key = jax.random.fold_in(jax.random.fold_in(state.key, COLLECT), number)
         corruption_key = jax.random.fold_in(jax.random.fold_in(state.key, CORRUPT), number)
         acting = training_policy(state.params, hyper, env, corruption_key)
         env_states, rows = collect(env, state.env_states, acting, collect_key, config.rollout_steps)
-        buffer = replay.add(state.buffer, rows, number)
-        usable = env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
-        seen = state.seen.at[jnp.where((achieved := env.goals_of(rows.record)) < 0, env.goals.num_goals, achieved)].set(True, mode="drop")
-        state = state.replace(env_states=env_states, buffer=buffer, agent=agent.observe(state.agent, rows), seen=seen,
-                              env_steps=state.env_steps + rows.valid.sum())
-        if learner.pairs.num_pairs:
-            dissimilarity = pairs.remove_similar(state.dissimilarity, usable_goals(env, rows.record, usable), rows.episode(), learner.pairs.window)
-            state = state.replace(dissimilarity=dissimilarity)
-        written = jnp.arange(buffer.valid.shape[0]) < (number + 1) * config.num_envs
-        achieved = (usable_goals(env, buffer.record, usable) >= 0).any(-1) & written[:, None]
-        known = jnp.ones_like(usable) if config.known_goals == "all" else usable & seen
-        experience = Experience(
-            buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved,
-            achieved_count=replay.running_count(achieved), known=known, usable=usable, dissimilarity=state.dissimilarity,
-            codes=encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None,
-        )
-        update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
-        state, metrics = jax.lax.scan(
-            lambda carry, key: update(parts, env, hyper, experience, carry, key), state, jax.random.split(update_key, config.updates_per_epoch)
-        )
-        metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics)
-        if learner.pairs.num_pairs:
-            left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, seen)
-            metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
+        state = witness(state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env)
         ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
-        metrics |= {
+        return state, {
             "collect/success_rate": rows.terminated.sum() / ended, "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(),
-            "collect/valid": rows.valid.mean(), "collect/goals_seen": seen.sum(),
+            "collect/valid": rows.valid.mean(), "collect/goals_seen": state.seen.sum(),
         }
+
+    def experience_of(state: TrainState, number, env) -> Experience:
+        """What the updates of an epoch draw from."""
+        offline, usable = env.recorded is not None, usable_mask(env)
+        buffer = env.recorded if offline else state.buffer
+        written = jnp.arange(buffer.valid.shape[0]) < (buffer.valid.shape[0] if offline else (number + 1) * config.num_envs)
+        goals = usable_goals(env, buffer.record, usable)
+        achieved = (goals >= 0).any(-1) & written[:, None]
+        achieved_count = replay.running_count(achieved)
+        known = jnp.ones_like(usable) if config.known_goals == "all" else usable & state.seen
+        return Experience(
+            buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved,
+            achieved_count=achieved_count, known=known, usable=usable, dissimilarity=state.dissimilarity,
+            codes=encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None,
+            achievements=None if parts.hindsight is None else Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known),
+        )
+
+    def epoch(state: TrainState, number, hyper, env):
+        collected = {}
+        if env.recorded is None:
+            state, collected = gather(state, number, hyper, env)
+        experience = experience_of(state, number, env)
+        update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
+        state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
+        metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
+        if learner.pairs.num_pairs:
+            left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
+            metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}
 
     def chunk(state: TrainState, numbers, hyper, env):

@@ -10,6 +10,7 @@ import optax
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
 from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.hindsight.relabelling import Achievements
 from infogoal_jax.learners.learner import Corruption, GoalCode, encode_commanded, encode_goals
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Rows, Transitions
@@ -22,6 +23,7 @@ class Experience:
     buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
+    achievements: what a relabelling chooses from; None without one.
     """
 
     buffer: Rows
@@ -32,6 +34,21 @@ class Experience:
     usable: jax.Array
     dissimilarity: jax.Array
     codes: GoalCode | None
+    achievements: Achievements | None = None
+
+
+@flax.struct.dataclass
+class Sample:
+    """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside of the loop over updates.
+
+    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], known goals achieved after each
+    step, padded with -1; pairs: of goals, or None.
+    """
+
+    transitions: Transitions
+    external: jax.Array
+    achieved: jax.Array
+    pairs: GoalPairs | None
 
 
 def training_corruption(parts, env, key: jax.Array) -> Corruption | None:
@@ -62,15 +79,34 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 
-def returns(parts, state, env, hyper, experience: Experience, batch: Transitions) -> tuple[jax.Array, Any, dict]:
-    """Discounted reward of each transition's steps, float32 [B]: 1 for reaching the goal (Eq. 5), plus the intrinsic reward (Eq. 16)."""
-    external = env.reached(batch.records, batch.goal[:, None]).astype(jnp.float32)
+def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
+    """Draw what one update learns from: transitions, some of them under other goals (hindsight), and goal pairs."""
+    transition_key, relabel_key, pair_key = jax.random.split(key, 3)
+    buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
+    row, step = replay.draw(transition_key, experience.decision_count, parts.batch_size, buffer.valid.shape[1])
+    if env.recorded is not None:
+        goal = buffer.goal[row, step]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
+    if parts.hindsight is not None:
+        goal = parts.hindsight.relabel(relabel_key, experience.achievements, row, step, buffer.goal[row, step])
+    transitions = replay.transitions_at(buffer, row, step, num_steps, goal, env.reached)
+    pairs = sample_pairs(parts.learner.pairs, env, experience, pair_key) if parts.learner.pairs.num_pairs else None
+    return judged(env, experience, transitions, pairs)
+
+
+def judged(env, experience: Experience, transitions: Transitions, pairs: GoalPairs | None = None) -> Sample:
+    """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
+    external = env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
+    return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs)
+
+
+def returns(parts, state, env, hyper, experience: Experience, drawn: Sample) -> tuple[jax.Array, Any, dict]:
+    """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16)."""
+    batch, external = drawn.transitions, drawn.external
     if experience.codes is None:
         encode = encode_goals(parts.learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
     else:
         encode = experience.codes.__getitem__
-    achieved = usable_goals(env, batch.records, experience.usable)
-    intrinsic, learner_state = parts.learner.intrinsic_reward(state.learner, encode, batch.goal, achieved, batch.mask)
+    intrinsic, learner_state = parts.learner.intrinsic_reward(state.learner, encode, batch.goal, drawn.achieved, batch.mask)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
     taken = batch.mask.sum()
@@ -99,6 +135,7 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
         target_code=target_code.sample(keys[2]),
         reward=reward,
         discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
+        action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
     )
 
@@ -111,14 +148,13 @@ def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Arra
     return {"positives_within": within, "positives_between": (~same * pairs.positive_weight).sum() / total}
 
 
-def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
+def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key: jax.Array):
     """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part."""
     learner, agent = parts.learner, parts.agent
-    transition_key, pair_key, loss_key, code_key, agent_key, corruption_key = jax.random.split(key, 6)
-    batch = replay.sample_transitions(transition_key, experience.buffer, experience.decision_count, parts.batch_size, agent.num_steps)
-    pairs = sample_pairs(learner.pairs, env, experience, pair_key) if learner.pairs.num_pairs else None
+    loss_key, code_key, agent_key, corruption_key = jax.random.split(key, 4)
+    batch, pairs = drawn.transitions, drawn.pairs
     corruption = training_corruption(parts, env, corruption_key)
-    reward, learner_state, reward_metrics = returns(parts, state, env, hyper, experience, batch)
+    reward, learner_state, reward_metrics = returns(parts, state, env, hyper, experience, drawn)
 
     def total_loss(params):
         encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, corruption)
@@ -139,3 +175,11 @@ def update(parts, env, hyper, experience: Experience, state, key: jax.Array):
     if pairs is not None:
         learner_metrics |= positive_regions(pairs, env.goals.regions)
     return state, metrics | {f"{parts.method}/{name}": value for name, value in learner_metrics.items()}
+
+
+def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
+    """`count` updates. What they learn from is drawn at once: drawing inside of the loop would take most of a GPU's time."""
+    sample_key, update_key = jax.random.split(key)
+    drawn = jax.vmap(lambda key: sample(parts, env, experience, key))(jax.random.split(sample_key, count))
+    keys = jax.random.split(update_key, count)
+    return jax.lax.scan(lambda carry, step: update(parts, env, hyper, experience, carry, *step), state, (drawn, keys))

@@ -57,6 +57,10 @@ class ImageGoals:
 
     num_observations = None
     """Observations are vectors, not indices."""
+    discrete = False
+    """An action is a vector."""
+    recorded = None
+    """Nothing was recorded beforehand: the agent acts."""
 
     @property
     def space(self) -> targets.TargetSpace:

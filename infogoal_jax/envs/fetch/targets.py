@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.tasks import Task
 
@@ -66,6 +67,18 @@ class TargetSpace:
             low[2], high[2] = task.object_height, task.object_height + environment.HIGHEST_GOAL * task.goals_in_air
             low[0], high[0] = low[0] + task.goal_offset, high[0] + task.goal_offset
         return np.array([low, high])
+
+    def parts(self, states: jax.Array) -> jax.Array:
+        """Grip and object of target states [..., S], which are remembered apart: [components, ..., 3]."""
+        return jnp.moveaxis(states.reshape(*states.shape[:-1], self.components, 3), -2, 0)
+
+    def network_input(self, part: jax.Array, scale: float) -> jax.Array:
+        """A position [..., 3] as a network sees it: from the middle of the space of goals, in units of `scale` m."""
+        return (part - self.bounds.mean(0)) / scale
+
+    def cells(self, side: float) -> Cells:
+        """Cells of this side (m) over the space of goals, for grip and object alike."""
+        return Cells.over(self.bounds, side)
 
     def from_subgoal(self, observation: jax.Array, subgoal: jax.Array, scale: float) -> jax.Array:
         """The target state [..., S] that a subgoal [..., S] in [-1, 1] means: a displacement of grip or object by up to `scale` m along each axis.

@@ -1,0 +1,35 @@
+"""Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN from recorded moves, with values of what was not done held down."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.agents import dqn
+from infogoal_jax.agents.agent import Agent
+
+
+@dataclasses.dataclass(frozen=True)
+class CQLConfig(dqn.DQNConfig):
+    """Sizes and switches of CQL: those of DQN. Its weight is a hyperparameter, `conservative_weight`."""
+
+    num_steps: int = 1
+    """Steps of the return: more would learn the value of whoever recorded the moves."""
+
+
+def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Array) -> jax.Array:
+    """log sum_a exp Q(s, g, a) - Q(s, g, a of the data) over the moves that exist, float32 [B]: 0 or more (CQL(H), Eq. 4).
+
+    values: float32 [B, A]; action_mask: bool [B, A]; actions: int32 [B].
+    """
+    return jax.nn.logsumexp(jnp.where(action_mask, values, -jnp.inf), axis=-1) - dqn.of_actions(values, actions)
+
+
+def make(config: CQLConfig, env) -> Agent:
+    """The CQL agent for this configuration, with as many actions as the environment has."""
+
+    def regulariser(values, batch, hyper):
+        gap = conservative_gap(values, batch.action_mask, batch.action).mean()
+        return hyper.conservative_weight * gap, {"conservative_gap": gap}
+
+    return dqn.value_agent(config, env, regulariser)

@@ -1,0 +1,107 @@
+"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. And the user's cache folder.
+
+A reader wraps its work in `naming`, so that whatever is wrong with a file is one `UserError` that names it and says what to do.
+"""
+
+import contextlib
+import dataclasses
+import io
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infogoal_jax.errors import UserError, require
+
+
+@dataclasses.dataclass(frozen=True)
+class Archive:
+    """An npz in memory. sizes: bytes of each member when unpacked, by its name (without .npy), in the order of the file."""
+
+    content: bytes
+    sizes: dict[str, int]
+
+
+@contextlib.contextmanager
+def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
+    """Inside, what the disk refuses or a `UserError` says becomes a `UserError` that names the file: `what = 'path': ...`."""
+    name = f"{what} = {str(path)!r}"
+    try:
+        yield
+    except FileNotFoundError:
+        raise UserError(f"{name}: no such file; {remedy}") from None
+    except OSError as error:
+        raise UserError(f"{name}: cannot be read ({error.strerror or error}); {remedy}") from error
+    except UserError as error:
+        raise UserError(f"{name}: {error}") from error
+
+
+def read(path: str | os.PathLike, remedy: str) -> Archive:
+    """The npz at `path`, its members still packed. Raises `OSError` if it cannot be read, `UserError` if it is no npz or cut short."""
+    content = Path(path).read_bytes()  # From memory: numpy leaves a file open when it finds it damaged.
+    require(zipfile.is_zipfile(io.BytesIO(content)), "format", "not an npz", f"the file is cut short, damaged or something else; {remedy}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as members:
+            return Archive(content, {info.filename.removesuffix(".npy"): info.file_size for info in members.infolist()})
+    except Exception as error:  # zipfile raises half a dozen types on a damaged list of members
+        raise UserError(f"format = a damaged npz ({error}); {remedy}") from error
+
+
+def member(archive: Archive, name: str, remedy: str) -> np.ndarray:
+    """One member, unpacked. Raises `UserError` if it is damaged or holds pickled objects."""
+    try:
+        with np.load(io.BytesIO(archive.content), allow_pickle=False) as members:
+            return members[name]
+    except Exception as error:  # numpy, zipfile and lzma raise a dozen types between them on a damaged file
+        raise UserError(f"{name} = unreadable ({error}); the file is damaged or holds pickled objects; {remedy}") from error
+
+
+def write(path: str | os.PathLike, members: Mapping[str, Any], compression: int = zipfile.ZIP_STORED, level: int | None = None) -> None:
+    """Write an npz as `replace_file` does, its folder too. The same members give the same bytes. Raises `OSError` if the disk refuses.
+
+    members: arrays, numbers or texts by name. compression and level: of each member, as zipfile takes them; `numpy.savez` cannot choose.
+    """
+
+    def write_members(file) -> None:
+        with zipfile.ZipFile(file, "w", compression, compresslevel=level) as archive:
+            for name, value in members.items():
+                array = np.asarray(value)
+                with archive.open(f"{name}.npy", "w", force_zip64=array.nbytes > 1 << 30) as stream:
+                    np.lib.format.write_array(stream, array, allow_pickle=False)
+
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, write_members)
+
+
+def save(path: str | os.PathLike, members: Mapping[str, Any], what: str, compression: int = zipfile.ZIP_STORED, level: int | None = None) -> None:
+    """`write`, for a file that the user asked for: what the disk refuses is a `UserError` that names it."""
+    try:
+        write(path, members, compression, level)
+    except OSError as error:
+        raise UserError(f"{what} = {str(path)!r}: cannot be written ({error.strerror or error}); give another place") from error
+
+
+def replace_file(path: str | os.PathLike, write_content: Callable[[object], None]) -> None:
+    """Write a file beside, sync and rename it, so that `path` holds either its old or its whole new content. Raises `OSError`."""
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with open(beside, "wb") as file:
+            write_content(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+    except BaseException:
+        with contextlib.suppress(OSError):  # What hinders the tidying up must not hide why it is needed.
+            beside.unlink(missing_ok=True)
+        raise
+
+
+def user_cache() -> Path:
+    """The user's cache folder of this package, where downloads and generated datasets are kept."""
+    import pooch
+
+    return Path(pooch.os_cache("infogoal"))

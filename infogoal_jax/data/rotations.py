@@ -1,0 +1,50 @@
+"""Orientations of an object: whether matrices are rotations, the angle between two, and which of many are the same.
+
+The object-manipulation task (paper, section V-A.3) is solved by orientation, not by the arm's joints, and different joints may give one orientation.
+"""
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+# Largest entry of |R R^T - 1| that float32 matrices, or poses that were written down with four digits, may have.
+ORTHOGONAL_WITHIN = 1e-3
+
+
+def rotation_fault(rotation: np.ndarray) -> int | None:
+    """Row of the first matrix of [K, 3, 3] that is no rotation (not orthogonal within 1e-3, a reflection, not finite), or None."""
+    matrix = np.asarray(rotation, np.float64)
+    finite = np.isfinite(matrix).all((-1, -2))
+    matrix = np.where(finite[:, None, None], matrix, 0)
+    off = np.abs(matrix @ matrix.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+    faults = np.flatnonzero((off > ORTHOGONAL_WITHIN) | (np.linalg.det(matrix) < 0))  # a matrix that was not finite is 0 here, and so a fault
+    return int(faults[0]) if len(faults) else None
+
+
+def geodesic(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle of the turn from one orientation to another: [..., 3, 3] and [..., 3, 3] to float64 radians [...], 0 to pi; the two broadcast."""
+    turn = np.swapaxes(np.asarray(first, np.float64), -1, -2) @ np.asarray(second, np.float64)
+    twice_sine = np.stack([turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]], -1)
+    # The arc cosine of the trace alone would lose half of the digits near 0 and pi.
+    return np.arctan2(np.linalg.norm(twice_sine, axis=-1), np.trace(turn, axis1=-2, axis2=-1) - 1)
+
+
+def orientation_classes(rotation: np.ndarray, tolerance: float = 1e-3) -> np.ndarray:
+    """Class of each orientation: [K, 3, 3] to int32 [K], numbered by first appearance.
+
+    Orientations less than half of `tolerance` (radians) apart always share a class, and so do chains of them; more than 1.5 of it apart, they
+    share one only by a chain.
+    """
+    quaternion = Rotation.from_matrix(np.asarray(rotation, np.float64)).as_quat()
+    reach = tolerance / 2  # an angle is twice the distance of its quaternions
+    # One of each crowd stands for all: an arm that stood still for a thousand frames would otherwise have half a million pairs.
+    # What is in one cell is at most reach / 4 apart (the diagonal of four sides); across borders the tree decides.
+    _, representative, member = np.unique(np.round(quaternion / (reach / 8)).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    points = quaternion[representative]
+    pairs = KDTree(np.concatenate([points, -points])).query_pairs(reach, output_type="ndarray") % len(points)  # q and -q are one orientation
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    _, component = connected_components(graph, directed=False)
+    _, first, group = np.unique(component[member.reshape(-1)], return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[group].astype(np.int32)

@@ -1,0 +1,142 @@
+"""Embodied question answering (paper, Sec. V-A.4): a drone in front of a shelf flies to where it sees the object that a question asks about.
+
+Learning is offline, from recorded flights; the evaluation flies in the simulated shelf. Goals are texts: the names of all objects, which are known
+while training and are what flights are relabelled with, a training question for some objects, and questions never seen for the test.
+"""
+
+import dataclasses
+import hashlib
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.data import frames, questions, shelf, text
+from infogoal_jax.envs.graph import GraphWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
+from infogoal_jax.errors import require
+from infogoal_jax.goals import NO_USE, GoalSet
+from infogoal_jax.replay import Rows
+
+
+@dataclasses.dataclass(frozen=True)
+class EmbodiedQAConfig:
+    """Where the images and questions come from and how an episode runs."""
+
+    dataset: str = ""
+    """File of an image dataset with detections and trajectories (docs/datasets.md); empty: a generated shelf (a stand-in), built once and kept in the
+    user's cache."""
+    generator_seed: int = 0
+    """Seed of the generated dataset."""
+    hovering: bool = False
+    """Generate a drone that drifts and blurs its images: several for every position."""
+    questions: str = ""
+    """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated shelf."""
+    text_embeddings: str = ""
+    """Sentence embeddings of names and questions, an npz of `infogoal data embed`; empty: those that the project ships."""
+    episode_length: int = 50
+    """Steps after which an episode is truncated [P]."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+        require(self.generator_seed >= 0, "env.generator_seed", self.generator_seed, "give 0 or more")
+
+
+@flax.struct.dataclass
+class EmbodiedQA(GraphWalk):
+    """The environment: a walk on a graph of images, with the flights that were recorded in it.
+
+    images: uint8 [K, H, W, C]; in_view: bool [K, N] whether the object that each goal is about is detected; known_goals: int32 [K, G], the goals in view
+    that are known while training, padded with -1. position: float32 [K, 2] (m), NaN where unknown.
+    """
+
+    images: jax.Array
+    in_view: jax.Array
+    known_goals: jax.Array
+    position: jax.Array
+
+    @property
+    def num_observations(self) -> int:
+        """Number of different observations: each is the index of an image."""
+        return self.images.shape[0]
+
+    def render(self, observation: jax.Array) -> jax.Array:
+        """What the network sees: images uint8 [..., H, W, C] for stored observations int32 [...]."""
+        return self.images[observation]
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether the goal's object is detected in the image, bool [...], for records and goals int32 [...]."""
+        return self.in_view[record, goal]
+
+    def goals_of(self, record: jax.Array) -> jax.Array:
+        """The goals in view that are known while training (names and training questions), int32 [..., G], padded with -1."""
+        return self.known_goals[record]
+
+
+def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Rows:
+    """The trajectories of a dataset as rows, each flown for one of the training goals, drawn at random: whoever flew had none of them in mind.
+
+    Trajectories shorter than the longest are padded with transitions that are not valid.
+    """
+    starts = np.flatnonzero(data.time == 0)
+    lengths = np.diff(np.append(starts, len(data.time)))
+    row = np.repeat(np.arange(len(starts)), lengths)
+    shape = (len(starts), int(lengths.max()))
+    observation = np.zeros((shape[0], shape[1] + 1), np.int32)
+    observation[row, data.time] = data.frame
+    observation[row, data.time + 1] = data.next_frame
+    action, valid, truncated = np.zeros(shape, np.int32), np.zeros(shape, bool), np.zeros(shape, bool)
+    action[row, data.time], valid[row, data.time] = data.action, True
+    truncated[np.arange(len(starts)), lengths - 1] = True
+    goal = np.random.default_rng(seed).choice(training, len(starts))
+    parts = {
+        "observation": observation, "record": observation, "action": action, "goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
+        "valid": valid, "terminated": np.zeros(shape, bool), "truncated": truncated, "decided": valid,
+    }
+    return Rows(**{name: jnp.asarray(part) for name, part in parts.items()})
+
+
+def make(config: EmbodiedQAConfig) -> EmbodiedQA:
+    """The task over the dataset and questions that the configuration names. Raises `UserError` for files that cannot be used."""
+    if config.dataset:
+        data = frames.load(config.dataset)
+    else:
+        name = f"shelf-{config.generator_seed}{'-hovering' if config.hovering else ''}-{shelf.GENERATOR_VERSION}"
+        data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering))
+    asked = questions.load(config.questions or questions.SHIPPED)
+    embeddings = text.load(config.text_embeddings or questions.SHIPPED_EMBEDDINGS)
+    return lay_out(data, asked, embeddings, config)
+
+
+def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig) -> EmbodiedQA:
+    """The task over a dataset and questions about its objects. Raises `UserError` for a question about an object that cannot be found."""
+    given = config.dataset or data.about["name"]
+    require(data.detected is not None, "env.dataset", given, "tells no detections: import it with a column `objects`")
+    require(len(data.time) > 0, "env.dataset", given, "holds no recorded moves to learn from")
+    goals_asked = asked.goals()
+    unknown = sorted({goal.object for goal in goals_asked} - set(data.objects))
+    require(not unknown, "env.questions", ", ".join(unknown), f"detected nowhere in {given}, which knows {', '.join(data.objects)}")
+    column = np.array([data.objects.index(goal.object) for goal in goals_asked])
+    uses = np.array([goal.use for goal in goals_asked])
+    in_view = data.detected[:, column]
+    next_node, views = frame_edges(data)
+    evaluated = np.flatnonzero(uses != NO_USE)
+    distance = distances(next_node, in_view[:, evaluated])
+    alone = evaluated[~possible_starts(distance, config.episode_length).any(1)]
+    require(not len(alone), "env.questions", goals_asked[alone[0]].object if len(alone) else "",
+            f"can be found from nowhere within {config.episode_length} steps in {given}: record moves that lead there, or take the object out")
+    flown = np.unique(np.concatenate([data.frame, data.next_frame]))
+    unseen = [goals_asked[goal].object for goal in np.flatnonzero(uses == 0) if not in_view[flown, goal].any()]
+    require(not unseen, "env.dataset", given, f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does")
+    inputs = text.embed_known([goal.text for goal in goals_asked], embeddings)
+    known = in_view & np.isin(uses, (NO_USE, 0))
+    goals = GoalSet.of(inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names)
+    position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (data.frames, data.detected, next_node, data.frame, inputs)))
+    kind = ", a stand-in" if data.about.get("stand_in") else ""
+    return EmbodiedQA(
+        images=jnp.asarray(data.frames), in_view=jnp.asarray(in_view), known_goals=jnp.asarray(pad_true(known)), position=jnp.asarray(position),
+        recorded=recorded_rows(data, np.flatnonzero(uses == 0)), views=None if views is None else jnp.asarray(views),
+        source=f"{data.about['name']}{kind}, content {digest.hexdigest()[:8]}", **walk_arrays(next_node, goals, distance, config.episode_length),
+    )

@@ -1,0 +1,173 @@
+"""What tasks on a graph of images share: moving along edges, starting where the goal is out of reach of a single look, shortest paths.
+
+A node is the index of an image. Object search, object manipulation and embodied question answering are such tasks; they differ in what an image
+shows, and in when a goal is reached.
+"""
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.data import frames
+from infogoal_jax.data.frames import FrameDataset
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.replay import Rows
+
+UNREACHABLE = np.iinfo(np.int16).max
+
+
+@flax.struct.dataclass
+class GraphState:
+    """One episode: node and goal are indices (int32), time counts steps; terminated (goal reached) and truncated (time is up) are never both set.
+
+    key: of what chance decides on the way, where it decides something; else None.
+    """
+
+    node: jax.Array
+    goal: jax.Array
+    time: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    key: jax.Array | None = None
+
+    @property
+    def diverged(self) -> jax.Array:
+        """Never set: a graph cannot diverge as a simulation can."""
+        return jnp.zeros_like(self.terminated)
+
+
+@flax.struct.dataclass
+class GraphWalk:
+    """Static arrays and pure functions over them; a pytree, to be passed to compiled programs as an argument. Tasks add `reached` and `goals_of`.
+
+    next_node: int32 [K, A] (its own index where there is no edge); goals: N goals, of which M are evaluated.
+    place: int32 [N], row of each evaluated goal in the arrays below. distance: int16 [M, K] steps to the nearest node at which the goal is reached.
+    starts: int32 [M, P] nodes from which an episode for the goal may start (not reached there, but within reach), the first num_starts [M] of each row.
+    """
+
+    next_node: jax.Array
+    goals: GoalSet
+    place: jax.Array
+    distance: jax.Array
+    starts: jax.Array
+    num_starts: jax.Array
+    episode_length: int = flax.struct.field(pytree_node=False)
+    source: str = flax.struct.field(pytree_node=False)
+
+    discrete = True
+    """An action is a choice among a few moves."""
+    recorded: Rows | None = flax.struct.field(default=None, kw_only=True)
+    """What was recorded beforehand, to learn from without acting; None: the agent acts."""
+    train_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
+    """Background images uint8 [B, H, W, C] that training goals may be corrupted with; None where goals are no images."""
+    test_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
+    """The same for the evaluation: other images."""
+    views: jax.Array | None = flax.struct.field(default=None, kw_only=True)
+    """Images int32 [K, V] that show the same state as each, one of which is seen at random on arriving; None: every state has one image."""
+
+    @property
+    def action_size(self) -> int:
+        """Number of actions."""
+        return self.next_node.shape[1]
+
+    def reset(self, key: jax.Array) -> GraphState:
+        """A new episode: a training goal and a start from which it is not reached, both uniform."""
+        choose_goal, choose_start = jax.random.split(key)
+        goal = self.goals.commanded[jax.random.randint(choose_goal, (), 0, self.goals.commanded.shape[0])]
+        return self.reset_to(choose_start, goal)
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> GraphState:
+        """A new episode for this evaluated goal (int32), from a start that is uniform among those from which it can be reached, but is not yet."""
+        row = self.place[goal]
+        node = self.starts[row, jax.random.randint(key, (), 0, self.num_starts[row])]
+        false, key = jnp.zeros((), bool), None if self.views is None else key
+        return GraphState(node=node, goal=jnp.asarray(goal, jnp.int32), time=jnp.zeros((), jnp.int32), terminated=false, truncated=false, key=key)
+
+    def step(self, state: GraphState, action: jax.Array) -> GraphState:
+        """Follow the edge of this action (int32); a step that has no edge stays in place."""
+        node, time = self.next_node[state.node, action], state.time + 1
+        if self.views is not None:
+            node = jax.random.choice(jax.random.fold_in(state.key, time), self.views[node])
+        terminated = self.reached(node, state.goal)
+        return state.replace(node=node, time=time, terminated=terminated, truncated=(time >= self.episode_length) & ~terminated)
+
+    def observe(self, state: GraphState) -> jax.Array:
+        """What is stored of the observation: the index of the image, int32."""
+        return state.node
+
+    def achieved(self, state: GraphState) -> jax.Array:
+        """The record of what was achieved: the index of the image, int32."""
+        return state.node
+
+    def node_of(self, observation: jax.Array) -> jax.Array:
+        """The node of stored observations, int32 [...]."""
+        return observation
+
+    def action_mask(self, observation: jax.Array) -> jax.Array:
+        """The actions that lead somewhere, bool [..., A]; all of them where none does."""
+        node = self.node_of(observation)
+        mask = self.next_node[node] != node[..., None]
+        return mask | ~mask.any(-1, keepdims=True)
+
+    def decides(self, state: GraphState) -> jax.Array:
+        """Whether the next step follows a decision of the agent: always, bool."""
+        return jnp.ones_like(state.terminated)
+
+    def shortest_path(self, state: GraphState) -> jax.Array:
+        """Steps to the nearest node at which the goal is reached, int32."""
+        return self.distance[self.place[state.goal], state.node].astype(jnp.int32)
+
+
+def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
+    """Edges int32 [K, A] between the images of a dataset, its own index where there is none, and the views of `GraphWalk`.
+
+    An edge leads to the first image of the next state. Views of states with fewer images than others repeat. Raises `UserError` for moves that
+    contradict each other.
+    """
+    following = frames.next_state(data)
+    order = np.argsort(data.state, kind="stable")
+    images, counts = np.split(order, np.cumsum(np.bincount(data.state))[:-1]), np.bincount(data.state)
+    first = np.array([each[0] for each in images], np.int32)
+    moved = following != np.arange(len(following))[:, None]
+    edges = np.where(moved[data.state], first[following][data.state], np.arange(len(data.frames))[:, None]).astype(np.int32)
+    if counts.max() == 1:
+        return edges, None
+    return edges, np.stack([np.resize(each, counts.max()) for each in images]).astype(np.int32)[data.state]
+
+
+def distances(next_node: np.ndarray, at_goal: np.ndarray) -> np.ndarray:
+    """Steps from every node to the nearest one at the goal: int32 [K, A] and bool [K, M] to int16 [M, K], by breadth-first search."""
+    distance = np.full((at_goal.shape[1], len(next_node)), UNREACHABLE, np.int16)
+    distance[at_goal.T] = 0
+    for step in range(1, len(next_node) + 1):
+        arrives = (distance[:, next_node] == step - 1).any(-1) & (distance == UNREACHABLE)
+        if not arrives.any():
+            return distance
+        distance[arrives] = step
+    return distance
+
+
+def pad_true(mask: np.ndarray) -> np.ndarray:
+    """The columns of the true entries of each row, padded with -1: bool [R, C] to int32 [R, K] with K the largest count (at least 1)."""
+    columns = np.full((len(mask), max(1, mask.sum(1).max(initial=0))), -1, np.int32)
+    for row, row_mask in enumerate(mask):
+        columns[row, : row_mask.sum()] = np.flatnonzero(row_mask)
+    return columns
+
+
+def possible_starts(distance: np.ndarray, episode_length: int) -> np.ndarray:
+    """From where an episode for each goal may start, bool [M, K]: farther away, or unreachable, no episode could succeed."""
+    return (distance > 0) & (distance <= episode_length)
+
+
+def walk_arrays(next_node: np.ndarray, goals: GoalSet, distance: np.ndarray, episode_length: int) -> dict:
+    """The fields of `GraphWalk` that follow from its edges, its goals and the distances [M, K] to those that are evaluated."""
+    may_start = possible_starts(distance, episode_length)
+    place = np.zeros(goals.num_goals, np.int32)
+    place[np.asarray(goals.evaluated)] = np.arange(len(goals.evaluated))
+    return {
+        "next_node": jnp.asarray(next_node), "goals": goals, "place": jnp.asarray(place), "distance": jnp.asarray(distance),
+        "starts": jnp.asarray(np.maximum(pad_true(may_start), 0)), "num_starts": jnp.asarray(may_start.sum(1), jnp.int32),
+        "episode_length": episode_length,
+    }

@@ -1,0 +1,208 @@
+"""Object manipulation (paper, Sec. V-A.3): an arm turns a Rubik's cube, a joint by 15 degrees at a time, to the pose that an image shows.
+
+The world is a dataset of photographs: a step leads from one to the next. Several settings of the joints show the cube in one orientation, so goals
+are the different orientations, and a goal is reached within 10 degrees of it.
+"""
+
+import dataclasses
+import hashlib
+import warnings
+
+import cv2
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.data import backgrounds, cube, frames
+from infogoal_jax.data.rotations import geodesic, orientation_classes
+from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
+from infogoal_jax.envs.joints import JointSpace
+from infogoal_jax.errors import require
+from infogoal_jax.goals import NO_USE, USES, GoalSet
+
+REACHED = np.deg2rad(10.0)
+"""How near the pose has to be, as the angle of the turn between them [P]."""
+FARTHEST_TEST = np.deg2rad(90.0)
+"""How far a test pose may lie from the nearest training pose [P]."""
+MOST_GOALS = 8192
+"""Different orientations at most: what is known of pairs of goals grows with their square."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ObjectManipulationConfig:
+    """Where the images come from and how an episode runs."""
+
+    dataset: str = ""
+    """File of an image dataset with poses (docs/datasets.md); empty: a generated cube and arm (a stand-in), built once and kept in the user's cache."""
+    generator_seed: int = 0
+    """Seed of the generated dataset."""
+    physical_limits: bool = False
+    """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as the paper's poses do."""
+    goal_seed: int = 0
+    """Seed by which training, validation and test poses are chosen."""
+    num_goals: tuple[int, int, int] = (8, 8, 32)
+    """Poses commanded in training [P], in validation, and in the test [P]."""
+    backgrounds: str = ""
+    """Images that corrupt goals: cifar10, a folder, or empty for the crops of photographs that are shipped (docs/backgrounds.md)."""
+    episode_length: int = 30
+    """Steps after which an episode is truncated."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+        for name in ("generator_seed", "goal_seed"):
+            require(getattr(self, name) >= 0, f"env.{name}", getattr(self, name), "give 0 or more")
+        require(min(self.num_goals) >= 0 and self.num_goals[0] > 0, "env.num_goals", self.num_goals, "give at least 1 for training, 0 or more otherwise")
+
+
+@flax.struct.dataclass
+class Posed:
+    """What is seen: the index of an image, int32, and the joints' angles [J] (radians), which an arm always knows of itself; J may be 0."""
+
+    frame: jax.Array
+    joints: jax.Array
+
+
+@flax.struct.dataclass
+class ObjectManipulation(GraphWalk):
+    """The environment: a walk on a graph of photographs, all held once, in `goals.inputs`.
+
+    joints: float32 [K, J] of each image (radians); quaternion: float32 [K, 4] of the object in each image (w first); orientation: int32 [K], the goal
+    that each image shows; goal_quaternion: float32 [N, 4].
+    """
+
+    joints: jax.Array
+    quaternion: jax.Array
+    orientation: jax.Array
+    goal_quaternion: jax.Array
+
+    num_observations = None
+    """There are more images than a rollout looks at: they are not encoded beforehand."""
+
+    @property
+    def space(self) -> JointSpace:
+        """The target states of the arm, for a low level."""
+        require(self.joints.shape[1] > 0, "algorithm", "hrac", f"{self.source} tells no joint angles that an arm could be sent to: give dqn")
+        return JointSpace(self.joints.shape[1])
+
+    def observe(self, state: GraphState) -> Posed:
+        """What is stored of the observation."""
+        return self.observe_frame(state.node)
+
+    def observe_frame(self, frame: jax.Array) -> Posed:
+        """The observation of images int32 [...]."""
+        return Posed(frame, self.joints[frame])
+
+    def node_of(self, observation: Posed) -> jax.Array:
+        """The image of stored observations, int32 [...]."""
+        return observation.frame
+
+    def render(self, observation: Posed) -> jax.Array:
+        """What the network sees: images uint8 [..., H, W, C]."""
+        return self.goals.inputs[observation.frame]
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether the image shows the object within 10 degrees of the goal's pose, bool [...], for records and goals int32 [...]."""
+        cosine_of_half = jnp.abs((self.quaternion[record] * self.goal_quaternion[goal]).sum(-1))
+        return cosine_of_half > np.cos(REACHED / 2)
+
+    def goals_of(self, record: jax.Array) -> jax.Array:
+        """The orientation that the image shows, int32 [..., 1]."""
+        return self.orientation[record][..., None]
+
+
+def quaternions(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4] (w first, sign free) of rotation matrices [..., 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation.astype(np.float64)).as_quat(scalar_first=True).astype(np.float32)
+
+
+def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int, int, int], seed: int) -> np.ndarray:
+    """Uses of N orientations [N, 3, 3], int [N], positions in `goals.USES` or `NO_USE`: so many of each (Sec. V-B.1).
+
+    Training poses are uniform among those that can be reached (bool [N]). Validation and test poses are uniform among those within 90 degrees of
+    a training pose. No pose counts as reached where another one of any use does. Raises `UserError` where the dataset is too small.
+    """
+    uses, random = np.full(len(rotation), NO_USE), np.random.default_rng([seed, len(rotation)])
+    free = reachable.copy()
+    for use, count in enumerate(counts):
+        near = geodesic(rotation[:, None], rotation[uses == 0][None]).min(1) <= FARTHEST_TEST if use > 0 else np.ones(len(rotation), bool)
+        for _ in range(count):
+            possible = np.flatnonzero(free & near)
+            require(len(possible) > 0, "env.num_goals", counts,
+                    f"the dataset shows too few poses for so many that lie 20 degrees apart ({reachable.sum()} can be reached): give fewer")
+            chosen = random.choice(possible)
+            uses[chosen] = use
+            free &= geodesic(rotation, rotation[chosen]) > 2 * REACHED  # No turn is near both.
+    return uses
+
+
+def plainest(joints: np.ndarray, orientation: np.ndarray) -> np.ndarray:
+    """For each orientation the image int [N] that shows it with the joints [K, J] turned least: as a person would pose the arm for a photograph."""
+    turned = np.abs((joints + np.pi) % (2 * np.pi) - np.pi).sum(1)
+    order = np.lexsort((turned, orientation))
+    return order[np.unique(orientation[order], return_index=True)[1]]
+
+
+def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
+    """The names of the orientations: their angles about z, y and x, in degrees."""
+    from scipy.spatial.transform import Rotation
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Where the middle angle is 90 degrees the other two are not unique, and scipy says so.
+        angles = Rotation.from_matrix(rotation.astype(np.float64)).as_euler("ZYX", degrees=True).round().astype(int)
+    kinds = ("pose", *(f"{use} pose" for use in USES))
+    return tuple(f"{kinds[use + 1]} yaw {yaw} pitch {pitch} roll {roll}" for use, (yaw, pitch, roll) in zip(uses, angles, strict=True))
+
+
+def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
+    """Images [B, H, W, 3] at the size of the dataset's frames."""
+    height, width = data.frames.shape[1:3]
+    return images if images.shape[1:3] == (height, width) else np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in images])
+
+
+def make(config: ObjectManipulationConfig) -> ObjectManipulation:
+    """The task over the dataset and backgrounds that the configuration names. Raises `UserError` for files that cannot be used."""
+    if config.dataset:
+        data = frames.load(config.dataset)
+    else:
+        name = f"cube-{config.generator_seed}{'-limits' if config.physical_limits else ''}-{cube.GENERATOR_VERSION}"
+        data = frames.cached(name, lambda: cube.build(config.generator_seed, config.physical_limits))
+    return lay_out(data, backgrounds.load(config.backgrounds), config)
+
+
+def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: ObjectManipulationConfig) -> ObjectManipulation:
+    """The task over a dataset. Raises `UserError` for one without poses, or in which no goals can be chosen."""
+    given = config.dataset or data.about["name"]
+    require(data.rotation is not None, "env.dataset", given, "tells no poses: import it with columns qw, qx, qy, qz or roll, pitch, yaw")
+    orientation = orientation_classes(data.rotation)
+    names, first = np.unique(orientation, return_index=True)
+    require(len(names) <= MOST_GOALS, "env.dataset", given, f"shows {len(names)} different orientations: give at most {MOST_GOALS}")
+    shown = first if data.joints is None else plainest(data.joints, orientation)
+    rotation = data.rotation[shown]
+    next_node, views = frame_edges(data)
+    arrives = np.zeros(len(data.frames), bool)
+    arrives[next_node[next_node != np.arange(len(next_node))[:, None]]] = True
+    reachable = np.zeros(len(names), bool)
+    reachable[orientation[arrives]] = True
+    uses = choose_goals(rotation, reachable, config.num_goals, config.goal_seed)
+    evaluated = np.flatnonzero(uses != NO_USE)
+    distance = distances(next_node, geodesic(data.rotation[:, None], rotation[evaluated][None]) < REACHED)
+    alone = evaluated[~possible_starts(distance, config.episode_length).any(1)]
+    require(not len(alone), "env.dataset", given, f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: "
+            "record moves that lead there, or give a longer episode_length or another goal_seed")
+    training = np.flatnonzero(uses == 0)
+    region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)
+    goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), tuple(f"near training pose {i}" for i in range(len(training))), rows=shown)
+    joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (data.frames, data.rotation, next_node, shown)))
+    kind = ", a stand-in" if data.about.get("stand_in") else ""
+    return ObjectManipulation(
+        joints=jnp.asarray(joints), quaternion=jnp.asarray(quaternions(data.rotation)), orientation=jnp.asarray(orientation, jnp.int32),
+        goal_quaternion=jnp.asarray(quaternions(rotation)), views=None if views is None else jnp.asarray(views),
+        train_backgrounds=jnp.asarray(like_frames(behind.train, data)), test_backgrounds=jnp.asarray(like_frames(behind.test, data)),
+        source=f"{data.about['name']}{kind}, content {digest.hexdigest()[:8]}; backgrounds: {behind.source}",
+        **walk_arrays(next_node, goals, distance, config.episode_length),
+    )
