@@ -106,6 +106,11 @@ def test_several_images_of_a_pose_share_a_state(poses):
     np.testing.assert_array_equal(frames.next_state(dataset), [[0, 1], [0, 1]])
 
 
+def test_poses_of_one_state_that_lead_elsewhere_are_named(poses):
+    with pytest.raises(UserError, match=r"row 4: action = 'turn \+': leads from the same state as in row 2 to another"):
+        poses("image,joint_turn,joint_b,state\n0.png,0,0,one\n1.png,10,0,two\n2.png,0,5,one\n3.png,10,5,three\n")
+
+
 def test_rounded_steps_are_on_the_grid(poses):
     assert len(poses(grid(values=((0, 0.333, 0.667, 1), (0, 1)))).frame) == 2 * (3 * 2 + 4)
 

@@ -29,8 +29,8 @@ class FrameDataset:
     frames: uint8 [K, H, W, C]. state: int32 [K], which state each frame shows, 0 to S - 1; several frames may show one state.
     actions: names of the A actions. objects: names of the O objects that are looked for, () where there are none.
     frame, action, next_frame, trajectory, time: int32 [M]; terminal: bool [M], the last move of its trajectory. Moves stand by trajectory and time.
-    rotation: float32 [K, 3, 3], orientation of the object; joints: float32 [K, J], radians; position: float32 [K, 2 or 3], metres;
-    detected: bool [K, O], whether each object is seen. Each is None where it is not known.
+    rotation: float32 [K, 3, 3], orientation of the object; joints: float32 [K, J], radians (metres where the name ends in _m);
+    position: float32 [K, 2 or 3], metres; detected: bool [K, O], whether each object is seen. Each is None where it is not known.
     joint_names: of the J joints. about: JSON values; `name` (in words), `stand_in` (bool: generated, not recorded) and `made_by` (the command).
     """
 

@@ -38,8 +38,8 @@ def move_fields(moves: Sequence[Move], actions: Sequence[str] = ()) -> dict:
 def grid_moves(
     table: Path, rows: list[tuple[int, dict[str, str]]], joints: Sequence[str], values: np.ndarray, state: np.ndarray, states_given: bool,
     wrap: Sequence[str],
-) -> dict:
-    """The fields of a dataset that are about moves: the steps between neighbours of a grid of poses, each a trajectory of its own.
+) -> tuple[list[Move], list[str]]:
+    """The steps between neighbours of a grid of poses, each a trajectory of its own, and the actions.
 
     Where a neighbour has no image there is no move.
 
@@ -74,7 +74,7 @@ def grid_moves(
                     moves.append(Move(frame, f"{names[column]} {sign}", image_at[after], len(moves), 0, True, rows[frame][0]))
     unused = sorted(set(actions) - {move.name for move in moves})
     require(not unused, str(table), unused[:1], "no two images are one grid step apart in this joint alone; add the poses between")
-    return move_fields(moves, actions)
+    return moves, actions
 
 
 def axis_of(table: Path, rows: list[tuple[int, dict[str, str]]], joint: str, values: np.ndarray, wraps: bool) -> tuple[np.ndarray, int]:

@@ -63,16 +63,17 @@ def import_folder(
     else:
         state = np.arange(len(frame_rows))
     if moves:
-        found = read_moves(table, rows, frame_of)
-        recorded = frames_grid.move_fields(found)
-        contradicting(table, found, recorded, state)
+        recorded, actions = read_moves(table, rows, frame_of), []
     else:
-        recorded = frames_grid.grid_moves(table, frame_rows, joints, joint_numbers(table, frame_rows, joints), state, "state" in columns, wrap)
+        values = joint_numbers(table, frame_rows, joints)
+        recorded, actions = frames_grid.grid_moves(table, frame_rows, joints, values, state, "state" in columns, wrap)
+    fields = frames_grid.move_fields(recorded, actions)
+    contradicting(table, recorded, fields, state)
     pixels, recorded_size = read_images(images, table, frame_rows, size, progress)
     command = f"infogoal data import {shlex.quote(str(images))} {shlex.quote(str(table))}"
     command += (f" --size {size[0]} {size[1]}" if size else "") + "".join(f" --wrap {shlex.quote(joint)}" for joint in wrap)
     about = {"name": name or images.resolve().name, "stand_in": False, "made_by": command, "recorded_size": recorded_size}
-    dataset = FrameDataset(frames=pixels, state=state.astype(np.int32), about=about, **recorded, **poses)
+    dataset = FrameDataset(frames=pixels, state=state.astype(np.int32), about=about, **fields, **poses)
     frames.save(out, dataset)
     return dataset
 
@@ -276,8 +277,8 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
         raise UserError(f"{table}: row {number}: image = {name!r}: no such file in {folder}.{hint} Add it, or correct the row") from None
-    except OSError as error:
-        raise UserError(f"{table}: row {number}: image = {name!r}: cannot be read ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:  # A name with a zero byte is a ValueError.
+        raise UserError(f"{table}: row {number}: image = {name!r}: cannot be read ({error}); correct the name, or the rights of the file") from error
     try:
         image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
     except cv2.error:

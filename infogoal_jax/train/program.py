@@ -29,7 +29,7 @@ from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
-from infogoal_jax.train.update import Experience, training_corruption, updates, usable_goals
+from infogoal_jax.train.update import Experience, state_features, training_corruption, updates, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
@@ -43,6 +43,7 @@ class Parts(NamedTuple):
     agent: Agent
     hindsight: Hindsight | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
+    goal_code_of_states: bool
     optimizer: optax.GradientTransformation
     batch_size: int
     table_limit: int
@@ -125,6 +126,7 @@ def make_parts(config: TrainConfig, env) -> Parts:
         agent=algorithm.make(config.agent, env),
         hindsight=relabelling.make(config.hindsight),
         state_encoder=make_state_encoder(config.state_encoder, env),
+        goal_code_of_states=config.state_encoder.goal_code,
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
         table_limit=config.batch_size,
@@ -136,6 +138,12 @@ def make_parts(config: TrainConfig, env) -> Parts:
 def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
     seen = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
+    if seen.ndim > 1:
+        require(seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0, "state_encoder.patch", size.patch,
+                f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}")
+    goal = env.goals.inputs
+    require(not size.goal_code or (seen.shape, seen.dtype) == (goal.shape[1:], goal.dtype), "state_encoder.goal_code", size.goal_code,
+            "needs a task whose states look like its goals: leave it out")
     return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
 
 
@@ -164,13 +172,13 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. IV), or its mean is used."""
         # Each image once, if there are fewer than a rollout looks at.
         table = env.num_observations is not None and env.num_observations <= config.num_envs * config.rollout_steps
-        features = encoder.apply(params["state"], env.render(jnp.arange(env.num_observations))) if table else None
+        features = state_features(parts, params, env, jnp.arange(env.num_observations)) if table else None
 
         def act(observation, goal, key):
             sample_key, act_key = jax.random.split(key)
             code = encode(goal)
             code = code.mean if use_mean else code.sample(sample_key)
-            seen = features[observation] if table else encoder.apply(params["state"], env.render(observation))
+            seen = features[observation] if table else state_features(parts, params, env, observation)
             return agent.act(params["agent"], seen, code, env.action_mask(observation), act_key, exploration)
 
         return act
@@ -202,10 +210,10 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         keys = jax.random.split(jax.random.fold_in(key, INITIAL), 4)
         goal_params, learner_state = learner.init(keys[0], env.goals.inputs, hyper)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
-        observation = env.render(jax.tree.map(lambda leaf: leaf[0], env.observe(env_states)))
-        state_params, code = encoder.init(keys[1], observation), learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
-        agent_params, agent_state = agent.init(keys[2], encoder.apply(state_params, observation), code)
-        params = {"goal": goal_params, "state": state_params, "agent": agent_params}
+        observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
+        params = {"goal": goal_params, "state": encoder.init(keys[1], env.render(observation))}
+        code = learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
+        params["agent"], agent_state = agent.init(keys[2], state_features(parts, params, env, observation), code)
         state = TrainState(
             params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state, agent=agent_state,
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),

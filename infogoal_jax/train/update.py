@@ -114,11 +114,22 @@ def returns(parts, state, env, hyper, experience: Experience, drawn: Sample) -> 
     return (step_reward * batch.mask * discounts).sum(1), learner_state, metrics
 
 
+def state_features(parts, params, env, observation) -> jax.Array:
+    """What the agent sees of stored observations [...], by the encoders of these parameters: psi(s) [..., F].
+
+    Where states are seen as goals are, the mean goal code of the state may be a part of it.
+    """
+    seen = env.render(observation)
+    features = parts.state_encoder.apply(params["state"], seen)
+    if not parts.goal_code_of_states:
+        return features
+    return jnp.concatenate([features, parts.learner.encode(params["goal"], seen).mean], axis=-1)
+
+
 def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, corruption, key) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own."""
     keys = jax.random.split(key, 3)
     frozen = jax.lax.stop_gradient(params)
-    images, next_images = env.render(batch.observation), env.render(batch.next_observation)
     code, target_code = (
         encode_commanded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
     )
@@ -126,12 +137,12 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     return AgentBatch(
         observation=batch.observation,
         next_observation=batch.next_observation,
-        features=parts.state_encoder.apply(params["state"], images),
+        features=state_features(parts, params, env, batch.observation),
         code=code.sample(keys[0]),
         action=batch.action,
-        next_features=parts.state_encoder.apply(frozen["state"], next_images),
+        next_features=state_features(parts, frozen, env, batch.next_observation),
         next_code=jax.lax.stop_gradient(code).sample(keys[1]),
-        target_features=parts.state_encoder.apply(target_params["state"], next_images),
+        target_features=state_features(parts, target_params, env, batch.next_observation),
         target_code=target_code.sample(keys[2]),
         reward=reward,
         discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
