@@ -79,13 +79,12 @@ class StateEncoderConfig:
     """Numbers that each patch is reduced to."""
     features: int = 256
     """Size of the state's code [M]."""
-    goal_code: bool = False
-    """Append the state's own goal code, where states are seen as goals are: the agent can then compare the two."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("patch", "channels", "features"):
-            require(getattr(self, name) > 0, f"state_encoder.{name}", getattr(self, name), "give a whole number greater than 0")
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            require(value > 0, f"state_encoder.{field.name}", value, "give a whole number greater than 0")
 
 
 @dataclasses.dataclass(frozen=True)

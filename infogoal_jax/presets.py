@@ -32,6 +32,7 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
     ("fetch_push", "infogoal"): {"window": 3, "num_pairs": 128},
     ("fetch_pick_and_place", "infogoal"): {"window": 3, "num_pairs": 256},
     ("object_manipulation", "infogoal"): {"window": 3, "num_pairs": 256},
+    ("embodied_qa", "infogoal"): {"window": 5, "num_pairs": 128},
 }
 """Fields of each learner [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
 
@@ -42,8 +43,10 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_search", "none"): {"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},
     **{(task, "infogoal"): FETCH_HYPERPARAMETERS | {"intrinsic_weight": 1.0} for task in IMAGE_TASKS},
     **{(task, "none"): FETCH_HYPERPARAMETERS | {"intrinsic_weight": 0.0} for task in IMAGE_TASKS},
-    ("object_manipulation", "infogoal"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 1.0},
+    ("object_manipulation", "infogoal"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 3.0},
     ("object_manipulation", "none"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},
+    ("embodied_qa", "infogoal"): {"discount": 0.95, "intrinsic_weight": 0.0},
+    ("embodied_qa", "none"): {"discount": 0.95, "intrinsic_weight": 0.0},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""
@@ -59,12 +62,18 @@ CUBE_TRAINING = {
     "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=256),
 }
 
+SHELF_TRAINING = {
+    "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 40, "epochs_per_evaluation": 10, "evaluation_starts": 5, "known_goals": "all",
+    "state_encoder": StateEncoderConfig(features=128),
+}
+
 TRAINING: dict[tuple[str, str], dict[str, Any]] = {
     ("object_search", "infogoal"): {"num_epochs": 100},
     ("object_search", "none"): {"num_epochs": 160},  # Without the intrinsic reward, training goals take longer to level off.
     **{(task, method): FETCH_TRAINING for task in IMAGE_TASKS for method in ("infogoal", "none")},
     **{("fetch_reach", method): REACH_TRAINING for method in ("infogoal", "none")},
     **{("object_manipulation", method): CUBE_TRAINING for method in ("infogoal", "none")},
+    **{("embodied_qa", method): SHELF_TRAINING for method in ("infogoal", "none")},
 }
 """What was tuned away from the defaults of `TrainConfig` [M]."""
 

@@ -11,6 +11,7 @@ from infogoal_jax import envs, learners, presets
 from infogoal_jax.train import command_line, data_commands
 from infogoal_jax.train.pretrain import PretrainConfig, preset
 from infogoal_jax.train.pretrain_host import PretrainCommand
+from infogoal_jax.train.pretrain_joints import JointPretrainConfig
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -21,6 +22,9 @@ COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the f
     "data build house": data_commands.BuildHouseCommand, "data embed": data_commands.EmbedCommand,
     "pretrain": PretrainCommand(config=preset("fetch_push")), "video": command_line.VideoCommand, "data build fetch": data_commands.BuildFetchCommand,
     "data build backgrounds": data_commands.BuildBackgroundsCommand, "data download cifar10": data_commands.DownloadCifar10Command,
+    "data build cube": data_commands.BuildCubeCommand, "data build shelf": data_commands.BuildShelfCommand,
+    "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
+    "pretrain object_manipulation": JointPretrainConfig(),
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -46,7 +50,8 @@ def flags_of(record, prefix: str = "") -> set[str]:
 
 def train_flags() -> set[str]:
     """The flags of `infogoal train`, of every task and method."""
-    configs = [presets.load(task, method) for task in presets.AGENTS for method in learners.registry]
+    configs = [presets.load(task, method, relabelling="her") for task in presets.ALGORITHMS for method in learners.registry]
+    configs.append(presets.load("object_manipulation", algorithm="dqn"))
     return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
 
 

@@ -45,7 +45,8 @@ class HRACConfig:
         """Raise `UserError` for values out of range."""
         require(0 < self.interval <= config.env.episode_length, "agent.interval", self.interval,
                 f"must lie between 1 and the episode length, {config.env.episode_length}")
-        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale, "give metres or radians, above 0 and at most 1, for example 0.15")
+        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale,
+                "give metres or radians, above 0 and at most 1, for example 0.15")
         require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m or radians: the memory of adjacency grows with its sixth power")
         for name in ("hidden", "adjacency_hidden"):
             require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")

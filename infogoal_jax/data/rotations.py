@@ -1,4 +1,4 @@
-"""Orientations of an object: whether matrices are rotations, the angle between two, and which of many are the same.
+"""Orientations of an object: the angle between two, and which of many are the same.
 
 The object-manipulation task (paper, section V-A.3) is solved by orientation, not by the arm's joints, and different joints may give one orientation.
 """
@@ -8,19 +8,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-
-# Largest entry of |R R^T - 1| that float32 matrices, or poses that were written down with four digits, may have.
-ORTHOGONAL_WITHIN = 1e-3
-
-
-def rotation_fault(rotation: np.ndarray) -> int | None:
-    """Row of the first matrix of [K, 3, 3] that is no rotation (not orthogonal within 1e-3, a reflection, not finite), or None."""
-    matrix = np.asarray(rotation, np.float64)
-    finite = np.isfinite(matrix).all((-1, -2))
-    matrix = np.where(finite[:, None, None], matrix, 0)
-    off = np.abs(matrix @ matrix.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
-    faults = np.flatnonzero((off > ORTHOGONAL_WITHIN) | (np.linalg.det(matrix) < 0))  # a matrix that was not finite is 0 here, and so a fault
-    return int(faults[0]) if len(faults) else None
 
 
 def geodesic(first: np.ndarray, second: np.ndarray) -> np.ndarray:

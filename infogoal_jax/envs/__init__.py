@@ -3,7 +3,7 @@
 from functools import partial
 from typing import Any
 
-from infogoal_jax.envs import object_manipulation, object_search
+from infogoal_jax.envs import embodied_qa, object_manipulation, object_search
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.registry import Entry, find
@@ -19,6 +19,7 @@ def make_fetch(name: str, config: FetchConfig):
 registry: dict[str, Entry] = {
     "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
     "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
+    "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make),
     **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """A grid of cells. low: corner [D]; side: of a cell; shape: cells along each axis; periodic: whether the grid closes in on itself, as angles do."""
+    """A grid of cells. low: corner [D]; side: of a cell; shape: cells along each axis; periodic: whether it closes in on itself, as angles do."""
 
     low: np.ndarray
     side: float

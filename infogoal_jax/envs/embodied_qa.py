@@ -47,8 +47,8 @@ class EmbodiedQAConfig:
 class EmbodiedQA(GraphWalk):
     """The environment: a walk on a graph of images, with the flights that were recorded in it.
 
-    images: uint8 [K, H, W, C]; in_view: bool [K, N] whether the object that each goal is about is detected; known_goals: int32 [K, G], the goals in view
-    that are known while training, padded with -1. position: float32 [K, 2] (m), NaN where unknown.
+    images: uint8 [K, H, W, C]; in_view: bool [K, N] whether the object that each goal is about is detected; known_goals: int32 [K, G], the goals in
+    view that are known while training, padded with -1. position: float32 [K, 2] (m), NaN where unknown.
     """
 
     images: jax.Array

@@ -43,7 +43,7 @@ class GraphWalk:
 
     next_node: int32 [K, A] (its own index where there is no edge); goals: N goals, of which M are evaluated.
     place: int32 [N], row of each evaluated goal in the arrays below. distance: int16 [M, K] steps to the nearest node at which the goal is reached.
-    starts: int32 [M, P] nodes from which an episode for the goal may start (not reached there, but within reach), the first num_starts [M] of each row.
+    starts: int32 [M, P] nodes from which an episode for the goal may start (not reached there, but within reach), the first num_starts [M] of a row.
     """
 
     next_node: jax.Array

@@ -34,7 +34,8 @@ class ObjectManipulationConfig:
     """Where the images come from and how an episode runs."""
 
     dataset: str = ""
-    """File of an image dataset with poses (docs/datasets.md); empty: a generated cube and arm (a stand-in), built once and kept in the user's cache."""
+    """File of an image dataset with poses (docs/datasets.md); empty: a generated arm with a cube (a stand-in), built once and kept in the
+    user's cache."""
     generator_seed: int = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
@@ -53,7 +54,8 @@ class ObjectManipulationConfig:
         require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
         for name in ("generator_seed", "goal_seed"):
             require(getattr(self, name) >= 0, f"env.{name}", getattr(self, name), "give 0 or more")
-        require(min(self.num_goals) >= 0 and self.num_goals[0] > 0, "env.num_goals", self.num_goals, "give at least 1 for training, 0 or more otherwise")
+        require(min(self.num_goals) >= 0 and self.num_goals[0] > 0, "env.num_goals", self.num_goals,
+                "give at least 1 for training, 0 or more otherwise")
 
 
 @flax.struct.dataclass
@@ -160,7 +162,9 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
 def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
     """Images [B, H, W, 3] at the size of the dataset's frames."""
     height, width = data.frames.shape[1:3]
-    return images if images.shape[1:3] == (height, width) else np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in images])
+    if images.shape[1:3] == (height, width):
+        return images
+    return np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in images])
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
@@ -191,11 +195,13 @@ def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: 
     evaluated = np.flatnonzero(uses != NO_USE)
     distance = distances(next_node, geodesic(data.rotation[:, None], rotation[evaluated][None]) < REACHED)
     alone = evaluated[~possible_starts(distance, config.episode_length).any(1)]
-    require(not len(alone), "env.dataset", given, f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: "
-            "record moves that lead there, or give a longer episode_length or another goal_seed")
+    require(not len(alone), "env.dataset", given,
+            f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: record moves that lead there, "
+            "or give a longer episode_length or another goal_seed")
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)
-    goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), tuple(f"near training pose {i}" for i in range(len(training))), rows=shown)
+    regions = tuple(f"near training pose {number}" for number in range(len(training)))
+    goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (data.frames, data.rotation, next_node, shown)))
     kind = ", a stand-in" if data.about.get("stand_in") else ""

@@ -22,6 +22,8 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
 
   infogoal train object_search                   train; progress, table, figures and checkpoint under runs/
   infogoal train fetch_push                      the same for a Fetch task, whose goals are images; also fetch_reach, fetch_pick_and_place
+  infogoal train object_manipulation             an arm turns a cube to the pose of an image; --algorithm dqn, --relabelling her
+  infogoal train embodied_qa                     offline: a drone learns from recorded flights to find what a question asks about
   infogoal train object_search --method none     the bare agent, without goal-representation learning
   infogoal train object_search --seeds 16        sixteen seeds in one program
   infogoal train object_search --resume RUN      go on from the last checkpoint of a run
@@ -29,7 +31,12 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal evaluate RUN                          evaluate a run's last parameters again, with other starts or another epsilon
   infogoal evaluate RUN --corruption 0.4         the same with backgrounds of another weight over the images of corrupted goals
   infogoal report RUN                            draw the figures and print the table of a run
-  infogoal data check PATH                       list everything that is wrong with a dataset
+  infogoal pretrain object_manipulation          the same for an arm that moves its joints by steps
+  infogoal data check PATH                       list everything that is wrong with a dataset: a folder of scenes, or an image dataset's npz
+  infogoal data import FOLDER CSV --out FILE.npz make an image dataset of your own images (--size 64 64, --wrap JOINT)
+  infogoal data export-minari FILE.npz --out FOLDER/NAME-v0   write the trajectories of an image dataset for Minari
+  infogoal data build cube FILE.npz --seed 1     draw the stand-in for object manipulation (--physical-limits: within the arm's joints' limits)
+  infogoal data build shelf FILE.npz --seed 1    draw the stand-in for embodied question answering (--hovering)
   infogoal data build house PATH --seed 1        build a synthetic house in the format of the Active Vision Dataset
   infogoal data build backgrounds PATH           cut background images out of photographs of installed packages
   infogoal data build fetch PATH --seed 1        draw banks of goal images of Fetch tasks (needs gymnasium-robotics and OpenGL)
@@ -75,14 +82,14 @@ def flag(arguments: list[str], name: str) -> str | None:
 
 
 def default_config(arguments: list[str]) -> TrainConfig:
-    """The configuration that the flags start from: the preset of the task and method named, or that of the run to resume."""
+    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to resume."""
     from infogoal_jax.report.runs import read_run
 
     resumed = flag(arguments, "resume")
     if resumed:
         return read_run(Path(resumed)).config
     task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
-    return presets.load(task, flag(arguments, "method") or "infogoal")
+    return presets.load(task, flag(arguments, "method") or "infogoal", flag(arguments, "algorithm"), flag(arguments, "relabelling"))
 
 
 def train(arguments: list[str]) -> int:
@@ -125,11 +132,17 @@ def train(arguments: list[str]) -> int:
 
 def pretrain(arguments: list[str]) -> int:
     """`infogoal pretrain TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then)."""
-    from infogoal_jax.train import pretrain_host
+    from infogoal_jax.train import pretrain_host, pretrain_joints
     from infogoal_jax.train.pretrain import PRESETS, preset
 
     if not arguments or (arguments[0].startswith("-") and not {"-h", "--help"} & set(arguments)):
-        raise UserError(f"task = {' '.join(arguments[:1])!r}: name the task first: infogoal pretrain {' | '.join(PRESETS)}")
+        raise UserError(f"task = {' '.join(arguments[:1])!r}: name the task first: infogoal pretrain {' | '.join([*PRESETS, pretrain_joints.TASK])}")
+    words = " ".join(["infogoal pretrain", *arguments])
+    if arguments[0] == pretrain_joints.TASK:
+        config = tyro.cli(pretrain_joints.JointPretrainConfig, prog=f"infogoal pretrain {pretrain_joints.TASK}", args=arguments[1:])
+        use_compilation_cache()
+        pretrain_joints.print_result(pretrain_joints.pretrain(config, words))
+        return 0
     named = not arguments[0].startswith("-")
     default = pretrain_host.PretrainCommand(config=preset(arguments[0] if named else "fetch_push"))
     command = tyro.cli(pretrain_host.PretrainCommand, prog="infogoal pretrain TASK", args=arguments[named:], default=default)
@@ -140,7 +153,6 @@ def pretrain(arguments: list[str]) -> int:
     use_compilation_cache()
     folder = Path(command.out or f"runs/{command.config.task}-low-level-{time.strftime('%Y%m%d-%H%M%S')}")
     seeds = list(range(command.first_seed, command.first_seed + command.seeds))
-    words = " ".join(["infogoal pretrain", *arguments])
     result = pretrain_host.pretrain(command.config, seeds, folder, command.evaluation_episodes, words)
     pretrain_host.print_result(result)
     return 130 if result.stopped else 0

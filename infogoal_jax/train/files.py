@@ -16,6 +16,7 @@ import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 
 TABLES = ("epochs", "evaluations")
@@ -23,15 +24,9 @@ TABLES = ("epochs", "evaluations")
 
 def write_atomically(path: Path, write: Callable[[object], None]) -> None:
     """Write a file so that `path` holds either its old or its whole new content, whatever happens. Raises `UserError` if the disk refuses."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with open(beside, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+        archives.replace_file(path, write)
     except OSError as error:
-        beside.unlink(missing_ok=True)
         raise disk_error(path, error) from error
 
 

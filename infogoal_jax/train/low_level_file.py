@@ -85,7 +85,7 @@ def load_joint_level(path: str, num_joints: int, num_moves: int, task: str = "ob
     file, header = find_file(path, Path(path) if path else SHIPPED_JOINT_LEVEL, task)
     if (header["joints"], header["moves"]) != (num_joints, num_moves):
         raise UserError(f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, the dataset's has "
-                        f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, and give it with --agent.low-level")
+                        f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it with --agent.low-level")
     hidden = tuple(header["hidden"])
     joints = jnp.zeros(num_joints)
     params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))

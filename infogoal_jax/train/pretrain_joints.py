@@ -152,3 +152,10 @@ def pretrain(config: JointPretrainConfig, command: str = "") -> dict[str, Any]:
     }
     low_level_file.save_joint_level(folder / "low_level", header, jax.device_get(low_level))
     return header | {"folder": str(folder)}
+
+
+def print_result(header: dict[str, Any]) -> None:
+    """What the low level reached, and where it is."""
+    print(f"target states up to 45 degrees away in every joint: {header['success_rate']:.4f} reached, in {header['mean_moves']:.2f} moves on average")
+    print(f"compiling and running {header['seconds_with_compiling']:.1f} s")
+    print(f"low level   {Path(header['folder']) / 'low_level'}")

@@ -29,7 +29,7 @@ from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
-from infogoal_jax.train.update import Experience, state_features, training_corruption, updates, usable_goals
+from infogoal_jax.train.update import Experience, encode_states, training_corruption, updates, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
@@ -43,7 +43,6 @@ class Parts(NamedTuple):
     agent: Agent
     hindsight: Hindsight | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
-    goal_code_of_states: bool
     optimizer: optax.GradientTransformation
     batch_size: int
     table_limit: int
@@ -115,18 +114,16 @@ class Train:
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
     method, algorithm, relabelling = learners.entry(config.method), agents.entry(config.algorithm), hindsight.entry(config.relabelling)
-    for name, part, field, entry in (("method", config.learner, "learner", method), ("algorithm", config.agent, "agent", algorithm),
-                                     ("relabelling", config.hindsight, "hindsight", relabelling)):
-        require(isinstance(part, entry.config), field, type(part).__name__,
-                f"{name} {getattr(config, name)!r} needs a {entry.config.__name__}; make the configuration with presets.load, and resume with the same "
-                f"--{name}")
+    for named, entry, field in (("method", method, "learner"), ("algorithm", algorithm, "agent"), ("relabelling", relabelling, "hindsight")):
+        given = getattr(config, field)
+        require(isinstance(given, entry.config), field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {entry.config.__name__}; "
+                f"make the configuration with presets.load, and resume with the same --{named}")
     return Parts(
         method=config.method,
         learner=method.make(config.learner),
         agent=algorithm.make(config.agent, env),
         hindsight=relabelling.make(config.hindsight),
         state_encoder=make_state_encoder(config.state_encoder, env),
-        goal_code_of_states=config.state_encoder.goal_code,
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
         table_limit=config.batch_size,
@@ -141,9 +138,6 @@ def make_state_encoder(size: StateEncoderConfig, env):
     if seen.ndim > 1:
         require(seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0, "state_encoder.patch", size.patch,
                 f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}")
-    goal = env.goals.inputs
-    require(not size.goal_code or (seen.shape, seen.dtype) == (goal.shape[1:], goal.dtype), "state_encoder.goal_code", size.goal_code,
-            "needs a task whose states look like its goals: leave it out")
     return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
 
 
@@ -170,16 +164,13 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
 
     def policy(params, exploration: Exploration, env, encode: Encode, use_mean=False) -> Policy:
         """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. IV), or its mean is used."""
-        # Each image once, if there are fewer than a rollout looks at.
-        table = env.num_observations is not None and env.num_observations <= config.num_envs * config.rollout_steps
-        features = state_features(parts, params, env, jnp.arange(env.num_observations)) if table else None
+        see = encode_states(parts, params, env, config.num_envs * config.rollout_steps)
 
         def act(observation, goal, key):
             sample_key, act_key = jax.random.split(key)
             code = encode(goal)
             code = code.mean if use_mean else code.sample(sample_key)
-            seen = features[observation] if table else state_features(parts, params, env, observation)
-            return agent.act(params["agent"], seen, code, env.action_mask(observation), act_key, exploration)
+            return agent.act(params["agent"], see(observation), code, env.action_mask(observation), act_key, exploration)
 
         return act
 
@@ -213,7 +204,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params = {"goal": goal_params, "state": encoder.init(keys[1], env.render(observation))}
         code = learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
-        params["agent"], agent_state = agent.init(keys[2], state_features(parts, params, env, observation), code)
+        params["agent"], agent_state = agent.init(keys[2], encode_states(parts, params, env, 1)(observation), code)
         state = TrainState(
             params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state, agent=agent_state,
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),

@@ -1,5 +1,6 @@
 """One gradient update (Algorithm 1, lines 16 to 22): sample, encode, add the losses, step, then beta and the targets."""
 
+from collections.abc import Callable
 from typing import Any
 
 import flax.struct
@@ -41,8 +42,8 @@ class Experience:
 class Sample:
     """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside of the loop over updates.
 
-    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], known goals achieved after each
-    step, padded with -1; pairs: of goals, or None.
+    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], the known goals that were
+    achieved after each, padded with -1; pairs: of goals, or None.
     """
 
     transitions: Transitions
@@ -114,22 +115,20 @@ def returns(parts, state, env, hyper, experience: Experience, drawn: Sample) -> 
     return (step_reward * batch.mask * discounts).sum(1), learner_state, metrics
 
 
-def state_features(parts, params, env, observation) -> jax.Array:
-    """What the agent sees of stored observations [...], by the encoders of these parameters: psi(s) [..., F].
+def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
+    """psi(s): stored observations [...] to features [..., F], by the encoder of these parameters.
 
-    Where states are seen as goals are, the mean goal code of the state may be a part of it.
+    Every image once if there are fewer than will be asked for, else only those asked for.
     """
-    seen = env.render(observation)
-    features = parts.state_encoder.apply(params["state"], seen)
-    if not parts.goal_code_of_states:
-        return features
-    return jnp.concatenate([features, parts.learner.encode(params["goal"], seen).mean], axis=-1)
+    if env.num_observations is not None and env.num_observations <= asked:
+        return parts.state_encoder.apply(params["state"], env.render(jnp.arange(env.num_observations))).__getitem__
+    return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
 
 
 def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, corruption, key) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own."""
     keys = jax.random.split(key, 3)
-    frozen = jax.lax.stop_gradient(params)
+    see, see_by_target = (encode_states(parts, given, env, 2 * parts.batch_size) for given in (params, target_params))
     code, target_code = (
         encode_commanded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
     )
@@ -137,12 +136,12 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     return AgentBatch(
         observation=batch.observation,
         next_observation=batch.next_observation,
-        features=state_features(parts, params, env, batch.observation),
+        features=see(batch.observation),
         code=code.sample(keys[0]),
         action=batch.action,
-        next_features=state_features(parts, frozen, env, batch.next_observation),
+        next_features=jax.lax.stop_gradient(see(batch.next_observation)),
         next_code=jax.lax.stop_gradient(code).sample(keys[1]),
-        target_features=state_features(parts, target_params, env, batch.next_observation),
+        target_features=see_by_target(batch.next_observation),
         target_code=target_code.sample(keys[2]),
         reward=reward,
         discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,

@@ -1,0 +1,93 @@
+"""Image datasets small enough to check by hand: an arm with three joints that turn by 60 degrees, and a shelf of 8 x 3 places with four objects."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from infogoal_jax import presets
+from infogoal_jax.config import StateEncoderConfig, TrainConfig
+from infogoal_jax.data.frames import FrameDataset
+from infogoal_jax.data.questions import Questions
+from infogoal_jax.data.text import EMBEDDING_SIZE, TextEmbeddings
+from infogoal_jax.envs import embodied_qa, object_manipulation
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
+
+STEPS = 6
+"""Settings of each joint."""
+SIDE = 8
+"""Of the images, in pixels."""
+WIDTH, HEIGHT, OBJECTS = 8, 3, ("red mug", "blue book", "green ball", "old clock")
+ABOUT = {"name": "hand-made", "stand_in": True, "made_by": "tests"}
+
+
+def about(axis: int, angles: np.ndarray) -> np.ndarray:
+    """Rotations [K, 3, 3] about x, y or z by angles [K]."""
+    cosine, sine, turned = np.cos(angles), np.sin(angles), np.tile(np.eye(3), (len(angles), 1, 1))
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    turned[:, first, first], turned[:, first, second], turned[:, second, first], turned[:, second, second] = cosine, -sine, sine, cosine
+    return turned
+
+
+def arm() -> FrameDataset:
+    """Every setting of three joints, turning the object about z, y and x; six moves; each image random but fixed."""
+    setting = np.stack(np.meshgrid(*[np.arange(STEPS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    joints = -np.pi + 2 * np.pi / STEPS * setting
+    rotation = about(2, joints[:, 0]) @ about(1, joints[:, 1]) @ about(0, joints[:, 2])
+    frame, action = (part.ravel() for part in np.meshgrid(np.arange(len(setting)), np.arange(6), indexing="ij"))
+    turned = (setting[frame] + np.eye(3, dtype=int)[action // 2] * np.where(action % 2, -1, 1)[:, None]) % STEPS
+    count = len(frame)
+    return FrameDataset(
+        frames=np.random.default_rng(0).integers(0, 256, (len(setting), SIDE, SIDE, 3), dtype=np.uint8), state=np.arange(len(setting), dtype=np.int32),
+        actions=tuple(f"joint {joint} {sign}" for joint in (1, 2, 6) for sign in "+-"), frame=frame.astype(np.int32), action=action.astype(np.int32),
+        next_frame=(turned @ [STEPS**2, STEPS, 1]).astype(np.int32), trajectory=np.arange(count, dtype=np.int32), time=np.zeros(count, np.int32),
+        terminal=np.ones(count, bool), about=ABOUT, rotation=rotation.astype(np.float32), joints=joints.astype(np.float32),
+        joint_names=("joint 1", "joint 2", "joint 6"),
+    )
+
+
+def shelf(flights: int = 60, length: int = 12) -> FrameDataset:
+    """Places in a row-by-row order, moves left, right, up and down, flights at random; an object is seen from the places around it."""
+    random, places = np.random.default_rng(1), WIDTH * HEIGHT
+    x, y = np.arange(places) % WIDTH, np.arange(places) // WIDTH
+    step = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+    place = np.stack([x, y], axis=-1)[:, None] + step
+    inside = ((place >= 0) & (place < [WIDTH, HEIGHT])).all(-1)
+    table = np.where(inside, place @ [1, WIDTH], np.arange(places)[:, None])
+    homes = np.array([[0, 0], [WIDTH - 1, 0], [0, HEIGHT - 1], [WIDTH - 1, HEIGHT - 1]])
+    detected = np.abs(np.stack([x, y], -1)[:, None] - homes).max(-1) <= 1
+    rows = []
+    for flight in range(flights):
+        here = random.integers(places)
+        for time in range(length):
+            move = random.choice(np.flatnonzero(inside[here]))
+            rows.append((here, move, table[here, move], flight, time, time == length - 1))
+            here = table[here, move]
+    frame, action, next_frame, trajectory, time, terminal = (np.array(column) for column in zip(*rows, strict=True))
+    whole = {"frame": frame, "action": action, "next_frame": next_frame, "trajectory": trajectory, "time": time}
+    return FrameDataset(
+        frames=random.integers(0, 256, (places, SIDE, SIDE, 3), dtype=np.uint8), state=np.arange(places, dtype=np.int32),
+        actions=("left", "right", "up", "down"), **{name: part.astype(np.int32) for name, part in whole.items()}, terminal=terminal.astype(bool),
+        about=ABOUT, position=(0.2 * np.stack([x, y], -1)).astype(np.float32), detected=detected, objects=OBJECTS,
+    )
+
+
+def backgrounds() -> SimpleNamespace:
+    """Noise of the images' size, other for training than for the test."""
+    noise = np.random.default_rng(2).integers(0, 256, (2, 5, SIDE, SIDE, 3)).astype(np.uint8)
+    return SimpleNamespace(train=noise[0], test=noise[1], source="noise")
+
+
+def manipulation(**changes) -> object_manipulation.ObjectManipulation:
+    """Object manipulation over the arm."""
+    return object_manipulation.lay_out(arm(), backgrounds(), ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes)))
+
+
+def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
+    """A configuration that trains on it in seconds; by DQN, since the shipped low level belongs to another arm."""
+    small = {
+        "env": ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12), "algorithm": "dqn", "num_epochs": 2, "epochs_per_evaluation": 1,
+        "num_envs": 8, "rollout_steps": 20, "updates_per_epoch": 5, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 2,
+        "state_encoder": StateEncoderConfig(features=32),
+    }
+    return presets.load("object_manipulation", method, **(small | changes))

@@ -1,0 +1,154 @@
+"""Object manipulation: poses, aliases, goals that never count as each other, moves, and the low level's target states."""
+
+import dataclasses
+
+import hand_made_frames
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from infogoal_jax import make_train
+from infogoal_jax.data.rotations import geodesic
+from infogoal_jax.envs.cells import Cells
+from infogoal_jax.envs.joints import JointSpace, wrapped
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
+from infogoal_jax.errors import UserError
+from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The hand-made arm: 216 settings of its joints."""
+    return hand_made_frames.manipulation()
+
+
+@pytest.fixture(scope="module")
+def data():
+    """Its dataset."""
+    return hand_made_frames.arm()
+
+
+def test_goals_are_the_different_orientations(env, data):
+    """Every image shows exactly one goal, images of one goal show one rotation, and images of two goals two."""
+    orientation = np.asarray(env.goals_of(jnp.arange(len(data.frames))))[:, 0]
+    apart = geodesic(data.rotation[:, None], data.rotation[None]) > 1e-3
+    np.testing.assert_array_equal(orientation[:, None] != orientation[None], apart)
+    assert env.goals.num_goals == len(set(orientation.tolist())) < len(data.frames)  # There are aliases.
+
+
+def test_a_goal_is_seen_as_an_image_that_shows_it(env, data):
+    """Goal images are frames of the dataset, held once, of the orientation that they stand for."""
+    rows = np.asarray(env.goals.rows)
+    np.testing.assert_array_equal(np.asarray(env.orientation)[rows], np.arange(env.goals.num_goals))
+    np.testing.assert_array_equal(env.goals.inputs_of(jnp.arange(5)), data.frames[rows[:5]])
+    np.testing.assert_array_equal(env.render(env.observe_frame(jnp.arange(4))), data.frames[:4])
+
+
+def test_reached_is_the_angle_between_poses(env, data):
+    """Within 10 degrees on SO(3), for every image and every goal, whatever joints made the pose."""
+    rotation = Rotation.from_matrix(data.rotation)
+    goals = np.asarray(env.goals.evaluated)
+    target = Rotation.from_matrix(data.rotation[np.asarray(env.goals.rows)[goals]])
+    angle = np.stack([(each.inv() * rotation).magnitude() for each in target], axis=1)
+    np.testing.assert_array_equal(env.reached(jnp.arange(len(data.frames))[:, None], goals[None]), angle < np.deg2rad(10))
+    np.testing.assert_array_equal(np.asarray(env.distance).T == 0, angle < np.deg2rad(10))
+
+
+def test_no_goal_counts_as_another(env, data):
+    """Goals of all uses lie more than 20 degrees apart, test and validation goals within 90 degrees of a training goal."""
+    goals = np.asarray(env.goals.evaluated)
+    rotation = data.rotation[np.asarray(env.goals.rows)]
+    apart = geodesic(rotation[goals][:, None], rotation[goals][None]) + 10 * np.eye(len(goals))
+    assert apart.min() > np.deg2rad(20)
+    training = rotation[np.asarray(env.goals.commanded)]
+    for use, count in (("train", 3), ("validation", 1), ("test", 4)):
+        mask = np.asarray(getattr(env.goals, f"{use}_mask"))
+        assert mask.sum() == count
+        assert geodesic(rotation[mask][:, None], training[None]).min(1).max() <= np.deg2rad(90) + 1e-3
+
+
+def test_moves_turn_one_joint(env, data):
+    """A step follows the recorded move; the joints say the same."""
+    state = env.reset(jax.random.key(0))
+    for action in range(6):
+        after = env.step(state, jnp.int32(action))
+        turned = wrapped(env.observe(after).joints - env.observe(state).joints)
+        expected = np.zeros(3)
+        expected[action // 2] = np.pi / 3 * (-1) ** action
+        np.testing.assert_allclose(turned, expected, atol=1e-5)
+        state = after
+
+
+def test_random_policy_and_shortest_path(env):
+    """The oracle reaches every goal on a shortest path."""
+    scores = jax.jit(lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 20))(env)
+    assert scores["o_test/success_rate"] == 1.0 and scores["o_test/spl"] == 1.0
+    assert scores["r_test/success_rate"] < scores["o_test/success_rate"]
+
+
+def test_other_seeds_choose_other_goals(env):
+    """The goal seed decides the goals, and the same seed the same."""
+    again, other = hand_made_frames.manipulation(), hand_made_frames.manipulation(goal_seed=1)
+    np.testing.assert_array_equal(again.goals.evaluated, env.goals.evaluated)
+    assert not np.array_equal(other.goals.evaluated, env.goals.evaluated)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"rotation": None}, "tells no poses"),
+    ({"action": "contradiction"}, "lead"),
+])
+def test_datasets_that_cannot_be_used(data, change, message):
+    """The error says what the dataset lacks."""
+    if "action" in change:
+        change = {"action": np.zeros_like(data.action)}
+    with pytest.raises(UserError, match=message):
+        lay_out(dataclasses.replace(data, **change), hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4)))
+
+
+def test_too_many_goals(data):
+    """More goals than poses that lie apart."""
+    with pytest.raises(UserError, match=r"env\.num_goals = .*give fewer"):
+        lay_out(data, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(300, 0, 1)))
+
+
+def test_views_of_one_state(data):
+    """Where several images show a state, a step arrives at any of them, and moves are those of the state."""
+    twice = dataclasses.replace(
+        data, frames=np.concatenate([data.frames, 255 - data.frames]), state=np.concatenate([data.state, data.state]),
+        rotation=np.concatenate([data.rotation] * 2), joints=np.concatenate([data.joints] * 2))
+    env = lay_out(twice, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12))
+    starts = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))
+    after = jax.vmap(env.step)(starts, jnp.zeros(200, jnp.int32))
+    count = len(data.frames)
+    assert 0.3 < float((after.node >= count).mean()) < 0.7
+    plain = hand_made_frames.manipulation()
+    np.testing.assert_array_equal(after.node % count, np.asarray(plain.next_node)[np.asarray(starts.node) % count, 0])
+
+
+def test_trains_by_dqn_with_and_without_relabelling(env):
+    """A few epochs of either run through, with finite numbers."""
+    for relabelling in ("none", "her"):
+        train = make_train(hand_made_frames.manipulation_config(relabelling=relabelling), env)
+        result = jax.jit(train)(jax.random.key(0))
+        assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
+        assert {"test_goal/success_rate", "corrupted_test_goal/success_rate", "corrupted_train_goal/spl"} <= set(result.metrics)
+
+
+def test_cells_close_in_on_themselves():
+    """Angles just below and just above a half turn share a cell, and every angle has one."""
+    cells = Cells.over_angles(1, np.pi / 3)
+    assert cells.count == 6
+    angles = jnp.linspace(-np.pi, np.pi, 500)[:, None]
+    found = np.asarray(cells.of(angles))
+    assert set(found.tolist()) == set(range(6))
+    assert cells.of(jnp.array([np.pi - 0.01])) == cells.of(jnp.array([-np.pi + 0.01]))
+
+
+def test_subgoals_of_joints():
+    """A subgoal is a turn of each joint by at most the scale, closed over a half turn."""
+    space, observation = JointSpace(3), hand_made_frames.manipulation().observe_frame(jnp.int32(0))
+    target = space.from_subgoal(observation, jnp.array([2.0, 0.5, -1.0]), 0.6)
+    np.testing.assert_allclose(wrapped(target - observation.joints), [0.6, 0.3, -0.6], atol=1e-5)
+    assert (jnp.abs(target) <= np.pi).all()
