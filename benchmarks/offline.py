@@ -1,10 +1,10 @@
 """Speed of offline learning: updates a second of conservative Q-learning on the recorded flights of embodied question answering, compile time apart.
 
     python benchmarks/offline.py [--batch 256 1024] [--seeds 1 16] [--updates 1000] [--epochs 3] [--out FILE.json]
-        [--peer [PYTHON]]    the same in PyTorch on the CPU (offline_peer.py), in this run, by an interpreter that has torch; this one if none is named
+        [--peer [PYTHON]]    the same in PyTorch on the CPU (offline_peer.py), in this run, by an interpreter that has torch; else by this one
 
-What is timed is training's own program, drawing and relabelling of the batches included and evaluation left out: epochs of `--updates` updates, after
-one that is not counted. Prints a Markdown table; torch is no dependency of the project, `pip install torch` into any environment will do.
+What is timed is training's own program, drawing and relabelling of the batches included and evaluation left out: the fastest of some epochs of
+`--updates` updates, after one that is not counted; of the peer the fastest of as many runs. Prints a Markdown table; torch is no dependency of the project, `pip install torch` into any environment will do.
 """
 
 import argparse
@@ -27,7 +27,8 @@ MILLION = 1_000_000
 
 def configuration(batch: int, updates: int):
     """Embodied question answering without goal representation learning: bare CQL."""
-    return presets.load("embodied_qa", "none", batch_size=batch, updates_per_epoch=updates, num_epochs=1, epochs_per_evaluation=1, evaluation_starts=1)
+    sizes = {"batch_size": batch, "updates_per_epoch": updates, "num_epochs": 1, "epochs_per_evaluation": 1, "evaluation_starts": 1}
+    return presets.load("embodied_qa", "none", **sizes)
 
 
 def measure(train, num_seeds: int, epochs: int) -> dict:
@@ -71,7 +72,7 @@ def peer_arrays(train) -> dict[str, np.ndarray]:
     }
 
 
-def run_peer(python: str, train, batches: list[int], updates: int) -> dict | None:
+def run_peer(python: str, train, batches: list[int], updates: int, repeats: int) -> dict | None:
     """Updates a second in PyTorch, of each batch size and way to feed it, or None where the interpreter has no torch."""
     if subprocess.run([python, "-c", "import torch"], capture_output=True).returncode:
         print(f"no peer: {python} has no torch; give --peer the interpreter of an environment into which it is installed", file=sys.stderr)
@@ -79,7 +80,8 @@ def run_peer(python: str, train, batches: list[int], updates: int) -> dict | Non
     with tempfile.TemporaryDirectory() as folder:
         arrays = Path(folder) / "arrays.npz"
         np.savez(arrays, **{name: np.asarray(value) for name, value in peer_arrays(train).items()})
-        program = [python, Path(__file__).with_name("offline_peer.py"), arrays, "--updates", str(updates), "--batch", *map(str, batches)]
+        flags = ["--updates", str(updates), "--repeats", str(repeats), "--batch", *map(str, batches)]
+        program = [python, Path(__file__).with_name("offline_peer.py"), arrays, *flags]
         return json.loads(subprocess.run(program, stdout=subprocess.PIPE, check=True, text=True).stdout.splitlines()[-1])
 
 
@@ -96,7 +98,7 @@ def main():
     arguments = parser.parse_args()
     train = make_train(configuration(256, arguments.updates))
     print(f"embodied_qa, bare CQL; {int(train.env.recorded.valid.sum()):,} recorded moves; {train.env.source}\n{describe_machine()}\n", flush=True)
-    peer = run_peer(arguments.peer, train, arguments.batch, arguments.peer_updates) if arguments.peer else None
+    peer = run_peer(arguments.peer, train, arguments.batch, arguments.peer_updates, arguments.epochs) if arguments.peer else None
     fastest = {}
     if peer:
         print(f"{peer['about']}, on the CPU\n\n| batch | batches of the peer | updates/s |\n|---|---|---|")
@@ -111,7 +113,7 @@ def main():
         train = make_train(configuration(batch, arguments.updates), train.env)
         for num_seeds in arguments.seeds:
             result = measure(train, num_seeds, arguments.epochs)
-            rate = arguments.updates / np.mean(result["epoch_seconds"])
+            rate = arguments.updates / min(result["epoch_seconds"])
             found.append({"batch": batch, "seeds": num_seeds, "updates_per_second": rate, **result})
             ratio = f"{num_seeds * rate / fastest[batch][0]:.1f}" if peer else ""
             print(f"| {batch} | {num_seeds} | {rate:,.1f} | {num_seeds * rate:,.1f} | {result['compile_seconds']:.1f} | {MILLION / rate / 60:,.1f} "

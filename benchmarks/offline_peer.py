@@ -1,6 +1,6 @@
 """Conservative Q-learning in PyTorch on the CPU, the peer of offline.py: the same networks, loss and batches, fed by a DataLoader.
 
-    python benchmarks/offline_peer.py ARRAYS.npz [--updates 200] [--batch 256 1024] [--workers 2]
+    python benchmarks/offline_peer.py ARRAYS.npz [--updates 200] [--repeats 3] [--batch 256 1024] [--workers 2]
 
 offline.py writes ARRAYS.npz and starts this program with `--peer`. It needs torch and numpy alone, and prints one line of json: updates a second of
 each way to make batches, and of updates on one batch that is there already.
@@ -171,6 +171,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("arrays")
     parser.add_argument("--updates", type=int, default=200, help="updates that are timed of each way")
+    parser.add_argument("--repeats", type=int, default=3, help="runs of so many updates, of which the fastest counts")
     parser.add_argument("--batch", type=int, nargs="+", default=[256])
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes that read batches")
     arguments = parser.parse_args()
@@ -182,12 +183,12 @@ def main():
         "whole batches, worker processes": (arguments.workers, True), "whole batches": (0, True),
     }
     for batch in arguments.batch:
-        found[batch] = {
-            name: rate(agent, loader(moves, batch, WARM_UP + arguments.updates, workers, whole), arguments.updates)
-            for name, (workers, whole) in ways.items()
-        }
         there = next(iter(loader(moves, batch, 1, 0, whole=True)))
-        found[batch]["one batch again and again"] = rate(agent, (there for _ in range(WARM_UP + arguments.updates)), arguments.updates)
+        feeds = {
+            name: lambda workers=workers, whole=whole, batch=batch: loader(moves, batch, WARM_UP + arguments.updates, workers, whole)
+            for name, (workers, whole) in ways.items()
+        } | {"one batch again and again": lambda there=there: (there for _ in range(WARM_UP + arguments.updates))}
+        found[batch] = {name: max(rate(agent, feed(), arguments.updates) for _ in range(arguments.repeats)) for name, feed in feeds.items()}
     about = f"torch {torch.__version__}, {torch.get_num_threads()} threads, {arguments.workers} worker processes"
     print(json.dumps({"about": about, "updates_per_second": found}))
 

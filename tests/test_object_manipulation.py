@@ -15,7 +15,9 @@ from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.joints import JointSpace, wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
 from infogoal_jax.errors import UserError
+from infogoal_jax.replay import Transitions
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
+from infogoal_jax.train.update import agent_batch
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +136,25 @@ def test_trains_by_dqn_with_and_without_relabelling(env):
         result = jax.jit(train)(jax.random.key(0))
         assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
         assert {"test_goal/success_rate", "corrupted_test_goal/success_rate", "corrupted_train_goal/spl"} <= set(result.metrics)
+
+
+@pytest.mark.parametrize("relabelling", ["none", "her"])
+def test_agents_see_the_codes_of_their_goals(env, relabelling):
+    """Whatever goal a sampled transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller than the goal space."""
+    train = make_train(hand_made_frames.manipulation_config("none", relabelling=relabelling), env)
+    parts, hyper = train.parts, train.config.hyper
+    state = jax.jit(train.initial)(jax.random.key(0), hyper, env)
+    count, goals = parts.batch_size, env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals)
+    assert env.goals.num_goals > count
+    goal = jax.random.choice(jax.random.key(1), goals, (count,))
+    observation = env.observe_frame(jnp.zeros(count, jnp.int32))
+    batch = Transitions(
+        observation=observation, next_observation=observation, action=jnp.zeros(count, jnp.int32), goal=goal, records=jnp.zeros((count, 1), jnp.int32),
+        mask=jnp.ones((count, 1)), terminated=jnp.zeros(count, bool))
+    made = agent_batch(parts, env, hyper, state.params, state.params, batch, jnp.zeros(count), None, jax.random.key(2))
+    expected = parts.learner.encode(state.params["goal"], env.goals.inputs_of(goal)).mean
+    np.testing.assert_allclose(made.code, expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(made.target_code, expected, rtol=1e-5, atol=1e-5)
 
 
 def test_cells_close_in_on_themselves():

@@ -118,7 +118,7 @@ def build(seed: int = 0, physical_limits: bool = False, size: int = 64, progress
             if progress is not None:
                 progress(done / len(starts))
     frame, action, next_frame = moves(physical_limits)
-    command = f"infogoal data build cube --seed {seed}"
+    command = f"infogoal data build cube --seed {seed}{' --physical-limits' if physical_limits else ''}"
     return FrameDataset(
         frames=frames, state=np.arange(len(setting), dtype=np.int32), actions=ACTIONS, frame=frame, action=action, next_frame=next_frame,
         trajectory=np.arange(len(frame), dtype=np.int32), time=np.zeros(len(frame), np.int32), terminal=np.ones(len(frame), bool),

@@ -31,7 +31,7 @@ SLOTS = 3
 FLIGHT_LENGTH, MIN_FLIGHTS = 50, 400
 """Moves in a recorded flight, and flights at least."""
 VIEWS, DRIFT, ROLL, BLUR = 4, 0.03, 0.03, 14.0
-"""Of a hovering drone: images for each place, and standard deviations of its drift (m), its roll (radians) and its movement (pixels of the stream)."""
+"""Of a hovering drone: images of each place; standard deviations of its drift (m), its roll (radians) and its movement (pixels of the stream)."""
 
 
 def build(seed: int = 0, hovering: bool = False, size: tuple[int, int] = (48, 64), progress: Callable[[float], None] | None = None) -> FrameDataset:

@@ -129,8 +129,9 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     """The transitions as codes, each occurrence of a goal with noise of its own."""
     keys = jax.random.split(key, 3)
     see, see_by_target = (encode_states(parts, given, env, 2 * parts.batch_size) for given in (params, target_params))
+    encoded = encode_commanded if parts.hindsight is None else encode_goals  # Relabelled goals are any, and not among those commanded.
     code, target_code = (
-        encode_commanded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
+        encoded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
     )
     code = jax.lax.stop_gradient(code) if parts.stop_encoder_gradient else code
     return AgentBatch(
