@@ -4,11 +4,13 @@
         [--peer [PYTHON]]    the same in PyTorch on the CPU (offline_peer.py), in this run, by an interpreter that has torch; else by this one
 
 What is timed is training's own program, drawing and relabelling of the batches included and evaluation left out: the fastest of some epochs of
-`--updates` updates, after one that is not counted; of the peer the fastest of as many runs. Prints a Markdown table; torch is no dependency of the project, `pip install torch` into any environment will do.
+`--updates` updates, after one that is not counted; of the peer the fastest of as many runs. Prints Markdown tables. Torch is no dependency of the
+project: `pip install torch` into any other environment will do.
 """
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -96,8 +98,9 @@ def main():
     parser.add_argument("--peer-updates", type=int, default=200, help="updates that are timed of the peer, for each way to make batches")
     parser.add_argument("--out", type=Path, help="file to write the numbers to (json)")
     arguments = parser.parse_args()
-    train = make_train(configuration(256, arguments.updates))
-    print(f"embodied_qa, bare CQL; {int(train.env.recorded.valid.sum()):,} recorded moves; {train.env.source}\n{describe_machine()}\n", flush=True)
+    load, train = os.getloadavg()[0], make_train(configuration(256, arguments.updates))
+    print(f"embodied_qa, bare CQL; {int(train.env.recorded.valid.sum()):,} recorded moves; {train.env.source}")
+    print(f"{describe_machine()}; load before this run {load:.1f}\n", flush=True)
     peer = run_peer(arguments.peer, train, arguments.batch, arguments.peer_updates, arguments.epochs) if arguments.peer else None
     fastest = {}
     if peer:
@@ -119,8 +122,8 @@ def main():
             print(f"| {batch} | {num_seeds} | {rate:,.1f} | {num_seeds * rate:,.1f} | {result['compile_seconds']:.1f} | {MILLION / rate / 60:,.1f} "
                   f"| {ratio} |", flush=True)
     if arguments.out:
-        arguments.out.write_text(json.dumps({"machine": describe_machine(), "data": train.env.source, "updates": arguments.updates, "found": found,
-                                             "peer": peer}, indent=1) + "\n")
+        arguments.out.write_text(json.dumps({"machine": describe_machine(), "load": load, "data": train.env.source, "updates": arguments.updates,
+                                             "found": found, "peer": peer}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

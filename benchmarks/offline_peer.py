@@ -1,9 +1,11 @@
 """Conservative Q-learning in PyTorch on the CPU, the peer of offline.py: the same networks, loss and batches, fed by a DataLoader.
 
     python benchmarks/offline_peer.py ARRAYS.npz [--updates 200] [--repeats 3] [--batch 256 1024] [--workers 2]
+        [--threads 1 2]
 
 offline.py writes ARRAYS.npz and starts this program with `--peer`. It needs torch and numpy alone, and prints one line of json: updates a second of
-each way to make batches, and of updates on one batch that is there already.
+each way to make batches, and of updates on one batch that is there already. It encodes the images of every move, as they come out of a DataLoader;
+training encodes each image of a small dataset once an update, which comes to the same loss.
 """
 
 import argparse
@@ -105,13 +107,17 @@ class Values(nn.Module):
         self.goals = perceptron(goal_size, settings["goal_hidden"], settings["latent_size"])
         self.head = perceptron(settings["features"] + settings["latent_size"], settings["hidden"], num_actions)
 
-    def forward(self, images: torch.Tensor, goals: torch.Tensor) -> torch.Tensor:
-        """Values [B, A] of images uint8 [B, H, W, C] and encoded goals [B, d]."""
+    def cut(self, images: torch.Tensor) -> torch.Tensor:
+        """Images uint8 [B, H, W, C] as patches float32 [B, H W / side^2, side^2 C]."""
         number, height, width, channels = images.shape
         side = self.patch
-        cut = images.reshape(number, height // side, side, width // side, side, channels).transpose(2, 3).reshape(number, -1, side * side * channels)
-        features = functional.relu(self.patches(cut.float() / 127.5 - 1))
-        features = functional.relu(self.norm(self.whole(features.reshape(number, -1))))
+        patches = images.reshape(number, height // side, side, width // side, side, channels).transpose(2, 3)
+        return patches.reshape(number, -1, side * side * channels).float().div_(127.5).sub_(1)
+
+    def forward(self, patches: torch.Tensor, goals: torch.Tensor) -> torch.Tensor:
+        """Values [B, A] of images cut into patches and of encoded goals [B, d]."""
+        features = functional.relu(self.patches(patches))
+        features = functional.relu(self.norm(self.whole(features.reshape(len(patches), -1))))
         return self.head(torch.cat([features, goals], -1))
 
 
@@ -128,11 +134,12 @@ class Agent:
         """Huber loss of double Q-learning, and the conservative term. All goals are encoded once: they are fewer than the batch, as offline.py's."""
         goal = batch["goal"].long()
         codes = self.values.goals(self.goal_inputs)[goal]
-        every = self.values(batch["image"], codes)
+        every = self.values(self.values.cut(batch["image"]), codes)
         value = every.gather(1, batch["action"].long()[:, None])[:, 0]
         with torch.no_grad():
-            ahead = self.values(batch["next_image"], codes).masked_fill(~batch["next_action_mask"], -torch.inf).argmax(1)
-            following = self.target(batch["next_image"], self.target.goals(self.goal_inputs)[goal]).gather(1, ahead[:, None])[:, 0]
+            following_patches = self.values.cut(batch["next_image"])
+            ahead = self.values(following_patches, codes).masked_fill(~batch["next_action_mask"], -torch.inf).argmax(1)
+            following = self.target(following_patches, self.target.goals(self.goal_inputs)[goal]).gather(1, ahead[:, None])[:, 0]
             aim = batch["reward"] + batch["discount"] * following
         gap = every.masked_fill(~batch["action_mask"], -torch.inf).logsumexp(1) - value
         return functional.huber_loss(value, aim) + self.settings["conservative_weight"] * gap.mean()
@@ -173,6 +180,7 @@ def main():
     parser.add_argument("--updates", type=int, default=200, help="updates that are timed of each way")
     parser.add_argument("--repeats", type=int, default=3, help="runs of so many updates, of which the fastest counts")
     parser.add_argument("--batch", type=int, nargs="+", default=[256])
+    parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, os.cpu_count()}), help="of torch; the faster number counts")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes that read batches")
     arguments = parser.parse_args()
     arrays = dict(np.load(arguments.arrays))
@@ -188,8 +196,12 @@ def main():
             name: lambda workers=workers, whole=whole, batch=batch: loader(moves, batch, WARM_UP + arguments.updates, workers, whole)
             for name, (workers, whole) in ways.items()
         } | {"one batch again and again": lambda there=there: (there for _ in range(WARM_UP + arguments.updates))}
-        found[batch] = {name: max(rate(agent, feed(), arguments.updates) for _ in range(arguments.repeats)) for name, feed in feeds.items()}
-    about = f"torch {torch.__version__}, {torch.get_num_threads()} threads, {arguments.workers} worker processes"
+        found[batch] = dict.fromkeys(feeds, 0.0)
+        for threads in arguments.threads:
+            torch.set_num_threads(threads)
+            for name, feed in feeds.items():
+                found[batch][name] = max(found[batch][name], *(rate(agent, feed(), arguments.updates) for _ in range(arguments.repeats)))
+    about = f"torch {torch.__version__}, {' or '.join(map(str, arguments.threads))} threads (the faster), {arguments.workers} worker processes"
     print(json.dumps({"about": about, "updates_per_second": found}))
 
 

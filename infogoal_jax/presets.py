@@ -63,7 +63,7 @@ CUBE_TRAINING = {
 }
 
 SHELF_TRAINING = {
-    "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 40, "epochs_per_evaluation": 10, "evaluation_starts": 5, "known_goals": "all",
+    "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 40, "epochs_per_evaluation": 10, "evaluation_starts": 5,
     "state_encoder": StateEncoderConfig(features=128),
 }
 

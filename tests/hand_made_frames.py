@@ -91,3 +91,37 @@ def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
         "state_encoder": StateEncoderConfig(features=32),
     }
     return presets.load("object_manipulation", method, **(small | changes))
+
+
+def asked() -> Questions:
+    """Five questions about each of the four objects, two of which are trained on; a room for each."""
+    rooms = tuple(f"corner {number}" for number in range(4))
+    questions = tuple(tuple(f"question {number} about the {name}" for number in range(5)) for name in OBJECTS)
+    return Questions(room_names=rooms, objects=OBJECTS, rooms=(0, 1, 2, 3), uses=("train", "test", "train", "test"), questions=questions)
+
+
+def embeddings() -> TextEmbeddings:
+    """Random unit vectors: those of an object's name and questions lie close together."""
+    random, questions = np.random.default_rng(3), asked()
+    texts, vectors = [], []
+    for name, about_it in zip(questions.objects, questions.questions, strict=True):
+        centre = random.normal(size=EMBEDDING_SIZE)
+        for words in (name, *about_it):
+            texts.append(words)
+            vectors.append(centre + 0.5 * random.normal(size=EMBEDDING_SIZE))
+    vectors = np.stack(vectors).astype(np.float32)
+    return TextEmbeddings(tuple(texts), vectors / np.linalg.norm(vectors, axis=1, keepdims=True), "none", "random")
+
+
+def qa(**changes) -> embodied_qa.EmbodiedQA:
+    """Embodied question answering over the shelf."""
+    return embodied_qa.lay_out(shelf(), asked(), embeddings(), EmbodiedQAConfig(**({"episode_length": 15} | changes)))
+
+
+def qa_config(method: str = "infogoal", **changes) -> TrainConfig:
+    """A configuration that trains on it in seconds."""
+    small = {
+        "env": EmbodiedQAConfig(episode_length=15), "num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 20, "batch_size": 64,
+        "evaluation_starts": 2, "state_encoder": StateEncoderConfig(features=32),
+    }
+    return presets.load("embodied_qa", method, **(small | changes))

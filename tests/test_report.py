@@ -17,7 +17,7 @@ from rich.console import Console
 from scipy import stats
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import fetch_episodes, fetch_figures, house_figures, tables
+from infogoal_jax.report import fetch_episodes, fetch_figures, house_figures, image_goal_figures, tables, walks
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
 from infogoal_jax.report.statistics import mean_interval, paired_difference
@@ -183,7 +183,7 @@ def test_plan_knows_places_and_the_length_of_a_move(env):
 
 def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env):
     subject = read_subject(sweep.folder, env)
-    reward, in_view = house_figures.reward_of_images(subject, 0), np.asarray(env.in_view)
+    reward, in_view = walks.reward_of_images(subject, 0), np.asarray(env.in_view)
     np.testing.assert_array_equal(np.isnan(reward), ~in_view.any(1))
     assert np.nanmean(reward) == pytest.approx(-1)
     np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)
@@ -192,8 +192,8 @@ def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env
 def test_walks_are_those_of_the_last_evaluation(sweep, env):
     subject = read_subject(sweep.folder, env)
     first_reached = subject.evaluations.last()["first_reached"][0]
-    walks = house_figures.walks_of_policy(subject)
-    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in walks]
+    found = walks.walks_of_policy(subject)
+    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in found.values()]
     np.testing.assert_array_equal(steps, first_reached)
 
 
@@ -220,7 +220,7 @@ def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env
     params = {"goal": train.parts.learner.init(jax.random.key(0), env.goals.inputs, config.hyper)[0]}
     subject = dataclasses.replace(subject, run=dataclasses.replace(subject.run, config=config), train=train, params=params)
     assert beta_and_accuracy(subject) is None
-    assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), []) is None
+    assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), {}) is None
     assert representations(subject) is not None
 
 
@@ -260,7 +260,7 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
     params = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).params
     subject = dataclasses.replace(points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params)
     assert beta_and_accuracy(subject) is None
-    assert fetch_figures.codes_and_trajectories(subject) is not None
+    assert image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"] is not None
 
 
 def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(points):
@@ -292,9 +292,10 @@ def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run
 
 def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
     env = reach_run.train.env
-    chosen = fetch_figures.spread_goals(env, env.goals.test_mask, 4)
+    apart = fetch_figures.distances_of_goals(env)
+    chosen = image_goal_figures.spread_goals(env.goals, env.goals.test_mask, 4, apart)
     assert len(set(np.asarray(env.goals.regions)[chosen])) == 4 and np.asarray(env.goals.test_mask)[chosen].all()
-    assert len(fetch_figures.spread_goals(env, env.goals.train_mask, 100)) == 8
+    assert len(image_goal_figures.spread_goals(env.goals, env.goals.train_mask, 100, apart)) == 8
 
 
 def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
@@ -335,5 +336,5 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
 
 
 def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):
-    fetch_figures.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
+    image_goal_figures.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
     assert imread(tmp_path / "goals.png").std() > 0.1

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from infogoal_jax.data import text
-from infogoal_jax.data.splits import _without_repeats
+from infogoal_jax.data.splits import without_repeats
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import NO_USE, USES
 
@@ -77,7 +77,7 @@ def load(path: str | os.PathLike) -> Questions:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            content = json.load(file, object_pairs_hook=_without_repeats)
+            content = json.load(file, object_pairs_hook=without_repeats)
     except OSError as error:
         raise UserError(f"questions {path}: {error.strerror or error}; give the path of a readable JSON file") from error
     except ValueError as error:

@@ -87,7 +87,7 @@ def load_split(path: str | os.PathLike) -> Split:
     """
     try:
         with open(path, encoding="utf-8") as file:
-            content = json.load(file, object_pairs_hook=_without_repeats)
+            content = json.load(file, object_pairs_hook=without_repeats)
     except OSError as error:
         raise UserError(f"split {path}: {error.strerror or error}; give the path of a readable JSON file") from error
     except ValueError as error:
@@ -111,7 +111,7 @@ def load_split(path: str | os.PathLike) -> Split:
     return split
 
 
-def _without_repeats(pairs: list[tuple[str, object]]) -> dict:
+def without_repeats(pairs: list[tuple[str, object]]) -> dict:
     """json keeps the last of two equal keys silently; a name given twice is a mistake here."""
     entries = dict(pairs)
     if len(entries) < len(pairs):

@@ -1,4 +1,4 @@
-"""Episodes of a trained policy on image goals, clean or corrupted, as states that can be drawn; and the video of them."""
+"""Episodes of a trained policy on image goals, clean or corrupted, as what can be drawn: states of a robot, or frames; and the video of them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,18 +11,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.video import LAST_PICTURE, write_video
-from infogoal_jax.train.evaluation import goal_starts, run_side_by_side
+from infogoal_jax.train.evaluation import corrupted_images, goal_starts, has_image_goals, run_side_by_side
 from infogoal_jax.train.hierarchy import Steered
 from infogoal_jax.train.rollout import Episodes, Policy
+
+PICTURES_A_FRAME = 8
+"""How often each frame of a walk is shown: about three steps a second."""
 
 
 @flax.struct.dataclass
 class Watched:
-    """The environment whose observation is the robot's whole state, so that a rollout keeps it."""
+    """A simulated environment whose observation is the robot's whole state, so that a rollout keeps it."""
 
     env: Any
 
@@ -52,23 +54,25 @@ def with_evaluated(env: Any, which: np.ndarray) -> Any:
 
 def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
     """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start a goal."""
-    backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, env.goals.evaluated.shape)
-    return np.asarray(corrupt(env.goals.inputs_of(env.goals.evaluated), backgrounds, weight))
+    return np.asarray(corrupted_images(env, 1, weight, seed))
 
 
 def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
     """For each weight of the backgrounds (0: clean images) an episode to each of the goals `which` [E], all in one rollout.
 
-    Their observations are states of the robot [E, T + 1]. Starts, noise and backgrounds follow from the seed and are the same for every weight.
+    Their observations are states of the robot [E, T + 1], or the observations of a task that is a walk among frames. Starts, noise and backgrounds
+    follow from the seed and are the same for every weight.
     """
 
     @jax.jit
     def run(params, env):
-        watched, hyper = Watched(env), subject.run.config.hyper
-        policies = [
-            watched.policy(subject.train.test_policies(params, hyper, env, 1, weight, seed)["corrupted_{group}_goal"]) for weight in weights
-        ]
-        return run_side_by_side(watched, policies, goal_starts(env, 1, seed), jax.random.key(seed + 1))
+        test_policies, hyper = subject.train.test_policies, subject.run.config.hyper
+        policies = [test_policies(params, hyper, env, 1, weight, seed)["corrupted_{group}_goal"] for weight in weights]
+        starts, key = goal_starts(env, 1, seed), jax.random.key(seed + 1)
+        if not hasattr(env, "robot"):
+            return run_side_by_side(env, policies, starts, key)
+        watched = Watched(env)
+        return run_side_by_side(watched, [watched.policy(policy) for policy in policies], starts, key)
 
     return jax.device_get(run(subject.params, with_evaluated(subject.train.env, which)))
 
@@ -84,7 +88,7 @@ def policy_video(
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    if getattr(env, "test_backgrounds", None) is None:
+    if not has_image_goals(env):
         raise UserError(f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals")
     if subject.params is None:
         raise UserError(f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first")
@@ -98,14 +102,27 @@ def policy_video(
         outcomes.extend(found.success.tolist())
         for episode, (steps, image) in enumerate(zip(found.steps, images, strict=True)):
             for step in range(steps + 1):
-                state = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
-                picture = with_inset(draw_fetch(env.robot, state, size), image)
-                yield picture
+                observation = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
+                picture = with_inset(draw_observation(env, observation, size), image)
+                for _ in range(1 if hasattr(env, "robot") else PICTURES_A_FRAME):
+                    yield picture
             for _ in range(LAST_PICTURE):
                 yield picture
 
     write_video(path, frames())
     return outcomes
+
+
+def draw_observation(env: Any, observation: Any, size: tuple[int, int]) -> np.ndarray:
+    """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as it fits, on the left."""
+    if hasattr(env, "robot"):
+        return draw_fetch(env.robot, observation, size)
+    frame = np.asarray(env.render(observation))
+    scale = min(size[0] / frame.shape[0], size[1] / frame.shape[1])
+    frame = cv2.resize(frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC)
+    picture = np.full((*size, 3), 40, np.uint8)
+    picture[: frame.shape[0], : frame.shape[1]] = frame
+    return picture
 
 
 def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:

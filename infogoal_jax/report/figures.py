@@ -1,5 +1,5 @@
-"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by goal. Those of a house and of
-image goals are in files of their own.
+"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by goal. Those of a house, of a
+shelf and of image goals are in files of their own.
 """
 
 from pathlib import Path
@@ -25,10 +25,11 @@ from infogoal_jax.report.canvas import (
     room_colour,
     save,
 )
-from infogoal_jax.report.fetch_figures import draw_image_goals
 from infogoal_jax.report.goal_codes import representations
 from infogoal_jax.report.house_figures import draw_plans
+from infogoal_jax.report.image_goal_figures import draw_image_goals
 from infogoal_jax.report.runs import read_params, read_run
+from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.train.evaluation import goal_starts
 from infogoal_jax.train.program import make_train
 
@@ -44,7 +45,9 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
     if not subject.evaluations.values:
         return []
     drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
-    figures = {draw.__name__: draw(subject) for draw in drawings} | draw_plans(subject) | draw_image_goals(subject)
+    figures = {draw.__name__: draw(subject) for draw in drawings}
+    for draw_more in (draw_plans, draw_shelves, draw_image_goals):
+        figures |= draw_more(subject)
     paths = {folder / "figures" / f"{name}.png": figure for name, figure in figures.items() if figure is not None}
     for path, figure in paths.items():
         save(figure, path)
@@ -64,9 +67,13 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
 
 
 def learning_curves(subject: Subject) -> Figure:
-    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals."""
+    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals.
+
+    Who learns offline takes no steps, and is shown against epochs.
+    """
     values, groups = subject.evaluations.values, subject.train.env.goals.groups
-    steps = values["env_steps"].mean(0)
+    offline = subject.train.env.recorded is not None
+    steps = subject.evaluations.epochs if offline else values["env_steps"].mean(0)
     panels = {
         "success rate": {f"{group}_goal/success_rate": (group, USE_TITLES[group]) for group in groups},
         "success weighted by path length (SPL)": {f"{group}_goal/spl": (group, USE_TITLES[group]) for group in groups},
@@ -80,9 +87,9 @@ def learning_curves(subject: Subject) -> Figure:
         for name, (group, title) in curves.items():
             draw_curve(axes, steps, values[name], USE_COLOURS[group], title)
         finish_share_axis(axes, label)
-        axes.set_xlabel("environment steps")
+        axes.set_xlabel(f"epochs of {subject.run.config.updates_per_epoch} updates, offline" if offline else "environment steps")
         axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         axes.set_xlim(0, steps[-1] * 1.02)
         axes.legend(loc="best")
     return figure

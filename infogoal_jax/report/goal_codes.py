@@ -30,20 +30,23 @@ def draw_codes(axes: Axes, code: GoalCode, goals: GoalSet, which: np.ndarray, ce
         for goal, region in enumerate(regions):
             axes.scatter(*samples[:, goal].T, s=5 * size, color=room_colour(region), alpha=0.18, linewidths=0, rasterized=True)
     means = (code.mean - centre) @ directions.T
-    for group in goals.groups:
-        mask, (marker, area) = np.asarray(getattr(goals, f"{group}_mask"))[which], USE_MARKERS[group]
+    masks = {group: np.asarray(getattr(goals, f"{group}_mask"))[which] for group in goals.groups}
+    masks["other"] = ~np.any(list(masks.values()), axis=0)
+    for group, mask in masks.items():
+        marker, area = USE_MARKERS[group]
         colours = [room_colour(region) for region in regions[mask]]
         axes.scatter(*means[mask].T, marker=marker, s=area * size, c=colours, edgecolors="black", linewidths=0.8 * size**0.5, zorder=3)
     axes.grid(alpha=0.3, linewidth=0.6)
 
 
-def code_legend(goals: GoalSet, groups: tuple[str, ...], random_code: bool) -> list[Line2D]:
-    """What the marks of `draw_codes` mean. random_code: whether there are samples."""
+def code_legend(goals: GoalSet, groups: tuple[str, ...], random_code: bool, titles: dict[str, str] | None = None) -> list[Line2D]:
+    """What the marks of `draw_codes` mean. random_code: whether there are samples. titles: of a goal of each group, or those of the canvas."""
+    titles = titles or {group: title.removesuffix("s") for group, title in USE_TITLES.items()}
     entries = [Line2D([], [], linestyle="", marker="s", color=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
     for group in groups:
         marker, area = USE_MARKERS[group]
         outline = {"linestyle": "", "markersize": area**0.5, "markerfacecolor": "white", "markeredgecolor": "black"}
-        entries.append(Line2D([], [], marker=marker, label=f"mean, {USE_TITLES[group].removesuffix('s')}", **outline))
+        entries.append(Line2D([], [], marker=marker, label=f"mean, {titles[group]}", **outline))
     if random_code:
         entries.append(Line2D([], [], linestyle="", marker=".", color="#888888", label="samples of a code"))
     return entries

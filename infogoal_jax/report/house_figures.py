@@ -5,8 +5,6 @@ Rooms have no outlines in the data: what is drawn are the places where images we
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -21,10 +19,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from infogoal_jax.data.active_vision import ACTIONS
-from infogoal_jax.learners.learner import encode_goals
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, in_words, new_figure, room_colour
-from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
-from infogoal_jax.train.rollout import run_episodes
+from infogoal_jax.envs.object_search import ObjectSearch
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour
+from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, outcome_in_words, reward_of_images, walks_of_policy
 
 ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]
 SIGHT, PATH = "#F0E442", "#30305C"
@@ -47,16 +44,6 @@ class Plan:
     spacing: float
 
 
-@dataclasses.dataclass(frozen=True)
-class Walk:
-    """One episode of the policy. nodes: int [steps + 1] images that it went through; shortest: steps of a shortest path."""
-
-    goal: int
-    nodes: np.ndarray
-    success: bool
-    shortest: int
-
-
 def linked(next_node: np.ndarray) -> np.ndarray:
     """Which images can be walked between by these actions, int [S] numbers of the groups: next_node [S, A]."""
     number = len(next_node)
@@ -65,8 +52,10 @@ def linked(next_node: np.ndarray) -> np.ndarray:
 
 
 def make_plan(env) -> Plan | None:
-    """The plan of a search task; None where the task has no positions, or none is known."""
-    position = np.asarray(getattr(env, "position", np.zeros((0, 3))))
+    """The plan of a search task; None for other tasks, and where no position is known."""
+    if not isinstance(env, ObjectSearch):
+        return None
+    position = np.asarray(env.position)
     known = np.isfinite(position).all(1)
     if not known.any():
         return None
@@ -109,31 +98,6 @@ def draw_arrows(axes: Axes, plan: Plan, nodes: np.ndarray, length: float, colour
     axes.quiver(x, y, reach * np.cos(heading), reach * np.sin(heading), *(() if colour_by is None else (colour_by,)), **style)
 
 
-def walks_of_policy(subject: Subject) -> list[list[Walk]]:
-    """The episodes of the last evaluation of one seed: for each goal, one walk from each start."""
-    env, run = subject.train.env, subject.run
-    num_starts = run.config.evaluation_starts
-
-    @jax.jit
-    def episodes(params, env):
-        policy = subject.train.test_policies(params, run.config.hyper, env, num_starts)["{group}_goal"]
-        return run_episodes(env, goal_starts(env, num_starts), policy, jax.random.key(EVALUATION_SEED + 1))
-
-    found = jax.device_get(episodes(subject.params, env))
-    shortest = jax.device_get(jax.vmap(env.shortest_path)(goal_starts(env, num_starts)))
-    walks = [
-        Walk(index // num_starts, nodes[: steps + 1], bool(success), int(fewest))
-        for index, (nodes, steps, success, fewest) in enumerate(zip(found.observations, found.steps, found.success, shortest, strict=True))
-    ]
-    return [walks[goal * num_starts : (goal + 1) * num_starts] for goal in range(env.goals.num_goals)]
-
-
-def one_goal_a_room(env, mask) -> list[int]:
-    """The first goal of each room among those of the mask: a rule that looks at no result."""
-    regions, mask = np.asarray(env.goals.regions), np.asarray(mask)
-    return [int(np.flatnonzero(mask & (regions == region))[0]) for region in np.unique(regions[mask])]
-
-
 def panels(subject: Subject, plan: Plan, title: str, count: int, shown: str, entries: list) -> tuple[Figure, list[Axes]]:
     """A figure with a plan for each of `count` goals, two in a row, under a legend of these entries."""
     rows, extent = -(-count // 2), np.ptp(plan.position[plan.known, :2], axis=0) + 2 * plan.spacing
@@ -159,8 +123,7 @@ def legend_entries(*more) -> list:
 
 def draw_walk(axes: Axes, env, plan: Plan, walk: Walk, longest: int | None = None) -> None:
     """One walk under its outcome: path, an arrow at each step (coloured by time, from 0 to `longest`, if that is given), and the pose at its end."""
-    outcome = f"{'reached' if walk.success else 'not reached'} in {len(walk.nodes) - 1} steps, shortest path {walk.shortest}"
-    axes.set_title(f"{in_words(env.goals.names[walk.goal])} ({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}", fontsize=9)
+    axes.set_title(outcome_in_words(env, walk), fontsize=9)
     steps = np.flatnonzero(plan.known[walk.nodes])
     if not len(steps):
         return
@@ -182,7 +145,7 @@ def view_slices(plan: Plan, images: np.ndarray) -> list[Wedge]:
 
 
 def draw_plans(subject: Subject) -> dict[str, Figure | None]:
-    """The figures of this file by name; none without parameters, or for a task without positions."""
+    """The figures of this file by name; none without parameters, for a task that is no search, or without positions."""
     plan = make_plan(subject.train.env)
     if plan is None or subject.params is None:
         return {}
@@ -190,14 +153,14 @@ def draw_plans(subject: Subject) -> dict[str, Figure | None]:
     return {draw.__name__: draw(subject, plan, walks) for draw in (trajectories, intrinsic_reward)}
 
 
-def trajectories(subject: Subject, plan: Plan, walks: list[list[Walk]]) -> Figure | None:
+def trajectories(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> Figure | None:
     """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None for a task without test goals."""
     env = subject.train.env
-    goals = one_goal_a_room(env, env.goals.test_mask)
+    goals = one_goal_a_region(env, env.goals.test_mask)
     if not goals:
         return None
-    chosen = [max(walks[goal], key=lambda walk: walk.shortest) for goal in goals]
-    shown = (f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of {len(walks[0])} "
+    chosen = [from_farthest(walks[goal]) for goal in goals]
+    shown = (f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of {len(walks[goals[0]])} "
              f"evaluation starts; at most {env.episode_length} steps")
     longest = max(len(walk.nodes) for walk in chosen)
     entries = legend_entries(Patch(color=SIGHT, label="view of the goal"))
@@ -214,38 +177,23 @@ def trajectories(subject: Subject, plan: Plan, walks: list[list[Walk]]) -> Figur
     return figure
 
 
-def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
-    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN where no goal is in view.
-
-    The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view takes its place.
-    """
-    env, learner = subject.train.env, subject.train.parts.learner
-    state = learner.init(jax.random.key(0), env.goals.inputs, subject.run.config.hyper)[1]
-    encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
-    achieved = env.goals_of(jnp.arange(env.num_observations))
-    every = jnp.ones((1, env.num_observations))
-    reward = np.asarray(learner.intrinsic_reward(state, encode, jnp.asarray([goal]), achieved[None], every)[0][0], float)
-    reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
-    return reward / max(np.abs(np.nanmean(reward)), 1e-12)
-
-
-def intrinsic_reward(subject: Subject, plan: Plan, walks: list[list[Walk]]) -> Figure | None:
+def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> Figure | None:
     """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper, Fig. 12).
 
     None for methods that have no intrinsic reward.
     """
     env = subject.train.env
-    goals = one_goal_a_room(env, env.goals.train_mask)
+    goals = one_goal_a_region(env, env.goals.train_mask)
     rewards = [reward_of_images(subject, goal) for goal in goals]
     if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
         return None
-    shown = (f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the farthest of {len(walks[0])} "
-             "evaluation starts; each slice is a view")
+    shown = (f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the farthest of "
+             f"{len(walks[goals[0]])} evaluation starts; each slice is a view")
     entries = legend_entries(Patch(color=NOTHING, label="no goal in view"))
     figure, grid = panels(subject, plan, "intrinsic reward for training goals", len(goals), shown, entries)
     norm, colours = Normalize(min(np.nanmin(reward) for reward in rewards), 0), colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
     for axes, goal, reward in zip(grid, goals, rewards, strict=True):
-        walk = max(walks[goal], key=lambda walk: walk.shortest)
+        walk = from_farthest(walks[goal])
         part = plan.part[walk.nodes[0]]
         draw_plan(axes, env, plan, part)
         images = np.flatnonzero(plan.known & (plan.part == part))

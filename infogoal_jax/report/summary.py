@@ -14,7 +14,7 @@ from infogoal_jax.report import tables
 from infogoal_jax.report.runs import Run, read_params, read_run, read_timing
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train import checkpoint, files, host
-from infogoal_jax.train.evaluation import evaluate
+from infogoal_jax.train.evaluation import evaluate, has_image_goals
 from infogoal_jax.train.program import make_train
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
@@ -70,13 +70,13 @@ def print_run(folder: Path, console: Console | None = None) -> None:
 def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     """Print the table of the last evaluation, then a line for each of the other things to know."""
     evaluations, epochs = (tables.read(run.folder, name, diverged) for name in ("evaluations", "epochs"))
-    left = len(evaluations.seeds)
+    left, acted = len(evaluations.seeds), "collect/valid" in epochs.values  # Who learns offline collects nothing.
     last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0
     head = f"{run.config.task}, {run.config.method}: epoch {last_epoch} of {run.config.num_epochs}"
     if left and evaluations.values:
         last = evaluations.last()
         num_goals, num_starts = last["first_reached"].shape[1:]
-        steps = f"{last['env_steps'].mean():,.0f} environment steps a seed"
+        steps = f"{last['env_steps'].mean():,.0f} {'environment' if acted else 'recorded'} steps a seed"
         corrupted = corruption_in_words(last, run.config.test_corruption)
         console.print(f"{head}, {steps}\n{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}", style="bold", soft_wrap=True)
         console.print(score_table(last))
@@ -93,7 +93,8 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         lines[run.config.method] = f"{numbers} (mean of the last epoch)"
     if times := read_timing(run.folder):
         lines["time"] = (f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
-                         f"{times['env_steps_per_second']:,.0f} environment steps/s, {times['updates_per_second']:,.0f} updates/s over all seeds")
+                         + f"{times['env_steps_per_second']:,.0f} environment steps/s, " * acted
+                         + f"{times['updates_per_second']:,.0f} updates/s over all seeds")
     lines["files"] = f"{run.folder}: {', '.join(name for name in FILES if (run.folder / name).exists())}"
     for label, text in lines.items():
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
@@ -123,7 +124,7 @@ def evaluate_run(
     require(corruption is None or 0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
     run, console = read_run(folder), console or Console()
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
-    has_images = train.env.test_backgrounds is not None
+    has_images = has_image_goals(train.env)
     require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are no images; leave it out")
     weight = run.config.test_corruption if corruption is None else float(corruption)
     params = read_params(run, train)

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.train.rollout import Episodes, Policy, run_episodes
 
 EVALUATION_SEED = 20_240_000  # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
@@ -14,6 +15,17 @@ def goal_starts(env, num_starts: int, seed: int = EVALUATION_SEED):
     """Start states for every evaluated goal: env states [M * num_starts], goal by goal."""
     goals = jnp.repeat(env.goals.evaluated, num_starts)
     return jax.vmap(env.reset_to)(jax.random.split(jax.random.key(seed), goals.shape[0]), goals)
+
+
+def has_image_goals(env) -> bool:
+    """Whether goals of this environment are images that can be corrupted."""
+    return env.test_backgrounds is not None
+
+
+def corrupted_images(env, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED) -> jax.Array:
+    """What is seen of the corrupted goals of the episodes of `goal_starts`, uint8 [M * num_starts, H, W, C]: each has a background of the test."""
+    images = jnp.repeat(env.goals.inputs_of(env.goals.evaluated), num_starts, axis=0)
+    return corrupt(images, draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, images.shape[:1]), weight)
 
 
 def summarise(env, starts, episodes: Episodes, name: str) -> dict[str, jax.Array]:

@@ -22,12 +22,11 @@ from infogoal_jax import agents, envs, hindsight, learners, networks, pairs, rep
 from infogoal_jax.agents.agent import Agent, Exploration
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.hindsight.relabelling import Achievements, Hindsight
 from infogoal_jax.learners.learner import Encode, Learner, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
-from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate
+from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, evaluate, has_image_goals
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
 from infogoal_jax.train.update import Experience, encode_states, training_corruption, updates, usable_goals
 
@@ -93,6 +92,7 @@ class Train:
     initial: Callable[[jax.Array, Hyperparameters, Any], TrainState]
     chunk: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
     test_policies: Callable[..., dict[str, Policy]]
+    experience_of: Callable[[TrainState, jax.Array, Any], Experience]
     parts: Parts
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
@@ -181,11 +181,9 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         """
         exploration = Exploration(hyper.test_epsilon, 0.0)
         views = {"": in_place(learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated)}
-        if env.test_backgrounds is not None:
-            images = jnp.repeat(env.goals.inputs_of(env.goals.evaluated), num_starts, axis=0)
-            backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, images.shape[:1])
+        if has_image_goals(env):
             weight = config.test_corruption if corruption is None else corruption
-            codes = learner.encode(params["goal"], corrupt(images, backgrounds, weight))
+            codes = learner.encode(params["goal"], corrupted_images(env, num_starts, weight, seed))
             views["corrupted_"] = lambda goal: codes  # A background for each episode, the same for its whole length.
         return {
             f"{prefix}{{group}}_goal{suffix}": policy(params, exploration, env, encode, use_mean=bool(suffix))
@@ -279,4 +277,4 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         metrics = evaluate(env, test_policies(state.params, hyper, env, config.evaluation_starts), config.evaluation_starts)
         return state, epoch_metrics, metrics | {"env_steps": state.env_steps}
 
-    return Train(config=config, env=env, initial=initial, chunk=chunk, test_policies=test_policies, parts=parts)
+    return Train(config=config, env=env, initial=initial, chunk=chunk, test_policies=test_policies, experience_of=experience_of, parts=parts)

@@ -1,0 +1,131 @@
+"""Embodied question answering: goals that are known, recorded flights as rows, learning without acting, and datasets that cannot be used."""
+
+import dataclasses
+
+import hand_made_frames
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import make_train
+from infogoal_jax.agents.cql import CQLConfig
+from infogoal_jax.config import Hyperparameters, StateEncoderConfig
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
+from infogoal_jax.errors import UserError
+from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
+from infogoal_jax.train.update import sample
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The hand-made shelf with its questions."""
+    return hand_made_frames.qa()
+
+
+def test_goals_and_what_is_known_of_them(env):
+    """Names and training questions can be achieved; questions of validation and test never are, though their objects are detected."""
+    goals = env.goals
+    assert (goals.num_goals, int(goals.train_mask.sum()), int(goals.validation_mask.sum()), int(goals.test_mask.sum())) == (4 + 2 + 8 + 8, 2, 8, 8)
+    known = np.asarray(env.goals_of(jnp.arange(env.num_observations)))
+    hidden = np.asarray(goals.validation_mask | goals.test_mask)
+    assert not hidden[known[known >= 0]].any()
+    for goal in range(goals.num_goals):
+        seen = np.asarray(env.reached(jnp.arange(env.num_observations), jnp.full(env.num_observations, goal)))
+        owner = next(number for number, name in enumerate(hand_made_frames.OBJECTS) if name in goals.names[goal])
+        np.testing.assert_array_equal(seen, hand_made_frames.shelf().detected[:, owner])
+        if not hidden[goal]:
+            np.testing.assert_array_equal((known == goal).any(1), seen)
+
+
+def test_flights_become_rows(env):
+    """Every recorded move is a valid transition, in its order; each flight has one training goal; nothing is terminated."""
+    data, rows = hand_made_frames.shelf(), env.recorded
+    assert int(rows.valid.sum()) == len(data.frame)
+    np.testing.assert_array_equal(np.asarray(rows.observation)[data.trajectory, data.time], data.frame)
+    np.testing.assert_array_equal(np.asarray(rows.observation)[data.trajectory, data.time + 1], data.next_frame)
+    np.testing.assert_array_equal(np.asarray(rows.action)[data.trajectory, data.time], data.action)
+    assert bool(env.goals.train_mask[rows.goal].all()) and not rows.terminated.any()
+    assert (rows.goal == rows.goal[:, :1]).all()
+
+
+def test_flights_of_different_lengths():
+    """Shorter flights are padded with transitions that are never drawn."""
+    data = hand_made_frames.shelf()
+    keep = ~((data.trajectory == 3) & (data.time > 4))
+    moves = {name: getattr(data, name)[keep] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    moves["terminal"] = moves["terminal"] | ((moves["trajectory"] == 3) & (moves["time"] == 4))
+    env = lay_out(dataclasses.replace(data, **moves), hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15))
+    assert env.recorded.valid[3].sum() == 5 and int(env.recorded.valid.sum()) == keep.sum()
+
+
+def test_random_policy_and_shortest_path(env):
+    """The oracle answers every question on a shortest path."""
+    scores = jax.jit(lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 10))(env)
+    assert scores["o_test/success_rate"] == 1.0 and scores["o_test/spl"] == 1.0
+    assert scores["r_test/success_rate"] < 1.0
+
+
+def test_learns_from_flights_alone(env):
+    """CQL over relabelled flights reaches training questions far more often than chance, and nothing is ever collected."""
+    config = hand_made_frames.qa_config(
+        "none", num_epochs=4, epochs_per_evaluation=4, updates_per_epoch=250, batch_size=128, evaluation_starts=8,
+        agent=CQLConfig(hidden=(64, 64)), state_encoder=StateEncoderConfig(features=64),
+        hyper=Hyperparameters(discount=0.9, conservative_weight=0.02, intrinsic_weight=0.0))
+    train = make_train(config, env)
+    result = jax.jit(train)(jax.random.key(0), env=env)
+    chance = jax.jit(lambda env: evaluate(env, {"{group}": random_policy(env)}, 8))(env)
+    assert result.metrics["train_goal/success_rate"][-1] > max(0.9, chance["train/success_rate"])
+    assert result.state.buffer is None and result.state.env_states is None
+    assert int(result.state.env_steps) == int(env.recorded.valid.sum())
+    assert not any(name.startswith("collect/") for name in result.epochs)
+
+
+def test_infogoal_pairs_come_from_the_flights(env):
+    """Goals seen within the window of a flight are no longer dissimilar, others are; seeds share one dataset and differ in their draws."""
+    train = make_train(hand_made_frames.qa_config("infogoal"), env)
+    states = jax.jit(jax.vmap(train.initial, in_axes=(0, None, None)))(jax.random.split(jax.random.key(0), 2), train.config.hyper, env)
+    window, seen_together = train.config.learner.window, np.zeros((env.goals.num_goals,) * 2, bool)
+    goals = np.asarray(env.goals_of(env.recorded.record))
+    for flight in goals:
+        for step in range(len(flight)):
+            for lag in range(window + 1):
+                if step + lag < len(flight):
+                    first, second = flight[step][flight[step] >= 0], flight[step + lag][flight[step + lag] >= 0]
+                    seen_together[np.ix_(first, second)] = seen_together[np.ix_(second, first)] = True
+    seen_together |= np.eye(len(seen_together), dtype=bool)
+    for seed in range(2):
+        np.testing.assert_array_equal(states.dissimilarity[seed], ~seen_together)
+    assert bool((states.seen[0] == jnp.asarray(np.isin(np.arange(env.goals.num_goals), goals))).all())
+
+
+def refused(change: dict, message: str, asked=None):
+    """The dataset with this change is refused in these words."""
+    data = dataclasses.replace(hand_made_frames.shelf(), **change)
+    with pytest.raises(UserError, match=message):
+        lay_out(data, asked or hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15))
+
+
+def test_datasets_that_cannot_be_used():
+    """The error says what is missing and what to do."""
+    refused({"detected": None}, "tells no detections")
+    data = hand_made_frames.shelf()
+    never = ~np.isin(data.trajectory, np.unique(data.trajectory[data.detected[data.frame, 0] | data.detected[data.next_frame, 0]]))
+    moves = {name: getattr(data, name)[never] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    refused(moves, "no trajectory ever reaches the training goal red mug|can be found from nowhere")
+    refused({"objects": ("red mug", "blue book", "green ball", "door")}, "old clock.*detected nowhere")
+    nothing = {name: getattr(data, name)[:0] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    refused(nothing, "no recorded moves")
+
+
+def test_questions_of_the_test_are_never_learned_from(env):
+    """Under the preset no draw of an update, relabelled goal or pair, is a question of validation or test."""
+    train = make_train(hand_made_frames.qa_config("infogoal"), env)
+    state = jax.jit(train.initial)(jax.random.key(0), train.config.hyper, env)
+    experience = train.experience_of(state, 0, env)
+    drawn = jax.vmap(lambda key: sample(train.parts, env, experience, key))(jax.random.split(jax.random.key(1), 50))
+    hidden = np.asarray(env.goals.validation_mask | env.goals.test_mask)
+    used = (drawn.transitions.goal, drawn.pairs.anchor, drawn.pairs.positive, drawn.pairs.negative)
+    for goals in used:
+        assert not hidden[np.asarray(goals)].any()
+    assert len(np.unique(drawn.transitions.goal)) == int((~hidden).sum())  # All others come up.

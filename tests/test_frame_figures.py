@@ -1,0 +1,188 @@
+"""Figures, summary and video of tasks whose world is a dataset of frames: ways to poses, and flights before a shelf."""
+
+import dataclasses
+import io
+
+import cv2
+import hand_made_frames
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+from scipy.spatial.transform import Rotation
+
+from infogoal_jax import presets
+from infogoal_jax.config import StateEncoderConfig
+from infogoal_jax.data.questions import Questions
+from infogoal_jax.data.text import EMBEDDING_SIZE, TextEmbeddings
+from infogoal_jax.envs import embodied_qa
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.report import fetch_episodes, figures, house_figures, image_goal_figures, pose_figures, shelf_figures, walks
+from infogoal_jax.report.summary import print_run
+from infogoal_jax.train import host
+from infogoal_jax.train.evaluation import EVALUATION_SEED
+
+EVERY_TASKS_FIGURES = {"learning_curves", "beta_and_accuracy", "representations", "success_by_length", "success_by_goal"}
+POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
+SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_reward"}
+
+
+def shelf_task() -> embodied_qa.EmbodiedQA:
+    """The hand-made shelf: the mug and the book are asked about while training, the ball and the clock in the test."""
+    objects = hand_made_frames.OBJECTS
+    asked = Questions(
+        room_names=("left", "right"), objects=objects, rooms=(0, 1, 0, 1), uses=("train", "train", "test", "test"),
+        questions=tuple(tuple(f"Question {number} about the {name}?" for number in range(5)) for name in objects),
+    )
+    texts = (*objects, *(question for questions in asked.questions for question in questions))
+    vectors = np.random.default_rng(4).normal(size=(len(texts), EMBEDDING_SIZE))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    embeddings = TextEmbeddings(texts, vectors, "0" * 64, "made up")
+    return embodied_qa.lay_out(hand_made_frames.shelf(), asked, embeddings, EmbodiedQAConfig(episode_length=12))
+
+
+@pytest.fixture(scope="module")
+def poses(tmp_path_factory):
+    """A run of object manipulation."""
+    folder = tmp_path_factory.mktemp("poses") / "run"
+    return host.run(hand_made_frames.manipulation_config(), [0], folder, env=hand_made_frames.manipulation())
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    """A run of embodied question answering, offline."""
+    config = presets.load(
+        "embodied_qa", env=EmbodiedQAConfig(episode_length=12), num_epochs=4, epochs_per_evaluation=2, updates_per_epoch=3, batch_size=32,
+        evaluation_starts=2, state_encoder=StateEncoderConfig(features=16),
+    )
+    return host.run(config, [0], tmp_path_factory.mktemp("flights") / "run", env=shelf_task())
+
+
+@pytest.fixture(scope="module")
+def pose_subject(poses):
+    return figures.read_subject(poses.folder, poses.train.env)
+
+
+@pytest.fixture(scope="module")
+def shelf_subject(flights):
+    return figures.read_subject(flights.folder, flights.train.env)
+
+
+@pytest.mark.parametrize(("run", "names"), [("poses", POSE_FIGURES), ("flights", SHELF_FIGURES)])
+def test_every_figure_is_drawn_and_says_that_its_data_are_a_stand_in(run, names, request, monkeypatch):
+    """Files that are not blank, whose small print names the data."""
+    drawn, real_save, sweep = {}, figures.save, request.getfixturevalue(run)
+
+    def save(figure, path):
+        drawn[path] = figure
+        real_save(figure, path)
+
+    monkeypatch.setattr(figures, "save", save)
+    paths = figures.draw_figures(sweep.folder, sweep.train.env)
+    assert {path.stem for path in paths} == names
+    for path in paths:
+        assert path.parent == sweep.folder / "figures" and "hand-made, a stand-in" in drawn[path].get_supxlabel()
+        picture = imread(path)[..., :3]
+        assert (picture.min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
+
+
+def test_what_learns_offline_is_shown_against_epochs(shelf_subject, pose_subject):
+    """It takes no environment steps, and its summary does not say so either."""
+    axes = figures.learning_curves(shelf_subject).axes
+    assert {each.get_xlabel() for each in axes} == {"epochs of 3 updates, offline"}
+    assert axes[0].lines[0].get_xdata().tolist() == [2, 4]
+    assert {each.get_xlabel() for each in figures.learning_curves(pose_subject).axes} == {"environment steps"}
+    for subject, steps in ((shelf_subject, "720 recorded steps"), (pose_subject, "environment steps a seed")):
+        console = Console(file=io.StringIO(), width=150)
+        print_run(subject.run.folder, console)
+        assert steps in console.file.getvalue() and ("environment steps/s" in console.file.getvalue()) == (subject is pose_subject)
+
+
+def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
+    """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
+    env, data = pose_subject.train.env, hand_made_frames.arm()
+    goals = np.flatnonzero(np.asarray(env.goals.test_mask))
+    episodes, = fetch_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
+    rotation = Rotation.from_matrix(data.rotation)
+    for goal, frames, steps, success, angle in zip(
+        goals, episodes.observations.frame, episodes.steps, episodes.success, pose_figures.angles_to_goals(env, goals, episodes), strict=True
+    ):
+        target = rotation[int(env.goals.rows[goal])]
+        np.testing.assert_allclose(angle, np.rad2deg((target.inv() * rotation[frames[: steps + 1]]).magnitude()), atol=0.1)
+        assert len(angle) == steps + 1 and (angle[:-1] > 10).all() and (angle[-1] < 10) == success
+
+
+def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart(pose_subject):
+    """The first region, then the one whose training pose lies farthest from it."""
+    env = pose_subject.train.env
+    apart = pose_figures.angles_between_goals(env)
+    assert apart.shape == (3, 3) and (apart[~np.eye(3, dtype=bool)] > 20).all()
+    regions = np.asarray(env.goals.regions)
+    mask = np.isin(np.arange(env.goals.num_goals), [np.flatnonzero(regions == region)[0] for region in range(3)])
+    chosen = image_goal_figures.spread_goals(env.goals, mask, 2, apart)
+    assert regions[chosen].tolist() == [0, int(apart[0].argmax())]
+
+
+def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_subject, pose_subject, tmp_path):
+    """Its frames with the goal's image in the corner; a task whose goals are texts has none."""
+    reached = fetch_episodes.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
+    video, count, first = cv2.VideoCapture(str(tmp_path / "poses.mp4")), 0, None
+    while (read := video.read())[0]:
+        first, count = read[1] if first is None else first, count + 1
+    assert len(reached) == 2 and first.shape == (64, 96, 3)
+    assert (count - 2 * 25) % fetch_episodes.PICTURES_A_FRAME == 0 and 2 <= (count - 2 * 25) // fetch_episodes.PICTURES_A_FRAME <= 2 * 13
+    with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
+        fetch_episodes.policy_video(shelf_subject, tmp_path / "flights.mp4")
+
+
+def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, pose_subject):
+    env = shelf_subject.train.env
+    shelf = shelf_figures.make_shelf(env)
+    assert len(shelf.places) == hand_made_frames.WIDTH * hand_made_frames.HEIGHT and shelf.side == pytest.approx(0.2)
+    np.testing.assert_allclose(shelf.places[shelf.place], env.position, atol=1e-3)
+    assert shelf_figures.make_shelf(env.replace(position=jnp.full_like(env.position, jnp.nan))) is None
+    unknown = dataclasses.replace(shelf_subject, train=dataclasses.replace(shelf_subject.train, env=env.replace(position=env.position * jnp.nan)))
+    assert shelf_figures.draw_shelves(unknown) == shelf_figures.draw_shelves(pose_subject) == {}
+    assert house_figures.draw_plans(shelf_subject) == house_figures.draw_plans(pose_subject) == {}
+    assert image_goal_figures.draw_image_goals(shelf_subject) == {}
+
+
+def test_border_of_two_places_side_by_side_has_six_sides(shelf_subject):
+    shelf = shelf_figures.make_shelf(shelf_subject.train.env)
+    second = int(np.flatnonzero(np.isclose(shelf.places - shelf.places[0], (0.2, 0.0)).all(1))[0])
+    assert len(shelf_figures.outline(shelf, np.array([0])).get_segments()) == 4
+    assert len(shelf_figures.outline(shelf, np.array([0, second])).get_segments()) == 6
+
+
+def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(shelf_subject):
+    """And unknown where nothing that training knows is in view; images of one place count together."""
+    env, shelf = shelf_subject.train.env, shelf_figures.make_shelf(shelf_subject.train.env)
+    goal = int(env.goals.commanded[0])
+    reward, of_image = shelf_figures.reward_of_places(shelf_subject, shelf, goal), walks.reward_of_images(shelf_subject, goal)
+    np.testing.assert_allclose(reward[shelf.place], of_image)
+    np.testing.assert_array_equal(np.isnan(of_image), (np.asarray(env.known_goals) < 0).all(1))
+    np.testing.assert_allclose(of_image[np.asarray(env.in_view)[:, goal]], 0, atol=1e-6)
+    together = dataclasses.replace(shelf, places=shelf.places[:1], place=np.zeros_like(shelf.place))
+    np.testing.assert_allclose(shelf_figures.reward_of_places(shelf_subject, together, goal), [np.nanmean(of_image)])
+
+
+def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
+    """Goal by goal, though most of the goals of training are never evaluated."""
+    env, found = shelf_subject.train.env, walks.walks_of_policy(shelf_subject)
+    assert list(found) == np.asarray(env.goals.evaluated).tolist()
+    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in found.values()]
+    np.testing.assert_array_equal(steps, shelf_subject.evaluations.last()["first_reached"][0])
+    in_view = np.asarray(env.in_view)
+    assert all(in_view[walk.nodes[-1], goal] == walk.success for goal, of_goal in found.items() for walk in of_goal)
+    assert all(walk.shortest <= walks.from_farthest(of_goal).shortest for of_goal in found.values() for walk in of_goal)
+
+
+def test_codes_beside_flights_leave_out_validation_questions(shelf_subject):
+    """Names, training and test questions have a mark each: what the learner knows, and what is asked of it."""
+    shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), walks.walks_of_policy(shelf_subject)
+    figure = shelf_figures.codes_and_trajectories(shelf_subject, shelf, found)
+    labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
+    assert {"mean, name of an object", "mean, training question", "mean, test question", "the object is in view"} <= set(labels)
+    assert not any("validation" in label for label in labels)
