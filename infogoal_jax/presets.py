@@ -32,7 +32,7 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
     ("fetch_push", "infogoal"): {"window": 3, "num_pairs": 128},
     ("fetch_pick_and_place", "infogoal"): {"window": 3, "num_pairs": 256},
     ("object_manipulation", "infogoal"): {"window": 3, "num_pairs": 256},
-    ("embodied_qa", "infogoal"): {"window": 5, "num_pairs": 128},
+    ("embodied_qa", "infogoal"): {"window": 1, "num_pairs": 128},
 }
 """Fields of each learner [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
 
@@ -45,8 +45,8 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     **{(task, "none"): FETCH_HYPERPARAMETERS | {"intrinsic_weight": 0.0} for task in IMAGE_TASKS},
     ("object_manipulation", "infogoal"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 3.0},
     ("object_manipulation", "none"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},
-    ("embodied_qa", "infogoal"): {"discount": 0.95, "intrinsic_weight": 0.0},
-    ("embodied_qa", "none"): {"discount": 0.95, "intrinsic_weight": 0.0},
+    ("embodied_qa", "infogoal"): {"discount": 0.95, "intrinsic_weight": 1.0, "conservative_weight": 0.01},
+    ("embodied_qa", "none"): {"discount": 0.95, "intrinsic_weight": 0.0, "conservative_weight": 0.02},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""
@@ -58,12 +58,12 @@ FETCH_TRAINING = {
 REACH_TRAINING = FETCH_TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}  # For two cores.
 
 CUBE_TRAINING = {
-    "num_envs": 256, "rollout_steps": 30, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 60, "epochs_per_evaluation": 20,
+    "num_envs": 256, "rollout_steps": 30, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 100, "epochs_per_evaluation": 20,
     "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=256),
 }
 
 SHELF_TRAINING = {
-    "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 40, "epochs_per_evaluation": 10, "evaluation_starts": 5,
+    "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 60, "epochs_per_evaluation": 10, "evaluation_starts": 5,
     "state_encoder": StateEncoderConfig(features=128),
 }
 

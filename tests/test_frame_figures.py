@@ -12,12 +12,6 @@ from matplotlib.image import imread
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from infogoal_jax import presets
-from infogoal_jax.config import StateEncoderConfig
-from infogoal_jax.data.questions import Questions
-from infogoal_jax.data.text import EMBEDDING_SIZE, TextEmbeddings
-from infogoal_jax.envs import embodied_qa
-from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import fetch_episodes, figures, house_figures, image_goal_figures, pose_figures, shelf_figures, walks
 from infogoal_jax.report.summary import print_run
@@ -27,20 +21,6 @@ from infogoal_jax.train.evaluation import EVALUATION_SEED
 EVERY_TASKS_FIGURES = {"learning_curves", "beta_and_accuracy", "representations", "success_by_length", "success_by_goal"}
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
 SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_reward"}
-
-
-def shelf_task() -> embodied_qa.EmbodiedQA:
-    """The hand-made shelf: the mug and the book are asked about while training, the ball and the clock in the test."""
-    objects = hand_made_frames.OBJECTS
-    asked = Questions(
-        room_names=("left", "right"), objects=objects, rooms=(0, 1, 0, 1), uses=("train", "train", "test", "test"),
-        questions=tuple(tuple(f"Question {number} about the {name}?" for number in range(5)) for name in objects),
-    )
-    texts = (*objects, *(question for questions in asked.questions for question in questions))
-    vectors = np.random.default_rng(4).normal(size=(len(texts), EMBEDDING_SIZE))
-    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    embeddings = TextEmbeddings(texts, vectors, "0" * 64, "made up")
-    return embodied_qa.lay_out(hand_made_frames.shelf(), asked, embeddings, EmbodiedQAConfig(episode_length=12))
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +33,8 @@ def poses(tmp_path_factory):
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     """A run of embodied question answering, offline."""
-    config = presets.load(
-        "embodied_qa", env=EmbodiedQAConfig(episode_length=12), num_epochs=4, epochs_per_evaluation=2, updates_per_epoch=3, batch_size=32,
-        evaluation_starts=2, state_encoder=StateEncoderConfig(features=16),
-    )
-    return host.run(config, [0], tmp_path_factory.mktemp("flights") / "run", env=shelf_task())
+    config = hand_made_frames.qa_config(num_epochs=4, epochs_per_evaluation=2, updates_per_epoch=3)
+    return host.run(config, [0], tmp_path_factory.mktemp("flights") / "run", env=hand_made_frames.qa())
 
 
 @pytest.fixture(scope="module")

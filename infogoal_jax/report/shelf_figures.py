@@ -96,7 +96,7 @@ def draw_shelf(axes: Axes, env, shelf: Shelf) -> None:
         if len(seeing):
             axes.text(
                 *np.median(shelf.places[seeing], axis=0), name, color=room_colour(region), fontsize=8, weight="bold", ha="center", va="center",
-                zorder=3.5, path_effects=[withStroke(linewidth=3, foreground="white")],
+                zorder=5.5, path_effects=[withStroke(linewidth=3, foreground="white")],
             )
     low, high = shelf.places.min(0) - 0.75 * shelf.side, shelf.places.max(0) + 0.75 * shelf.side
     axes.set_xlim(low[0], high[0])
