@@ -11,6 +11,7 @@ last parameters, 5 starts for each goal, no random actions, the goal's code samp
 import argparse
 import dataclasses
 import json
+import sys
 import time
 from pathlib import Path
 
@@ -55,7 +56,9 @@ def run(task: str, variant: str, dataset: int, seeds: int, out: Path) -> dict:
     """Train one variant on one dataset, and say how long it took, compiling apart."""
     started, config = time.perf_counter(), configuration(task, variant, dataset)
     with make_listeners(out, config, seeds) as listeners:
-        sweep = host.run(config, list(range(seeds)), out, listeners=listeners)
+        sweep = host.run(config, list(range(seeds)), out, resume=(out / "checkpoint").exists(), listeners=listeners)
+    if sweep.stopped:
+        sys.exit(130)
     env = sweep.train.env
     return {
         "machine": describe_machine(), "data": env.source, "seeds": seeds, "diverged": list(sweep.diverged), "epochs": config.num_epochs,

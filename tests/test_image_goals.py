@@ -14,6 +14,7 @@ import pytest
 
 from infogoal_jax import make_train, networks, presets
 from infogoal_jax.agents.dqn import DQNConfig
+from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
@@ -271,7 +272,7 @@ def test_an_agent_and_an_environment_that_do_not_fit_are_refused(env):
     with pytest.raises(UserError, match="agent = 'DQNConfig'.*HRACConfig"):
         make_train(hand_made_points.config(agent=DQNConfig()), env)
     with pytest.raises(UserError, match="agent = 'HRACConfig'"):
-        make_train(presets.load("object_search", agent=presets.HRACConfig()))
+        make_train(presets.load("object_search", agent=HRACConfig()))
 
 
 def test_an_environment_that_is_given_gets_the_low_level_that_the_configuration_names(env):

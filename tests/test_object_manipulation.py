@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from infogoal_jax import make_train
+from infogoal_jax import make_train, presets
 from infogoal_jax.data.rotations import geodesic
 from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.joints import JointSpace, wrapped
@@ -173,3 +173,15 @@ def test_subgoals_of_joints():
     target = space.from_subgoal(observation, jnp.array([2.0, 0.5, -1.0]), 0.6)
     np.testing.assert_allclose(wrapped(target - observation.joints), [0.6, 0.3, -0.6], atol=1e-5)
     assert (jnp.abs(target) <= np.pi).all()
+
+
+@pytest.mark.parametrize(("task", "changes", "message"), [
+    ("fetch_reach", {"algorithm": "dqn"}, "algorithm = 'dqn'.*give hrac"),
+    ("object_search", {"algorithm": "hrac"}, "algorithm = 'hrac'.*no target states"),
+    ("object_search", {"algorithm": "cqll"}, "algorithm = 'cqll'.*Did you mean 'cql'"),
+    ("object_search", {"relabelling": "hers"}, "relabelling = 'hers'.*Did you mean 'her'"),
+])
+def test_parts_that_do_not_go_together(task, changes, message):
+    """Refused by name, before anything is compiled."""
+    with pytest.raises(UserError, match=message):
+        make_train(presets.load(task, **changes))

@@ -111,13 +111,17 @@ class Train:
         return state, (epoch_metrics, metrics)
 
 
+def check_names(config: TrainConfig) -> None:
+    """Raise `UserError` for a name that does not exist, or a part whose configuration is not that of its name."""
+    for named, registered, field in (("method", learners, "learner"), ("algorithm", agents, "agent"), ("relabelling", hindsight, "hindsight")):
+        needed, given = registered.entry(getattr(config, named)).config, getattr(config, field)
+        require(isinstance(given, needed), field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {needed.__name__}; "
+                f"make the configuration with presets.load, and resume with the same --{named}")
+
+
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
     method, algorithm, relabelling = learners.entry(config.method), agents.entry(config.algorithm), hindsight.entry(config.relabelling)
-    for named, entry, field in (("method", method, "learner"), ("algorithm", algorithm, "agent"), ("relabelling", relabelling, "hindsight")):
-        given = getattr(config, field)
-        require(isinstance(given, entry.config), field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {entry.config.__name__}; "
-                f"make the configuration with presets.load, and resume with the same --{named}")
     return Parts(
         method=config.method,
         learner=method.make(config.learner),
@@ -146,6 +150,7 @@ def load_environment(config: TrainConfig, env: Any = None):
 
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
     """
+    check_names(config)
     env = envs.load(config.task, config.env) if env is None else env
     require(hasattr(env, "goals"), "env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set: give images")
     require(not config.training_corruption or env.train_backgrounds is not None, "training_corruption", config.training_corruption,
