@@ -38,7 +38,8 @@ def arm() -> FrameDataset:
     turned = (setting[frame] + np.eye(3, dtype=int)[action // 2] * np.where(action % 2, -1, 1)[:, None]) % STEPS
     count = len(frame)
     return FrameDataset(
-        frames=np.random.default_rng(0).integers(0, 256, (len(setting), SIDE, SIDE, 3), dtype=np.uint8), state=np.arange(len(setting), dtype=np.int32),
+        frames=np.random.default_rng(0).integers(0, 256, (len(setting), SIDE, SIDE, 3), dtype=np.uint8),
+        state=np.arange(len(setting), dtype=np.int32),
         actions=tuple(f"joint {joint} {sign}" for joint in (1, 2, 6) for sign in "+-"), frame=frame.astype(np.int32), action=action.astype(np.int32),
         next_frame=(turned @ [STEPS**2, STEPS, 1]).astype(np.int32), trajectory=np.arange(count, dtype=np.int32), time=np.zeros(count, np.int32),
         terminal=np.ones(count, bool), about=ABOUT, rotation=rotation.astype(np.float32), joints=joints.astype(np.float32),

@@ -59,7 +59,7 @@ def test_goals_are_achieved_later_in_the_same_episode(rows):
 def test_shares(rows):
     """Shares of the kinds of goals are those asked for; random goals are known ones."""
     known = jnp.zeros(GOALS, bool).at[8].set(True)
-    row, step, goal = relabelled(rows, HERConfig(future_share=0.0, random_share=0.3), known)
+    goal = relabelled(rows, HERConfig(future_share=0.0, random_share=0.3), known)[2]
     np.testing.assert_allclose((goal == 8).mean(), 0.3, atol=0.03)
     assert set(goal.tolist()) == {0, 8}
     assert set(relabelled(rows, HERConfig(future_share=0.0))[2].tolist()) == {0}

@@ -22,10 +22,13 @@ from pathlib import Path
 import hand_made, jax
 from infogoal_jax.train import host
 assert len(jax.devices()) == 2
-config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
+if at_once < 2:
+    host.seeds_at_once = lambda *arguments: at_once
+config = hand_made.config(num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
 seen = []
 sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(lambda progress: seen.extend(progress.epochs),), env=hand_made.environment())
-assert [row["seed"] for row in seen] == [0, 1, 2, 3]
+assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
 """
 
 
@@ -42,9 +45,15 @@ def read_losses(folder: Path) -> list[float]:
     return [json.loads(line)["agent/loss"] for line in (folder / "epochs.jsonl").read_text().splitlines()]
 
 
-def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
+def train_on_two_devices(folder: Path, epochs: int, at_once: int) -> None:
+    """Train four seeds on two devices, so many of a device's two at once."""
     environment = os.environ | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"}
-    subprocess.run([sys.executable, "-c", ON_TWO_DEVICES, str(tmp_path / "run")], cwd=Path(__file__).parent, env=environment, check=True)
+    command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), str(epochs), str(at_once)]
+    subprocess.run(command, cwd=Path(__file__).parent, env=environment, check=True)
+
+
+def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
+    train_on_two_devices(tmp_path / "run", 1, 2)
     np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
 
 
@@ -55,12 +64,22 @@ def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_pa
     np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
 
 
+def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, tmp_path):
+    """A chunk after the first takes the states from where the first left them."""
+    train_on_two_devices(tmp_path / "run", 2, 1)
+    losses = read_losses(tmp_path / "run")
+    np.testing.assert_allclose(losses[:4], one_device, rtol=1e-3)
+    assert len(losses) == 8 and losses[:4] != losses[4:]
+
+
 def test_slices_follow_from_the_memory_of_the_devices():
-    """Each of 10 seeds carries 100 bytes, and takes 2 x 100 + 50 while it runs; slices carry the 1,000 twice; the environment takes 30 once."""
-    for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2520, 2), (30 + 2260, 1)):
+    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides the 10; the environment takes 30."""
+    for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
         assert host.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / host.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
-        host.seeds_at_once(100, 50, 30, 10, round((30 + 2240) / host.MEMORY_SHARE))
+        host.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / host.MEMORY_SHARE))
+    with pytest.raises(UserError, match="seeds = 20.*give at most 18"):
+        host.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / host.MEMORY_SHARE), 2)
 
 
 @pytest.mark.long

@@ -60,7 +60,8 @@ def run(*arguments):
 def test_poses_of_a_turntable(tmp_path, capsys):
     """Imported, checked, trained on with image goals, evaluated."""
     photograph_turntable(tmp_path / "photos")
-    run("data", "import", tmp_path / "photos", tmp_path / "photos" / "poses.csv", "--out", tmp_path / "table.npz", "--wrap", "turn", "--name", "turntable")
+    given = [tmp_path / "photos", tmp_path / "photos" / "poses.csv", "--out", tmp_path / "table.npz", "--wrap", "turn", "--name", "turntable"]
+    run("data", "import", *given)
     run("data", "check", tmp_path / "table.npz")
     run("train", "object_manipulation", "--algorithm", "dqn", "--env.dataset", tmp_path / "table.npz", "--env.num-goals", 4, 0, 4, "--num-envs", 4,
         "--rollout-steps", 10, "--out", tmp_path / "run", *TINY)

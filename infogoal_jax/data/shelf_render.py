@@ -17,6 +17,8 @@ VIEW = 2 * DISTANCE * np.tan(np.deg2rad(np.array([55.0, 42.8])) / 2)
 PIXELS_PER_METRE = STREAM[1] / VIEW[0]
 MARGIN = 0.8
 """Of wall beyond the shelf on every side, m: a camera at the edge sees it."""
+COARSER = 3
+"""Blurred images are reduced by this first."""
 BOARD = 0.03
 """Thickness of boards and uprights, m."""
 
@@ -87,6 +89,8 @@ def see(wall: np.ndarray, view: np.ndarray, size: tuple[int, int], blur: np.ndar
     """What the camera sees, uint8 [height, width, 3] of this size. blur: movement while the shutter is open, pixels of the stream [2]; None: none."""
     image = cv2.warpAffine(wall, view, STREAM[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     if blur is not None:
+        image = cv2.resize(image, None, fx=1 / COARSER, fy=1 / COARSER, interpolation=cv2.INTER_AREA)  # Blurring 720 rows takes ten times as long.
+        blur = blur / COARSER
         length = int(np.ceil(np.abs(blur).max())) | 1
         kernel = np.zeros((length, length), np.float32)
         middle = length // 2

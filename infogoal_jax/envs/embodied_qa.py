@@ -130,7 +130,7 @@ def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: t
     unseen = [goals_asked[goal].object for goal in np.flatnonzero(uses == 0) if not in_view[flown, goal].any()]
     require(not unseen, "env.dataset", given, f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does")
     embedded = text.embed_known([goal.text for goal in goals_asked], embeddings)
-    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))  # Of length 1 as they come: numbers of the order of 1 leave initial layers' scale alone.
+    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))  # They come with length 1; networks want numbers of the order of 1.
     known = in_view & np.isin(uses, (NO_USE, 0))
     goals = GoalSet.of(inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names)
     position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]

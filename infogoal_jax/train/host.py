@@ -113,35 +113,76 @@ def working_bytes(train: Train) -> int:
     return encoded + episodes
 
 
-def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int) -> int:
-    """How many seeds fit beside each other in `MEMORY_SHARE` of the devices' memory. Raises `UserError` if not even their states and one do.
+def seeds_at_once(state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int, devices: int = 1) -> int:
+    """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that divides their number.
 
-    state_bytes: carried for each of the `num_seeds`, twice if they are sliced (before and after a chunk; otherwise the memory is used again);
-    extra_bytes: `working_bytes` of each that runs; env_bytes: held once; memory: of all devices.
+    Raises `UserError` if not even their states fit and one of them. state_bytes: carried for each of the `num_seeds` of the device, and once more for
+    those that run in a slice; extra_bytes: `working_bytes` of each that runs; env_bytes: held once; devices: how many there are, for the message.
     """
     room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
     if num_seeds * (state_bytes + running) <= room:
         return num_seeds
-    fitting = int((room - 2 * num_seeds * state_bytes) // running)
-    require(fitting > 0, "seeds", num_seeds,
-            f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, the devices have {memory / 2**30:.1f} GiB: "
-            f"give at most {max(0, int((room - running) // (2 * state_bytes)))}, or a smaller buffer_steps, batch_size or evaluation_starts")
-    return min(num_seeds, fitting)
+    fitting = int((room - num_seeds * state_bytes) // (state_bytes + running))
+    most = devices * max(0, int((room - state_bytes - running) // state_bytes))
+    require(fitting > 0, "seeds", num_seeds * devices,
+            f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, a device has {memory / 2**30:.1f} GiB: "
+            f"give at most {most}, or a smaller buffer_steps, batch_size or evaluation_starts")
+    return max(count for count in range(1, fitting + 1) if num_seeds % count == 0)
 
 
-def over_seeds(function: Callable, num_seeds: int, at_once: int) -> Callable:
-    """The function of one seed's first argument as a function of all seeds', vmapped, in slices where memory asks for it."""
-    if at_once >= num_seeds:
+def over_seeds(function: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:
+    """The function of one seed's first argument as a function of all seeds', vmapped; in slices on each device where memory asks for it."""
+    if at_once * mesh.size >= num_seeds:
         return lambda batched, *shared: jax.vmap(lambda one: function(one, *shared))(batched)
-    return lambda batched, *shared: jax.lax.map(lambda one: function(one, *shared), batched, batch_size=at_once)
+    return on_each_device(lambda batched, *shared: jax.lax.map(lambda one: function(one, *shared), batched, batch_size=at_once), mesh)
 
 
-def seed_sharding(num_seeds: int):
-    """Seeds spread over as many devices as divide their number."""
+def chunk_over_seeds(chunk: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:
+    """`over_seeds` for a chunk of training, (state, ...) -> (state, metrics, ...): slices are written back to where they came from, so that the states
+    of all seeds are held once."""
+    if at_once * mesh.size >= num_seeds:
+        return over_seeds(chunk, num_seeds, at_once, mesh)
+
+    def in_slices(states, *shared):
+        def run(part):
+            return jax.vmap(lambda one: chunk(one, *shared))(part)
+
+        def slice_of(tree, number):
+            return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, number * at_once, at_once), tree)
+
+        def put(whole, part, number):
+            return jax.tree.map(lambda old, new: jax.lax.dynamic_update_slice_in_dim(old, new, number * at_once, axis=0), whole, part)
+
+        def step(number, carry):
+            states, found = carry
+            after, *metrics = run(slice_of(states, number))
+            return put(states, after, number), put(found, metrics, number)
+
+        count = num_seeds // mesh.size // at_once
+        _, *shapes = jax.eval_shape(run, slice_of(states, 0))
+        found = jax.tree.map(lambda leaf: jnp.zeros((count * at_once, *leaf.shape[1:]), leaf.dtype), shapes)
+        states, found = jax.lax.fori_loop(0, count, step, (states, found))
+        return states, *found
+
+    return on_each_device(in_slices, mesh)
+
+
+def on_each_device(function: Callable, mesh: jax.sharding.Mesh) -> Callable:
+    """The function of batched and shared arguments, run on each device of the mesh for its own part of the batch."""
+    spread, whole = jax.sharding.PartitionSpec("seeds"), jax.sharding.PartitionSpec()
+
+    def everywhere(batched, *shared):
+        specs = (spread, *[whole] * len(shared))
+        return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=spread, check_vma=False)(batched, *shared)
+
+    return everywhere
+
+
+def seed_mesh(num_seeds: int) -> jax.sharding.Mesh:
+    """As many devices as divide the number of seeds."""
     devices = jax.devices()
     used = max(count for count in range(1, len(devices) + 1) if num_seeds % count == 0)
-    mesh = jax.sharding.Mesh(np.asarray(devices[:used]), ("seeds",))
-    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("seeds")), jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
+    return jax.sharding.Mesh(np.asarray(devices[:used]), ("seeds",))
 
 
 def describe(config: TrainConfig, env: Any, seeds: list[int]) -> dict[str, Any]:
@@ -195,11 +236,12 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     if not resume and (saved.exists() or (folder / "policy").exists()):
         raise UserError(f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder")
     train = make_train(config, env)
-    by_seed, everywhere = seed_sharding(len(seeds))
+    mesh = seed_mesh(len(seeds))
+    by_seed, everywhere = (jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ()))
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
     one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    memory = sum(device_memory(device) for device in by_seed.device_set)
-    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds), memory)
+    memory = min(device_memory(device) for device in mesh.devices.flat)
+    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds) // mesh.size, memory, mesh.size)
     states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
     description = describe(config, train.env, seeds)
     done, states = 0, None
@@ -214,11 +256,11 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     started = time.perf_counter()
     shared = jax.device_put((config.hyper, train.env), everywhere)
     if states is None:
-        states = jax.jit(over_seeds(train.initial, len(seeds), at_once), out_shardings=by_seed)(jax.device_put(keys, by_seed), *shared)
+        states = jax.jit(over_seeds(train.initial, len(seeds), at_once, mesh), out_shardings=by_seed)(jax.device_put(keys, by_seed), *shared)
 
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        chunk = jax.jit(over_seeds(train.chunk, len(seeds), at_once), donate_argnums=0)
+        chunk = jax.jit(chunk_over_seeds(train.chunk, len(seeds), at_once, mesh), donate_argnums=0)
         compiled = chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())
