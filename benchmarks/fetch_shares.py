@@ -72,7 +72,7 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
     def encode(state, env, gradient: bool):
         def loss(params, key):
             code = learner.encode(params, chosen(key, env))
-            return code.mean.mean() + code.std.mean()
+            return sum(leaf.mean() for leaf in jax.tree.leaves(code))
 
         def step(params, key):
             value, slope = jax.value_and_grad(loss)(params, key) if gradient else (loss(params, key), params)

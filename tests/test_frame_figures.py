@@ -13,7 +13,7 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import fetch_episodes, figures, house_figures, image_goal_figures, pose_figures, shelf_figures, walks
+from infogoal_jax.report import figures, house_figures, image_goal_episodes, image_goal_figures, pose_figures, shelf_figures, walks
 from infogoal_jax.report.summary import print_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
@@ -81,7 +81,7 @@ def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
     """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
     env, data = pose_subject.train.env, hand_made_frames.arm()
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))
-    episodes, = fetch_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
+    episodes, = image_goal_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
     rotation = Rotation.from_matrix(data.rotation)
     for goal, frames, steps, success, angle in zip(
         goals, episodes.observations.frame, episodes.steps, episodes.success, pose_figures.angles_to_goals(env, goals, episodes), strict=True
@@ -104,14 +104,14 @@ def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart(pose_su
 
 def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_subject, pose_subject, tmp_path):
     """Its frames with the goal's image in the corner; a task whose goals are texts has none."""
-    reached = fetch_episodes.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
+    reached = image_goal_episodes.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
     video, count, first = cv2.VideoCapture(str(tmp_path / "poses.mp4")), 0, None
     while (read := video.read())[0]:
         first, count = read[1] if first is None else first, count + 1
     assert len(reached) == 2 and first.shape == (64, 96, 3)
-    assert (count - 2 * 25) % fetch_episodes.PICTURES_A_FRAME == 0 and 2 <= (count - 2 * 25) // fetch_episodes.PICTURES_A_FRAME <= 2 * 13
+    assert (count - 2 * 25) % image_goal_episodes.PICTURES_A_FRAME == 0 and 2 <= (count - 2 * 25) // image_goal_episodes.PICTURES_A_FRAME <= 2 * 13
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
-        fetch_episodes.policy_video(shelf_subject, tmp_path / "flights.mp4")
+        image_goal_episodes.policy_video(shelf_subject, tmp_path / "flights.mp4")
 
 
 def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, pose_subject):

@@ -73,7 +73,7 @@ def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, 
 
 
 def test_slices_follow_from_the_memory_of_the_devices():
-    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides the 10; the environment takes 30."""
+    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10; the environment takes 30."""
     for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
         assert host.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / host.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):

@@ -94,8 +94,8 @@ def test_questions_about_a_corridor(tmp_path):
     (tmp_path / "questions.json").write_text(json.dumps({"objects": chosen}))
     run("data", "import", tmp_path / "film", tmp_path / "film" / "drives.csv", "--out", tmp_path / "corridor.npz")
     run("data", "check", tmp_path / "corridor.npz")
-    run("train", "embodied_qa", "--env.dataset", tmp_path / "corridor.npz", "--env.questions", tmp_path / "questions.json", "--env.episode-length", 20,
-        "--out", tmp_path / "run", *TINY)
+    given = ["--env.dataset", tmp_path / "corridor.npz", "--env.questions", tmp_path / "questions.json", "--env.episode-length", 20]
+    run("train", "embodied_qa", *given, "--out", tmp_path / "run", *TINY)
     run("evaluate", tmp_path / "run", "--starts", 2)
 
 

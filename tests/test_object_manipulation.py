@@ -140,7 +140,7 @@ def test_trains_by_dqn_with_and_without_relabelling(env):
 
 @pytest.mark.parametrize("relabelling", ["none", "her"])
 def test_agents_see_the_codes_of_their_goals(env, relabelling):
-    """Whatever goal a sampled transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller than the goal space."""
+    """Whatever goal a transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller than the goal space."""
     train = make_train(hand_made_frames.manipulation_config("none", relabelling=relabelling), env)
     parts, hyper = train.parts, train.config.hyper
     state = jax.jit(train.initial)(jax.random.key(0), hyper, env)
@@ -149,8 +149,8 @@ def test_agents_see_the_codes_of_their_goals(env, relabelling):
     goal = jax.random.choice(jax.random.key(1), goals, (count,))
     observation = env.observe_frame(jnp.zeros(count, jnp.int32))
     batch = Transitions(
-        observation=observation, next_observation=observation, action=jnp.zeros(count, jnp.int32), goal=goal, records=jnp.zeros((count, 1), jnp.int32),
-        mask=jnp.ones((count, 1)), terminated=jnp.zeros(count, bool))
+        observation=observation, next_observation=observation, action=jnp.zeros(count, jnp.int32), goal=goal,
+        records=jnp.zeros((count, 1), jnp.int32), mask=jnp.ones((count, 1)), terminated=jnp.zeros(count, bool))
     made = agent_batch(parts, env, hyper, state.params, state.params, batch, jnp.zeros(count), None, jax.random.key(2))
     expected = parts.learner.encode(state.params["goal"], env.goals.inputs_of(goal)).mean
     np.testing.assert_allclose(made.code, expected, rtol=1e-5, atol=1e-5)

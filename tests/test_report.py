@@ -17,7 +17,7 @@ from rich.console import Console
 from scipy import stats
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import fetch_episodes, fetch_figures, house_figures, image_goal_figures, tables, walks
+from infogoal_jax.report import fetch_figures, house_figures, image_goal_episodes, image_goal_figures, tables, walks
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
 from infogoal_jax.report.statistics import mean_interval, paired_difference
@@ -301,7 +301,7 @@ def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
 def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
     env = points.train.env
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
-    clean, again, corrupted = fetch_episodes.policy_episodes(points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED)
+    clean, again, corrupted = image_goal_episodes.policy_episodes(points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED)
     path = np.asarray(env.robot.achieved(clean.observations))
     assert path.shape == (4, env.episode_length + 1, 3)
     nearest = np.linalg.norm(path - np.asarray(env.positions)[goals][:, None], axis=-1).min(1)
@@ -312,8 +312,8 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
 
 
 def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
-    env = fetch_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
-    clean, half, background = (fetch_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0))
+    env = image_goal_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
+    clean, half, background = (image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0))
     np.testing.assert_array_equal(clean, np.asarray(env.goals.inputs)[[5, 3]])
     assert np.abs(half - (clean + background) / 2).max() <= 0.5
     assert all((np.asarray(env.test_backgrounds) == image).all((1, 2, 3)).any() for image in background)
@@ -327,12 +327,12 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
         seen.append(np.asarray(inputs))
         return learner.encode(params, inputs)
 
-    some = fetch_episodes.with_evaluated(points.train.env, np.array([126, 130]))
+    some = image_goal_episodes.with_evaluated(points.train.env, np.array([126, 130]))
     parts = points.train.parts._replace(learner=learner._replace(encode=encode))
     monkeypatch.setattr("infogoal_jax.train.program.make_parts", lambda *arguments: parts)
     train = make_train(points.train.config, points.train.env)
     train.test_policies(points_subject.params, train.config.hyper, some, 1, 0.4, 9)
-    np.testing.assert_array_equal(seen[-1], fetch_episodes.seen_images(some, 0.4, 9))
+    np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(some, 0.4, 9))
 
 
 def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):

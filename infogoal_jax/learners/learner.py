@@ -14,18 +14,18 @@ from infogoal_jax.pairs import GoalPairs
 
 @flax.struct.dataclass
 class GoalCode:
-    """A batch of goal codes: mean and std [..., d] of the Gaussian (std is 0 for deterministic methods)."""
+    """A batch of goal codes: mean and std [..., d] of the Gaussian; std is None for deterministic methods, which draw nothing."""
 
     mean: jax.Array
-    std: jax.Array
+    std: jax.Array | None = None
 
     def sample(self, key: jax.Array) -> jax.Array:
         """z = mean + std * noise, [..., d], differentiable in both (reparameterisation)."""
-        return self.mean + self.std * jax.random.normal(key, self.mean.shape)
+        return self.mean if self.std is None else self.mean + self.std * jax.random.normal(key, self.mean.shape)
 
     def __getitem__(self, goals: jax.Array) -> "GoalCode":
         """The codes of these goals, out of a table of the codes of all goals."""
-        return GoalCode(self.mean[goals], self.std[goals])
+        return jax.tree.map(lambda leaf: leaf[goals], self)
 
 
 Encode = Callable[[jax.Array], GoalCode]

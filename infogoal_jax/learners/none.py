@@ -31,8 +31,7 @@ def make(config: NoneConfig) -> Learner:
     encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
 
     def encode(params, goal_inputs):
-        mean = encoder.apply(params, goal_inputs)
-        return GoalCode(mean, jnp.zeros_like(mean))
+        return GoalCode(encoder.apply(params, goal_inputs))
 
     return Learner(
         init=lambda key, goal_inputs, hyper: (encoder.init(key, goal_inputs[:1]), ()),

@@ -24,7 +24,7 @@ def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 def draw_codes(axes: Axes, code: GoalCode, goals: GoalSet, which: np.ndarray, centre: np.ndarray, directions: np.ndarray, size: float = 1.0) -> None:
     """Codes [n, d] of the goals `which` [n], coloured by region: faded samples, means over them. size: of the markers."""
     regions = np.asarray(goals.regions)[which]
-    if (code.std > 0).any():
+    if code.std is not None:
         noise = np.random.default_rng(0).normal(size=(CODE_SAMPLES, *code.mean.shape))
         samples = (code.mean + code.std * noise - centre) @ directions.T
         for goal, region in enumerate(regions):
@@ -63,7 +63,7 @@ def representations(subject: Subject) -> Figure | None:
     figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
     axes = figure.subplots()
     draw_codes(axes, code, goals, which, centre, directions)
-    axes.legend(handles=code_legend(goals, goals.groups, bool((code.std > 0).any())), loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
     return figure

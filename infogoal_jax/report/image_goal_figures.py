@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report import fetch_figures, pose_figures
 from infogoal_jax.report.canvas import Subject, empty_figure, new_figure, save
-from infogoal_jax.report.fetch_episodes import policy_episodes, seen_images, with_evaluated
 from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
+from infogoal_jax.report.image_goal_episodes import policy_episodes, seen_images, with_evaluated
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.rollout import Episodes
 
@@ -114,7 +114,7 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
         below.draw_trajectories(way_axes, env, chosen, found)
     panels[0, 0].set_ylabel("second principal axis")
     panels[1, 0].set_ylabel(below.VERTICAL_LABEL)
-    random_code = any((code.std > 0).any() for code in codes)
+    random_code = any(code.std is not None for code in codes)
     legends = code_legend(goals, groups, random_code), below.trajectory_legend(env, chosen)
     for axes, entries in zip(panels[:, -1], legends, strict=True):
         axes.legend(handles=entries, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

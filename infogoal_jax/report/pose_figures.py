@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from infogoal_jax.envs.object_manipulation import REACHED
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour
-from infogoal_jax.report.fetch_episodes import seen_images, with_evaluated
+from infogoal_jax.report.image_goal_episodes import seen_images, with_evaluated
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.rollout import Episodes
 

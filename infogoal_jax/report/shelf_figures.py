@@ -187,7 +187,7 @@ def draw_all_codes(subject: Subject, axes: Axes) -> list:
     titles = {"train": "training question", "test": "test question", "other": "name of an object"}
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
-    return code_legend(goals, groups, bool((code.std > 0).any()), titles)
+    return code_legend(goals, groups, code.std is not None, titles)
 
 
 def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]]) -> Figure | None:

@@ -237,7 +237,7 @@ def check_fetch(arguments: list[str]) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class VideoCommand:
-    """Draw episodes of a Fetch task as an mp4: of a random policy, or of a run's policy on test goals."""
+    """Draw episodes as an mp4: of a random policy on a Fetch task, or of a run's policy on test goals that are images."""
 
     subject: tyro.conf.Positional[str]
     """Folder of a run; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy."""
@@ -259,8 +259,8 @@ def video(arguments: list[str]) -> int:
     size = command.height, command.height * 4 // 3
     use_compilation_cache()
     if command.subject not in TASKS and (Path(command.subject).is_dir() or os.sep in command.subject):
-        from infogoal_jax.report.fetch_episodes import policy_video
         from infogoal_jax.report.figures import read_subject
+        from infogoal_jax.report.image_goal_episodes import policy_video
 
         run = read_subject(Path(command.subject))
         reached = policy_video(run, command.out, command.episodes, command.seed, command.corruption, size)

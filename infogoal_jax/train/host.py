@@ -138,8 +138,8 @@ def over_seeds(function: Callable, num_seeds: int, at_once: int, mesh: jax.shard
 
 
 def chunk_over_seeds(chunk: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:
-    """`over_seeds` for a chunk of training, (state, ...) -> (state, metrics, ...): slices are written back to where they came from, so that the states
-    of all seeds are held once."""
+    """`over_seeds` for a chunk of training, (state, ...) -> (state, metrics, ...): slices are written back to where they came from, so all states
+    are held once."""
     if at_once * mesh.size >= num_seeds:
         return over_seeds(chunk, num_seeds, at_once, mesh)
 
