@@ -110,7 +110,7 @@ def test_flags_stand_behind_their_own_command(page):
         if words[:2] == ["infogoal", "train"]:
             assert words[2] in envs.registry and flags_in(command) <= train_flags(), line
         elif words[:1] == ["infogoal"]:
-            name = next((name for name in COMMANDS if " ".join(words[1:]).startswith(name)), None)
+            name = max((name for name in COMMANDS if " ".join(words[1:]).startswith(name)), key=len, default=None)
             assert name and flags_in(command) <= flags_of(COMMANDS[name]), line
         elif words[:1] == ["python"]:
             assert flags_in(command) <= benchmark_flags(ROOT / words[1]), line

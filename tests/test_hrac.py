@@ -11,7 +11,8 @@ from hand_made_points import EPISODE_LENGTH
 
 from infogoal_jax import Hyperparameters, make_train, pairs, presets, replay
 from infogoal_jax.agents import hrac, td3
-from infogoal_jax.agents.hrac import Cells, HRACConfig, adjacency_loss, adjacency_penalty
+from infogoal_jax.agents.hrac import HRACConfig, adjacency_loss, adjacency_penalty
+from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.learners.infogoal import InfoGoalState
