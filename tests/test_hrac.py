@@ -1,6 +1,5 @@
 """HRAC's high level: transitions from decision to decision, adjacency and gradients, on a task without physics."""
 
-from types import SimpleNamespace
 
 import hand_made_points
 import jax
@@ -169,11 +168,11 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     row, first = (jnp.asarray(index) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
     batch = replay.transitions_at(rows, row, first, parts.agent.num_steps)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)
-    before = SimpleNamespace(params={"goal": None}, learner=InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0)))
+    before = InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0))
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(parts, before, env, hyper, experience, judged(env, experience, batch))
+        reward, after, metrics = returns(parts, {"goal": None}, before, env, hyper, experience, judged(env, experience, batch))
         return reward, after, metrics, agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0))
 
     reward, after, metrics, made = transitions()

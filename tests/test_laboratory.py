@@ -72,6 +72,7 @@ def test_poses_of_a_turntable(tmp_path, capsys):
     assert "test" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_the_low_level_of_another_arm(tmp_path, capsys):
     """The shipped low level is refused for an arm with other joints; one that is trained for it is taken."""
     photograph_turntable(tmp_path / "photos")

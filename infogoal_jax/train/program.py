@@ -17,6 +17,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 
 from infogoal_jax import agents, envs, hindsight, learners, networks, pairs, replay
 from infogoal_jax.agents.agent import Agent, Exploration
@@ -209,8 +210,8 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         code = learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
         params["agent"], agent_state = agent.init(keys[2], encode_states(parts, params, env, 1)(observation), code)
         state = TrainState(
-            params=params, target_params=params, optimizer_state=parts.optimizer.init(params), learner=learner_state, agent=agent_state,
-            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),
+            params=params, target_params=params, optimizer_state=parts.optimizer.init(ravel_pytree(params)[0]), learner=learner_state,
+            agent=agent_state, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),
             buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
         )
         if env.recorded is not None:

@@ -7,6 +7,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
@@ -100,14 +101,15 @@ def judged(env, experience: Experience, transitions: Transitions, pairs: GoalPai
     return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs)
 
 
-def returns(parts, state, env, hyper, experience: Experience, drawn: Sample) -> tuple[jax.Array, Any, dict]:
-    """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16)."""
+def returns(parts, params, learner_state, env, hyper, experience: Experience, drawn: Sample) -> tuple[jax.Array, Any, dict]:
+    """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16). Then the learner's state, and
+    metrics."""
     batch, external = drawn.transitions, drawn.external
     if experience.codes is None:
-        encode = encode_goals(parts.learner, jax.lax.stop_gradient(state.params["goal"]), env.goals, parts.table_limit)
+        encode = encode_goals(parts.learner, jax.lax.stop_gradient(params["goal"]), env.goals, parts.table_limit)
     else:
         encode = experience.codes.__getitem__
-    intrinsic, learner_state = parts.learner.intrinsic_reward(state.learner, encode, batch.goal, drawn.achieved, batch.mask)
+    intrinsic, learner_state = parts.learner.intrinsic_reward(learner_state, encode, batch.goal, drawn.achieved, batch.mask)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
     taken = batch.mask.sum()
@@ -159,26 +161,31 @@ def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Arra
     return {"positives_within": within, "positives_between": (~same * pairs.positive_weight).sum() / total}
 
 
-def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key: jax.Array):
-    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part."""
+def update(parts, env, hyper, experience: Experience, restore: Callable, state, drawn: Sample, key: jax.Array):
+    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part.
+
+    Parameters and targets of the state are vectors, `restore` makes trees of them.
+    """
     learner, agent = parts.learner, parts.agent
     loss_key, code_key, agent_key, corruption_key = jax.random.split(key, 4)
     batch, pairs = drawn.transitions, drawn.pairs
     corruption = training_corruption(parts, env, corruption_key)
-    reward, learner_state, reward_metrics = returns(parts, state, env, hyper, experience, drawn)
+    targets = restore(state.target_params)
+    reward, learner_state, reward_metrics = returns(parts, restore(state.params), state.learner, env, hyper, experience, drawn)
 
-    def total_loss(params):
+    def total_loss(vector):
+        params = restore(vector)
         encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, corruption)
         learner_loss, learner_metrics = learner.loss(params["goal"], learner_state, encode, pairs, loss_key)
-        codes = agent_batch(parts, env, hyper, params, state.target_params, batch, reward, corruption, code_key)
-        agent_loss, agent_metrics = agent.loss(params["agent"], state.target_params["agent"], codes, state.agent, hyper, agent_key)
+        codes = agent_batch(parts, env, hyper, params, targets, batch, reward, corruption, code_key)
+        agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper, agent_key)
         return agent_loss + hyper.learner_weight * learner_loss, (learner_metrics, agent_metrics | {"loss": agent_loss})
 
     gradient, (learner_metrics, agent_metrics) = jax.grad(total_loss, has_aux=True)(state.params)
-    norm = optax.tree.norm(gradient)
+    norm = jnp.linalg.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
-    direction, optimizer_state = parts.optimizer.update(jax.tree.map(lambda leaf: leaf * scale, gradient), state.optimizer_state)
-    params = jax.tree.map(lambda leaf, step: leaf - hyper.learning_rate * step, state.params, direction)
+    direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
+    params = state.params - hyper.learning_rate * direction
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state,
                           learner=learner.update(learner_state, learner_metrics, hyper))
@@ -189,8 +196,15 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
 
 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
-    """`count` updates. What they learn from is drawn at once: drawing inside of the loop would take most of a GPU's time."""
+    """`count` updates.
+
+    What they learn from is drawn at once, and parameters go through the loop as one vector: draws, and an optimizer that goes from layer to layer,
+    would be most of the kernels that a GPU has to start.
+    """
     sample_key, update_key = jax.random.split(key)
+    params, restore = ravel_pytree(state.params)
+    state = state.replace(params=params, target_params=ravel_pytree(state.target_params)[0])
     drawn = jax.vmap(lambda key: sample(parts, env, experience, key))(jax.random.split(sample_key, count))
     keys = jax.random.split(update_key, count)
-    return jax.lax.scan(lambda carry, step: update(parts, env, hyper, experience, carry, *step), state, (drawn, keys))
+    state, metrics = jax.lax.scan(lambda carry, step: update(parts, env, hyper, experience, restore, carry, *step), state, (drawn, keys))
+    return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics
