@@ -10,9 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax import make_train, presets
+from infogoal_jax.angles import wrapped
 from infogoal_jax.data.rotations import geodesic
 from infogoal_jax.envs.cells import Cells
-from infogoal_jax.envs.joints import JointSpace, wrapped
+from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.replay import Transitions

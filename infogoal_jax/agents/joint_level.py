@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import dqn
-from infogoal_jax.envs.joints import on_circles, wrapped
+from infogoal_jax.angles import on_circles, wrapped
 
 
 @flax.struct.dataclass

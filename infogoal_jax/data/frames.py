@@ -56,6 +56,10 @@ class FrameDataset:
         """S, the number of states."""
         return int(self.state.max()) + 1
 
+    def describe(self, *content: np.ndarray) -> str:
+        """What the data are, in words: the name, whether it is a stand-in, and what tells these arrays from others."""
+        return f"{self.about['name']}{', a stand-in' if self.about.get('stand_in') else ''}, content {archives.content_of(*content)}"
+
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays, as they are held in memory or on a device."""

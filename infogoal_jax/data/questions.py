@@ -5,13 +5,12 @@ view. The names of all objects are known while training; questions are commanded
 """
 
 import dataclasses
-import json
 import os
 from pathlib import Path
 from typing import NamedTuple
 
 from infogoal_jax.data import text
-from infogoal_jax.data.splits import without_repeats
+from infogoal_jax.data.splits import read_json
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import NO_USE, USES
 
@@ -75,13 +74,7 @@ def load(path: str | os.PathLike) -> Questions:
     Raises UserError, which names the file, the object and the field, for a file that is not like that, has no training object, or gives a text
     twice: two texts are the same if the sentence encoder cannot tell them apart (`text.spelling`).
     """
-    try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file, object_pairs_hook=without_repeats)
-    except OSError as error:
-        raise UserError(f"questions {path}: {error.strerror or error}; give the path of a readable JSON file") from error
-    except ValueError as error:
-        raise UserError(f"questions {path}: not valid JSON ({error}); it must be {_FORM}") from error
+    content = read_json("questions", path, f"; it must be {_FORM}")
     entries = content.get("objects") if isinstance(content, dict) and set(content) == {"objects"} else None
     if not isinstance(entries, dict) or not entries:
         raise UserError(f"questions {path}: wants {_FORM} and nothing else, with at least one object")

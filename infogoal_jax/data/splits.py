@@ -85,13 +85,7 @@ def load_split(path: str | os.PathLike) -> Split:
 
     Raises UserError, which names the entry, when the file is not like that or has no training object.
     """
-    try:
-        with open(path, encoding="utf-8") as file:
-            content = json.load(file, object_pairs_hook=without_repeats)
-    except OSError as error:
-        raise UserError(f"split {path}: {error.strerror or error}; give the path of a readable JSON file") from error
-    except ValueError as error:
-        raise UserError(f"split {path}: not valid JSON ({error})") from error
+    content = read_json("split", path)
     entries = content.get("objects") if isinstance(content, dict) else None
     if not isinstance(entries, dict) or not entries:
         raise UserError(f'split {path}: wants {{"objects": {{name: {{"room": ..., "use": ...}}}}}} with at least one object')
@@ -109,6 +103,17 @@ def load_split(path: str | os.PathLike) -> Split:
     if not split.train:
         raise UserError(f"split {path}: no object has use 'train'; at least one must")
     return split
+
+
+def read_json(what: str, path: str | os.PathLike, remedy: str = "") -> object:
+    """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is and where."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            return json.load(file, object_pairs_hook=without_repeats)
+    except OSError as error:
+        raise UserError(f"{what} {path}: {error.strerror or error}; give the path of a readable JSON file") from error
+    except ValueError as error:
+        raise UserError(f"{what} {path}: not valid JSON ({error}){remedy}") from error
 
 
 def without_repeats(pairs: list[tuple[str, object]]) -> dict:

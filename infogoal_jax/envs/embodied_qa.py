@@ -5,7 +5,6 @@ while training and are what flights are relabelled with, a training question for
 """
 
 import dataclasses
-import hashlib
 
 import flax.struct
 import jax
@@ -13,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import frames, questions, shelf, text
-from infogoal_jax.envs.graph import GraphWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
+from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.replay import Rows
@@ -44,34 +43,12 @@ class EmbodiedQAConfig:
 
 
 @flax.struct.dataclass
-class EmbodiedQA(GraphWalk):
-    """The environment: a walk on a graph of images, with the flights that were recorded in it.
-
-    images: uint8 [K, H, W, C]; in_view: bool [K, N] whether the object that each goal is about is detected; known_goals: int32 [K, G], the goals in
-    view that are known while training, padded with -1. position: float32 [K, 2] (m), NaN where unknown.
-    """
-
-    images: jax.Array
-    in_view: jax.Array
-    known_goals: jax.Array
-    position: jax.Array
-
-    @property
-    def num_observations(self) -> int:
-        """Number of different observations: each is the index of an image."""
-        return self.images.shape[0]
+class EmbodiedQA(DetectionWalk):
+    """The environment: a walk on a graph of images, with the flights that were recorded in it. Known goals are names and training questions."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: images uint8 [..., H, W, C] for stored observations int32 [...]."""
         return self.images[observation]
-
-    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
-        """Whether the goal's object is detected in the image, bool [...], for records and goals int32 [...]."""
-        return self.in_view[record, goal]
-
-    def goals_of(self, record: jax.Array) -> jax.Array:
-        """The goals in view that are known while training (names and training questions), int32 [..., G], padded with -1."""
-        return self.known_goals[record]
 
 
 def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Rows:
@@ -134,10 +111,9 @@ def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: t
     known = in_view & np.isin(uses, (NO_USE, 0))
     goals = GoalSet.of(inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names)
     position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (data.frames, data.detected, next_node, data.frame, inputs)))
-    kind = ", a stand-in" if data.about.get("stand_in") else ""
     return EmbodiedQA(
-        images=jnp.asarray(data.frames), in_view=jnp.asarray(in_view), known_goals=jnp.asarray(pad_true(known)), position=jnp.asarray(position),
+        images=jnp.asarray(data.frames), in_view=jnp.asarray(in_view), achieved_goals=jnp.asarray(pad_true(known)), position=jnp.asarray(position),
         recorded=recorded_rows(data, np.flatnonzero(uses == 0)), views=None if views is None else jnp.asarray(views),
-        source=f"{data.about['name']}{kind}, content {digest.hexdigest()[:8]}", **walk_arrays(next_node, goals, distance, config.episode_length),
+        source=data.describe(data.frames, data.detected, next_node, data.frame, inputs),
+        **walk_arrays(next_node, goals, distance, config.episode_length),
     )

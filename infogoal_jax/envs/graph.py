@@ -119,6 +119,33 @@ class GraphWalk:
         return self.distance[self.place[state.goal], state.node].astype(jnp.int32)
 
 
+@flax.struct.dataclass
+class DetectionWalk(GraphWalk):
+    """A walk on which a goal is reached where its object is detected. Tasks add `render`.
+
+    images: uint8 [K, H, W] or [K, H, W, C]; in_view: bool [K, N], whether the object of each goal is detected; achieved_goals: int32 [K, G], those in
+    view that are known while training, padded with -1. position: float32 [K, D] in metres (and a heading in radians), NaN where unknown.
+    """
+
+    images: jax.Array
+    in_view: jax.Array
+    achieved_goals: jax.Array
+    position: jax.Array
+
+    @property
+    def num_observations(self) -> int:
+        """Number of different observations: each is the index of an image."""
+        return self.images.shape[0]
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether the goal's object is detected in the image, bool [...], for records and goals int32 [...]."""
+        return self.in_view[record, goal]
+
+    def goals_of(self, record: jax.Array) -> jax.Array:
+        """The goals in view that are known while training, int32 [..., G], padded with -1."""
+        return self.achieved_goals[record]
+
+
 def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
     """Edges int32 [K, A] between the images of a dataset, its own index where there is none, and the views of `GraphWalk`.
 

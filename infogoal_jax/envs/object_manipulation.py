@@ -5,7 +5,6 @@ are the different orientations, and a goal is reached within 10 degrees of it.
 """
 
 import dataclasses
-import hashlib
 import warnings
 
 import cv2
@@ -203,12 +202,10 @@ def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: 
     regions = tuple(f"near training pose {number}" for number in range(len(training)))
     goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (data.frames, data.rotation, next_node, shown)))
-    kind = ", a stand-in" if data.about.get("stand_in") else ""
     return ObjectManipulation(
         joints=jnp.asarray(joints), quaternion=jnp.asarray(quaternions(data.rotation)), orientation=jnp.asarray(orientation, jnp.int32),
         goal_quaternion=jnp.asarray(quaternions(rotation)), views=None if views is None else jnp.asarray(views),
         train_backgrounds=jnp.asarray(like_frames(behind.train, data)), test_backgrounds=jnp.asarray(like_frames(behind.test, data)),
-        source=f"{data.about['name']}{kind}, content {digest.hexdigest()[:8]}; backgrounds: {behind.source}",
+        source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; backgrounds: {behind.source}",
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

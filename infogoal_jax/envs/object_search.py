@@ -4,15 +4,14 @@ An observation is the index of an image, and so is the record of what was achiev
 """
 
 import dataclasses
-import hashlib
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import active_vision, splits, text
-from infogoal_jax.envs.graph import GraphWalk, distances, pad_true, possible_starts, walk_arrays
+from infogoal_jax.data import active_vision, archives, splits, text
+from infogoal_jax.envs.graph import DetectionWalk, distances, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 
@@ -48,34 +47,12 @@ class ObjectSearchConfig:
 
 
 @flax.struct.dataclass
-class ObjectSearch(GraphWalk):
-    """The environment: a walk on a graph of photographs.
-
-    images: uint8 [S, H, W]; achieved_goals: int32 [S, K] the goals in view of each image, padded with -1; in_view: bool [S, N].
-    position: float32 [S, 3] plan x and y (metres) and heading (radians), NaN where unknown.
-    """
-
-    images: jax.Array
-    achieved_goals: jax.Array
-    in_view: jax.Array
-    position: jax.Array
-
-    @property
-    def num_observations(self) -> int:
-        """Number of different observations: each is the index of an image."""
-        return self.images.shape[0]
+class ObjectSearch(DetectionWalk):
+    """The environment: a walk on a graph of grey photographs, all of whose goals are known. position: plan x and y (m), heading (radians)."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""
         return self.images[observation][..., None]
-
-    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
-        """Whether the goal's object is detected in the image, bool [...], for records and goals int32 [...]."""
-        return self.in_view[record, goal]
-
-    def goals_of(self, record: jax.Array) -> jax.Array:
-        """The goals in view, int32 [..., K], padded with -1."""
-        return self.achieved_goals[record]
 
 
 def make(config: ObjectSearchConfig) -> ObjectSearch:
@@ -104,11 +81,11 @@ def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.
     require(not unreachable, "env.split", ", ".join(unreachable),
             f"can be reached within {episode_length} steps from nowhere in {scenes.source}: take it out of the split, "
             "lower env.min_box_size, or run `infogoal data check` on the dataset")
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (scenes.images, scenes.next_state, scenes.visible, inputs)))
+    content = archives.content_of(scenes.images, scenes.next_state, scenes.visible, inputs)
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
     goals = GoalSet.of(inputs, [split.rooms[name] for name in names], uses, names, split.room_names)
     return ObjectSearch(
         images=jnp.asarray(scenes.images), achieved_goals=jnp.asarray(pad_true(scenes.visible)), in_view=jnp.asarray(scenes.visible),
-        position=jnp.asarray(scenes.position), source=f"{scenes.source}, content {digest.hexdigest()[:8]}",
+        position=jnp.asarray(scenes.position), source=f"{scenes.source}, content {content}",
         **walk_arrays(scenes.next_state, goals, distance, episode_length),
     )

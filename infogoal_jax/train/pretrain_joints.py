@@ -17,7 +17,7 @@ import optax
 from infogoal_jax import networks
 from infogoal_jax.agents import dqn
 from infogoal_jax.agents.joint_level import JointLevel, network_input, values_of
-from infogoal_jax.envs.joints import wrapped
+from infogoal_jax.angles import wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulation, ObjectManipulationConfig, make
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.train import files, low_level_file

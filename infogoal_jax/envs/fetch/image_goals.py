@@ -4,14 +4,12 @@ The finite goal space is a grid of rendered positions; training, validation and 
 matter of true distance; which goal a position counts as, for representation learning, is a matter of the nearest grid point.
 """
 
-import hashlib
-
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import backgrounds, goal_images
+from infogoal_jax.data import archives, backgrounds, goal_images
 from infogoal_jax.envs.fetch import environment, targets
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.goals import GoalSet
@@ -149,12 +147,12 @@ def lay_out(robot: environment.Fetch, bank: goal_images.GoalImages, behind: back
     """The task over these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the training goal nearest to it."""
     training = np.flatnonzero(uses == 0)
     nearest = np.linalg.norm(bank.positions[:, None] - bank.positions[training], axis=-1).argmin(1)
-    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (bank.images, bank.positions)))
+    content = archives.content_of(bank.images, bank.positions)
     kinds = ("grid", "training", "validation", "test")
     names = tuple(f"{kinds[use + 1]} {np.round(place.astype(float), 3).tolist()}" for use, place in zip(uses, bank.positions, strict=True))
     return ImageGoals(
         robot=robot, goals=GoalSet.of(bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))),
         positions=jnp.asarray(bank.positions), train_backgrounds=jnp.asarray(behind.train), test_backgrounds=jnp.asarray(behind.test),
         grid_low=jnp.asarray(bank.grid_low, jnp.float32), spacing=jnp.float32(bank.spacing), grid_shape=tuple(int(n) for n in bank.grid_shape),
-        source=f"MJX physics, rendered goal images ({bank.describe()}, content {digest.hexdigest()[:8]}); backgrounds: {behind.source}",
+        source=f"MJX physics, rendered goal images ({bank.describe()}, content {content}); backgrounds: {behind.source}",
     )
