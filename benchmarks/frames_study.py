@@ -83,6 +83,8 @@ def task_table(folder: Path, task: str) -> list[str]:
     header = ["dataset", "goals", "random", "shortest path", *names, f"{names[1]} - {names[0]}", f"paper: {names[0]} / {names[1]}"]
     lines = [f"### {task}", "", f"| {' | '.join(header)} |", "|" + "---|" * len(header)]
     for place in sorted((folder / task).glob("[0-9]*"), key=lambda path: int(path.name)):
+        if not (place / "baselines.json").exists():
+            continue  # Another process is still at work here.
         known = json.loads((place / "baselines.json").read_text())
         found = {variant: tables.read(place / variant, "evaluations").last() for variant in variants if (place / variant / "result.json").exists()}
         for kind, title in KINDS.items():

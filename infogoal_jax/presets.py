@@ -32,7 +32,7 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
     ("fetch_push", "infogoal"): {"window": 3, "num_pairs": 128},
     ("fetch_pick_and_place", "infogoal"): {"window": 3, "num_pairs": 256},
     ("object_manipulation", "infogoal"): {"window": 3, "num_pairs": 256},
-    ("embodied_qa", "infogoal"): {"window": 1, "num_pairs": 128},
+    ("embodied_qa", "infogoal"): {"window": 0, "num_pairs": 128},
 }
 """Fields of each learner [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
 
@@ -58,7 +58,7 @@ FETCH_TRAINING = {
 REACH_TRAINING = FETCH_TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}  # For two cores.
 
 CUBE_TRAINING = {
-    "num_envs": 256, "rollout_steps": 30, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 100, "epochs_per_evaluation": 20,
+    "num_envs": 256, "rollout_steps": 30, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 200, "epochs_per_evaluation": 20,
     "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=256),
 }
 
