@@ -44,6 +44,8 @@ class Hyperparameters:
     """Weight of the goal-representation loss beside the loss of the agent [A]."""
     intrinsic_weight: float = 5.0
     """Intrinsic reward of a whole episode spent at the mean distance from the goal, in successes; 0 turns it off."""
+    bonus_weight: float = 0.05
+    """Weight of an explorer's bonus, which is of the order of 1, beside the environment's reward. 0 or more."""
     beta_start: float = 0.0
     """First value of the Lagrange multiplier beta, in [0, 1]."""
     beta_step: float = 2.5e-4
@@ -60,7 +62,8 @@ class Hyperparameters:
             require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{field.name}", value, "give a finite number")
         for name in ("learning_rate", "max_gradient_norm"):
             require(getattr(self, name) > 0, f"hyper.{name}", getattr(self, name), "give a number greater than 0")
-        for name in ("learner_weight", "intrinsic_weight", "beta_step", "noise", "target_noise", "adjacency_weight", "conservative_weight"):
+        for name in ("learner_weight", "intrinsic_weight", "bonus_weight", "beta_step", "noise", "target_noise", "adjacency_weight",
+                     "conservative_weight"):
             require(getattr(self, name) >= 0, f"hyper.{name}", getattr(self, name), "give 0 or more")
         for name in ("epsilon", "test_epsilon", "beta_start", "fixed_beta"):
             require(0 <= getattr(self, name) <= 1, f"hyper.{name}", getattr(self, name), "give a number from 0 to 1")
@@ -107,6 +110,10 @@ class TrainConfig:
     """Configuration of the reinforcement-learning agent."""
     hindsight: Any
     """Configuration of the relabelling."""
+    exploration: str
+    """Name of the explorer, see `infogoal_jax.exploration.registry`; `none` leaves the state encoder and the reward alone."""
+    explorer: Any
+    """Configuration of the explorer."""
     state_encoder: StateEncoderConfig = dataclasses.field(default_factory=StateEncoderConfig)
     """Configuration of the encoder of image observations."""
     hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
@@ -152,7 +159,7 @@ class TrainConfig:
         require(0 <= self.test_corruption <= 1, "test_corruption", self.test_corruption, "give a weight from 0 to 1, for example 0.4")
         if isinstance(self.hyper.learning_rate, int | float):
             self.hyper.check()
-        for part in (self.state_encoder, self.env, self.learner, self.agent, self.hindsight):
+        for part in (self.state_encoder, self.env, self.learner, self.agent, self.hindsight, self.explorer):
             part.check(self)
 
     @property

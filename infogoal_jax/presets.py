@@ -2,13 +2,29 @@
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, hindsight, learners
+from infogoal_jax import exploration as explorers
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
-from infogoal_jax.errors import require
+from infogoal_jax.errors import nearest, require
 
 IMAGE_TASKS = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+TASKS = ("object_search", "object_manipulation", *IMAGE_TASKS, "embodied_qa")
+
+
+class Method(NamedTuple):
+    """What a row of the paper's Table I is made of: names of a learner, a relabelling (None: the task's own) and an explorer."""
+
+    learner: str
+    relabelling: str | None = None
+    exploration: str = "none"
+
+
+METHODS = {name: Method(name) for name in learners.registry} | {name: Method("none", name) for name in hindsight.registry if name != "none"} | {
+    name: Method("none", None, name) for name in explorers.registry if name != "none"
+}
+"""What can be asked for by one name. Learners, relabellings and explorers can be combined by their own names too."""
 
 ALGORITHMS = {"object_search": "dqn"} | dict.fromkeys(IMAGE_TASKS, "hrac") | {"object_manipulation": "hrac", "embodied_qa": "cql"}
 """The agent of each task [P]."""
@@ -36,17 +52,18 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
 }
 """Fields of each learner [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
 
-FETCH_HYPERPARAMETERS = {"discount": 0.99, "epsilon": 0.4}
+EVERY = "every method"
+"""Stands for the methods of which nothing else is said."""
 
 HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
-    ("object_search", "infogoal"): {"learning_rate": 5e-4, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 3.0},
-    ("object_search", "none"): {"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},
-    **{(task, "infogoal"): FETCH_HYPERPARAMETERS | {"intrinsic_weight": 1.0} for task in IMAGE_TASKS},
-    **{(task, "none"): FETCH_HYPERPARAMETERS | {"intrinsic_weight": 0.0} for task in IMAGE_TASKS},
-    ("object_manipulation", "infogoal"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 3.0},
-    ("object_manipulation", "none"): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},
-    ("embodied_qa", "infogoal"): {"discount": 0.95, "intrinsic_weight": 1.0, "conservative_weight": 0.01},
-    ("embodied_qa", "none"): {"discount": 0.95, "intrinsic_weight": 0.0, "conservative_weight": 0.02},
+    ("object_search", EVERY): {"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},
+    ("object_search", "infogoal"): {"learning_rate": 5e-4, "intrinsic_weight": 3.0},
+    **{(task, EVERY): {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0} for task in IMAGE_TASKS},
+    **{(task, "infogoal"): {"intrinsic_weight": 1.0} for task in IMAGE_TASKS},
+    ("object_manipulation", EVERY): {"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},
+    ("object_manipulation", "infogoal"): {"intrinsic_weight": 3.0},
+    ("embodied_qa", EVERY): {"discount": 0.95, "intrinsic_weight": 0.0, "conservative_weight": 0.02},
+    ("embodied_qa", "infogoal"): {"intrinsic_weight": 1.0, "conservative_weight": 0.01},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""
@@ -68,38 +85,61 @@ SHELF_TRAINING = {
 }
 
 TRAINING: dict[tuple[str, str], dict[str, Any]] = {
+    ("object_search", EVERY): {"num_epochs": 160},  # Without the intrinsic reward, training goals take longer to level off.
     ("object_search", "infogoal"): {"num_epochs": 100},
-    ("object_search", "none"): {"num_epochs": 160},  # Without the intrinsic reward, training goals take longer to level off.
-    **{(task, method): FETCH_TRAINING for task in IMAGE_TASKS for method in ("infogoal", "none")},
-    **{("fetch_reach", method): REACH_TRAINING for method in ("infogoal", "none")},
-    **{("object_manipulation", method): CUBE_TRAINING for method in ("infogoal", "none")},
-    **{("embodied_qa", method): SHELF_TRAINING for method in ("infogoal", "none")},
+    **{(task, EVERY): FETCH_TRAINING for task in IMAGE_TASKS},
+    ("fetch_reach", EVERY): REACH_TRAINING,
+    ("object_manipulation", EVERY): CUBE_TRAINING,
+    ("embodied_qa", EVERY): SHELF_TRAINING,
 }
 """What was tuned away from the defaults of `TrainConfig` [M]."""
 
 
-def load(task: str, method: str = "infogoal", algorithm: str | None = None, relabelling: str | None = None, **changes: Any) -> TrainConfig:
+def method_named(name: str) -> Method:
+    """The method of this name, or a `UserError` with the nearest one."""
+    require(name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+def name_of(config: TrainConfig) -> str:
+    """The name of the method that a configuration is made of; a combination without one is named by its parts."""
+    own = RELABELLINGS.get(config.task, "none")
+    parts = [name for name in (config.method, config.relabelling if config.relabelling != own else "none", config.exploration) if name != "none"]
+    return "+".join(parts) or "none"
+
+
+def fields_of(table: dict[tuple[str, str], dict[str, Any]], task: str, method: str) -> dict[str, Any]:
+    """What a table holds for every method of a task, and over it what it holds for this one."""
+    return table.get((task, EVERY), {}) | table.get((task, method), {})
+
+
+def load(task: str, method: str = "infogoal", algorithm: str | None = None, relabelling: str | None = None, exploration: str | None = None,
+         **changes: Any) -> TrainConfig:
     """The configuration for a task and a method; `changes` replace fields of `TrainConfig`. Raises `UserError` for an unknown name.
 
-    algorithm, relabelling: names of another agent and another relabelling than the task's own.
+    algorithm, relabelling, exploration: names of another agent, relabelling and explorer than the task's and the method's own.
     """
     env = envs.entry(task).config(**ENVIRONMENTS.get(task, {}))
-    learner = learners.entry(method).config(**LEARNERS.get((task, method), {}))
+    parts = method_named(method)
     require(task in ALGORITHMS, "task", task,
             f"there is no agent for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(ALGORITHMS)}")
-    algorithm, relabelling = algorithm or ALGORITHMS[task], relabelling or RELABELLINGS.get(task, "none")
+    algorithm, explorer = algorithm or ALGORITHMS[task], exploration or parts.exploration
+    relabelling = relabelling or parts.relabelling or RELABELLINGS.get(task, "none")
     settings = {
-        "task": task, "method": method, "algorithm": algorithm, "relabelling": relabelling, "env": env, "learner": learner,
+        "task": task, "method": parts.learner, "algorithm": algorithm, "relabelling": relabelling, "exploration": explorer, "env": env,
+        "learner": learners.entry(parts.learner).config(**LEARNERS.get((task, parts.learner), {})),
         "agent": agents.entry(algorithm).config(**AGENTS.get((task, algorithm), {})),
         "hindsight": hindsight.entry(relabelling).config(**HINDSIGHTS.get((task, relabelling), {})),
-        "hyper": Hyperparameters(**HYPERPARAMETERS.get((task, method), {})), **TRAINING.get((task, method), {}),
+        "explorer": explorers.entry(explorer).config(),
+        "hyper": Hyperparameters(**fields_of(HYPERPARAMETERS, task, method)), **fields_of(TRAINING, task, method),
     }
     return TrainConfig(**(settings | changes))
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:
     """The configuration that `config.to_json` wrote, parsed as JSON. Unknown fields are an error of the file, not of the user."""
-    base = load(values["task"], values["method"], values.get("algorithm"), values.get("relabelling"))  # Early runs do not name them.
+    named = (values.get(part) for part in ("algorithm", "relabelling", "exploration"))  # Early runs do not name them.
+    base = load(values["task"], values["method"], *named)
     parts = {}
     for field in dataclasses.fields(base):
         own = getattr(base, field.name)

@@ -7,6 +7,7 @@
     room 3
 """
 
+import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import presets
@@ -14,6 +15,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
+from infogoal_jax.learners.learner import Example, LearnerBatch, Visited
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -68,3 +70,18 @@ def config(method: str = "infogoal", **changes) -> TrainConfig:
         "updates_per_epoch": 10, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 3,
     }
     return presets.load("object_search", method, **(small | changes))
+
+
+def example(inputs, features: int = 4, num_cells: int = 3) -> Example:
+    """What a learner's networks are made for: these goal inputs, and states of so many features."""
+    return Example(jnp.asarray(inputs), jnp.zeros(features), num_cells)
+
+
+def visited(desired: int, achieved, mask) -> Visited:
+    """One transition towards a goal: achieved [1, n, K] and mask [1, n], all in one cell."""
+    return Visited(jnp.asarray([desired]), achieved, jnp.zeros(mask.shape, jnp.int32), mask)
+
+
+def learner_batch(encode, inputs=None, pairs=None, goals=None, desired=None, transitions=None) -> LearnerBatch:
+    """What a learner's loss may look at, of which a test needs only a part. inputs: [N, ...] of all goals."""
+    return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions)

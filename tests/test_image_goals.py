@@ -6,6 +6,7 @@ import sys
 from functools import partial
 from types import SimpleNamespace
 
+import hand_made
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded
 from infogoal_jax.train.command_line import main
 from infogoal_jax.train.evaluation import evaluate, goal_starts
 from infogoal_jax.train.low_level_file import shipped
-from infogoal_jax.train.update import training_corruption
+from infogoal_jax.train.update import training_view
 
 GRIDS = {}
 
@@ -119,7 +120,7 @@ def test_networks_see_numbers_of_the_order_of_one(task):
 @pytest.mark.parametrize("method", ["infogoal", "none"])
 def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
     learner = make_train(hand_made_points.config(method), hand_made_points.steered(env)).parts.learner
-    params, _ = learner.init(jax.random.key(0), env.goals.inputs, presets.Hyperparameters())
+    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), presets.Hyperparameters())
     goals = env.goals.commanded[jnp.array([[3, 0], [1, 1]])]
     one_by_one = learner.encode(params, env.goals.inputs[goals])
 
@@ -136,17 +137,17 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     env = hand_made_points.points(levels, np.full((1, 16, 16, 3), 255, np.uint8))
     pixels = SimpleNamespace(encode=lambda params, images: GoalCode(images.astype(jnp.float32), jnp.zeros(())))
     goals = jnp.repeat(env.goals.commanded, 50)
-    assert training_corruption(SimpleNamespace(training_corruption=0.0), env, jax.random.key(0)) is None
-    weight = training_corruption(SimpleNamespace(training_corruption=0.5), env, jax.random.key(0))
+    parts = SimpleNamespace(training_corruption=0.5, learner=SimpleNamespace(augment=None))
+    assert training_view(SimpleNamespace(training_corruption=0.0, learner=parts.learner), env, augmented=True) is None
+    view = training_view(parts, env, augmented=True)
     for encode in (encode_commanded, encode_goals):
-        seen = encode(pixels, None, env.goals, 1000, weight)(goals).mean
+        seen = encode(pixels, None, env.goals, 1000, view, jax.random.key(0))(goals).mean
         behind = np.asarray(2 * seen - env.goals.inputs[goals].astype(jnp.float32))
         level = behind.mean((1, 2, 3))
         assert (behind.max((1, 2, 3)) - behind.min((1, 2, 3)) <= 2).all()  # One background each, up to rounding.
         assert (abs(level - 10 * np.round(level / 10)) <= 1).all() and level.max() < 200
         assert len(set(np.round(level / 10))) > 15
-    other = training_corruption(SimpleNamespace(training_corruption=0.5), env, jax.random.key(1))
-    assert not np.array_equal(encode_goals(pixels, None, env.goals, 1000, other)(goals).mean, seen)
+    assert not np.array_equal(encode_goals(pixels, None, env.goals, 1000, view, jax.random.key(1))(goals).mean, seen)
 
 
 def test_corruption_of_weight_0_is_the_image_and_of_weight_1_the_background(env):

@@ -2,6 +2,7 @@
 
 import itertools
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -64,26 +65,22 @@ def test_bound_is_tight_where_it_can_be():
     ("linear", 1.0, 0.5 + 2.5e-4 * 0.04), ("linear", 0.5, 0.5 - 2.5e-4 * 0.46), ("sign", 0.97, 0.5 + 1e-5), ("sign", 0.2, 0.5 - 1e-5),
 ])
 def test_beta_follows_equation_15(rule, accuracy, expected):
-    learner = infogoal.make(infogoal.InfoGoalConfig(beta_rule=rule))
-    state = infogoal.InfoGoalState(beta=jnp.asarray(0.5), scale=jnp.ones(()))
-    assert np.isclose(learner.update(state, {"accuracy": jnp.asarray(accuracy)}, Hyperparameters()).beta, expected, atol=1e-8)
+    config = infogoal.InfoGoalConfig(beta_rule=rule)
+    assert np.isclose(infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), Hyperparameters()), expected, atol=1e-8)
 
 
 def test_beta_never_leaves_zero_to_one():
-    learner = infogoal.make(infogoal.InfoGoalConfig())
     for start, accuracy in ((0.0, 0.0), (1.0, 1.0)):
-        state = infogoal.InfoGoalState(beta=jnp.asarray(start), scale=jnp.ones(()))
-        assert learner.update(state, {"accuracy": jnp.asarray(accuracy)}, Hyperparameters(beta_step=10.0)).beta == start
+        assert infogoal.next_beta(infogoal.InfoGoalConfig(), jnp.asarray(start), jnp.asarray(accuracy), Hyperparameters(beta_step=10.0)) == start
 
 
 def test_fixed_beta_ramps_to_its_value_and_stays():
-    learner = infogoal.make(infogoal.InfoGoalConfig(beta_rule="fixed"))
-    hyper = Hyperparameters(fixed_beta=3e-5)
-    _, state = learner.init(jax.random.key(0), jnp.zeros((1, 4)), hyper)
-    betas = []
+    config, hyper = infogoal.InfoGoalConfig(beta_rule="fixed"), Hyperparameters(fixed_beta=3e-5)
+    _, state = infogoal.make(config).init(jax.random.key(0), hand_made.example(jnp.zeros((1, 4))), hyper)
+    betas, beta = [], state.beta
     for _ in range(5):
-        state = learner.update(state, {"accuracy": jnp.asarray(0.0)}, hyper)
-        betas.append(float(state.beta))
+        beta = infogoal.next_beta(config, beta, jnp.asarray(0.0), hyper)
+        betas.append(float(beta))
     np.testing.assert_allclose(betas, [1e-5, 2e-5, 3e-5, 3e-5, 3e-5], rtol=1e-5)
 
 
@@ -92,7 +89,7 @@ def test_intrinsic_reward_is_never_positive_and_zero_at_the_goal():
     codes = GoalCode(jax.random.normal(jax.random.key(0), (5, 32)), jnp.ones((5, 32)))
     state = infogoal.InfoGoalState(beta=jnp.zeros(()), scale=jnp.ones(()))
     achieved = jnp.asarray([[[0, -1], [1, -1], [-1, -1], [3, 0]]])
-    reward, after = learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), achieved, jnp.ones((1, 4)))
+    reward, after = learner.intrinsic_reward(state, codes.__getitem__, hand_made.visited(0, achieved, jnp.ones((1, 4))))
     assert reward[0, 0] == 0 and reward[0, 3] == 0  # The goal itself, and the goal beside another.
     assert reward[0, 1] < 0 and reward[0, 2] == reward.min()  # Seeing nothing is no better than the farthest goal seen.
     assert after.scale != state.scale
@@ -104,7 +101,7 @@ def test_steps_that_were_not_taken_count_for_nothing_in_the_intrinsic_reward():
     codes = GoalCode(jnp.array([[0.0], [1.0], [50.0]]), jnp.ones((3, 1)))
     state = infogoal.InfoGoalState(beta=jnp.zeros(()), scale=jnp.ones(()))
     achieved, mask = jnp.asarray([[[-1], [1], [2]]]), jnp.asarray([[1.0, 1.0, 0.0]])
-    reward, after = learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), achieved, mask)
+    reward, after = learner.intrinsic_reward(state, codes.__getitem__, hand_made.visited(0, achieved, mask))
     np.testing.assert_allclose(reward[0, :2], [-1.0, -1.0], rtol=1e-5)
     np.testing.assert_allclose(after.scale, 1.0, rtol=1e-5)
 
@@ -112,11 +109,12 @@ def test_steps_that_were_not_taken_count_for_nothing_in_the_intrinsic_reward():
 def test_intrinsic_reward_does_not_train_the_encoder():
     learner = infogoal.make(infogoal.InfoGoalConfig())
     inputs = jax.random.normal(jax.random.key(1), (4, 8))
-    params, state = learner.init(jax.random.key(0), inputs, Hyperparameters())
+    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), Hyperparameters())
 
     def total(params):
         codes = learner.encode(params, inputs)
-        return learner.intrinsic_reward(state, codes.__getitem__, jnp.asarray([0]), jnp.asarray([[[1], [2]]]), jnp.ones((1, 2)))[0].sum()
+        visited = hand_made.visited(0, jnp.asarray([[[1], [2]]]), jnp.ones((1, 2)))
+        return learner.intrinsic_reward(state, codes.__getitem__, visited)[0].sum()
 
     assert all(not leaf.any() for leaf in jax.tree.leaves(jax.grad(total)(params)))
 
@@ -127,7 +125,7 @@ def train_codes(loss: str, beta: float, updates: int = 1500) -> float:
     learner = infogoal.make(config)
     hyper = Hyperparameters(beta_start=beta, beta_step=0.0)
     inputs = jax.random.normal(jax.random.key(0), (12, 16))
-    params, state = learner.init(jax.random.key(1), inputs, hyper)
+    params, state = learner.init(jax.random.key(1), hand_made.example(inputs), hyper)
     optimizer = optax.adam(1e-3)
 
     def step(carry, key):
@@ -140,7 +138,8 @@ def train_codes(loss: str, beta: float, updates: int = 1500) -> float:
 
         def objective(params):
             codes = learner.encode(params, inputs)
-            return learner.loss(params, state, codes.__getitem__, batch, keys[3])
+            loss, metrics, _ = learner.loss(params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), hyper, keys[3])
+            return loss, metrics
 
         gradient, metrics = jax.grad(objective, has_aux=True)(params)
         change, optimizer_state = optimizer.update(gradient, optimizer_state)

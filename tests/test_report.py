@@ -217,7 +217,7 @@ def test_principal_components_find_the_plane_of_the_points():
 def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env):
     config, subject = hand_made.config("none"), read_subject(sweep.folder, env)
     train = make_train(config, env)
-    params = {"goal": train.parts.learner.init(jax.random.key(0), env.goals.inputs, config.hyper)[0]}
+    params = {"goal": train.parts.learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), config.hyper)[0]}
     subject = dataclasses.replace(subject, run=dataclasses.replace(subject.run, config=config), train=train, params=params)
     assert beta_and_accuracy(subject) is None
     assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), {}) is None

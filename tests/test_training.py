@@ -144,4 +144,4 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
         buffer=buffer, decision_count=replay.running_count(buffer.valid), achieved=nowhere, achieved_count=replay.running_count(nowhere),
         known=everything, usable=everything, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), codes=None,
     )
-    assert not sample_pairs(train.parts.learner.pairs, env, experience, jax.random.key(0)).positive_weight.any()
+    assert not sample_pairs(train.parts.learner.request, env, experience, jax.random.key(0)).positive_weight.any()

@@ -46,6 +46,7 @@ class Agent(NamedTuple):
     """A reinforcement-learning agent.
 
     init(key, features [F], code [d]) -> (params, state): parameters are trained by gradient, state is everything else.
+    value(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B]: of acting greedily from there.
     act(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration) -> action int32 [B] or float32 [B, A].
     loss(params, target_params, batch: AgentBatch, state, hyper, key) -> (loss, metrics).
     observe(state, rows: Rows) -> state: with the rows that were collected.
@@ -54,6 +55,7 @@ class Agent(NamedTuple):
 
     init: Callable[[jax.Array, jax.Array, jax.Array], tuple[Any, Any]]
     act: Callable[..., jax.Array]
+    value: Callable[..., jax.Array]
     loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]
     observe: Callable[[Any, Rows], Any]
     num_steps: int

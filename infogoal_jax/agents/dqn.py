@@ -71,13 +71,17 @@ def value_agent(config: DQNConfig, env, regulariser) -> Agent:
         random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape), -1.0).argmax(-1)
         return jnp.where(jax.random.uniform(choose, best.shape) < exploration.epsilon, random, best).astype(jnp.int32)
 
+    def value(params, features, code, action_mask):
+        """The value of the best allowed action."""
+        return jnp.where(action_mask, values(params, features, code), -jnp.inf).max(-1)
+
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """Temporal-difference error of double Q-learning, and the regulariser."""
         target = double_q_target(values, params, target_params, batch)
         every = values(params, batch.features, batch.code)
-        value = of_actions(every, batch.action)
-        error = optax.huber_loss(value, target) if config.huber else optax.l2_loss(value, target)
+        predicted = of_actions(every, batch.action)
+        error = optax.huber_loss(predicted, target) if config.huber else optax.l2_loss(predicted, target)
         extra, metrics = regulariser(every, batch, hyper)
-        return error.mean() + extra, {"td_error": jnp.abs(value - target).mean(), "value": value.mean(), **metrics}
+        return error.mean() + extra, {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean(), **metrics}
 
-    return Agent(init, act, loss, lambda state, rows: state, config.num_steps)
+    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)

@@ -98,6 +98,11 @@ def make(config: HRACConfig, env) -> Agent:
         best = actor.apply(params["actor"], jnp.concatenate([features, code], axis=-1))
         return td3.explore(key, best, exploration.noise, exploration.epsilon)
 
+    def value(params, features, code, action_mask):
+        """The lower of both critics' values of the actor's subgoal."""
+        inputs = jnp.concatenate([features, code], axis=-1)
+        return critic.apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
+
     def observe(apart, rows):
         """The pairs of cells not yet seen within k steps of each other, bool [components, C, C]."""
         places = cells.of(space.parts(space.of(rows.observation)))[..., None]
@@ -127,7 +132,7 @@ def make(config: HRACConfig, env) -> Agent:
         critic_error = td3.critic_loss(values, target, huber=True)
 
         subgoal = actor.apply(params["actor"], jax.lax.stop_gradient(inputs))
-        value = critic.apply(frozen["critic"], jax.lax.stop_gradient(inputs), subgoal)[0].mean()
+        expected = critic.apply(frozen["critic"], jax.lax.stop_gradient(inputs), subgoal)[0].mean()
         asked = space.from_subgoal(batch.observation, subgoal, config.subgoal_scale)
         distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
         penalty = adjacency_penalty(distance).mean()
@@ -136,6 +141,6 @@ def make(config: HRACConfig, env) -> Agent:
             "td_error": jnp.abs(values - target).mean(), "value": values.mean(), "adjacency_loss": adjacency_error, "adjacency_penalty": penalty,
             "subgoal_size": jnp.abs(subgoal).mean(),
         }
-        return critic_error - value + hyper.adjacency_weight * penalty + adjacency_error, metrics
+        return critic_error - expected + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
-    return Agent(init, act, loss, observe, config.interval * config.num_decisions)
+    return Agent(init, act, value, loss, observe, config.interval * config.num_decisions)

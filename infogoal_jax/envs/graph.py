@@ -63,6 +63,8 @@ class GraphWalk:
     """Background images uint8 [B, H, W, C] that training goals may be corrupted with; None where goals are no images."""
     test_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     """The same for the evaluation: other images."""
+    goal_positions = None
+    """Where goals lie, float32 [N, D]; None where only the graph knows how far they are apart."""
     views: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     """Images int32 [K, V] that show the same state as each, one of which is seen at random on arriving; None: every state has one image."""
 
@@ -99,6 +101,15 @@ class GraphWalk:
     def achieved(self, state: GraphState) -> jax.Array:
         """The record of what was achieved: the index of the image, int32."""
         return state.node
+
+    @property
+    def num_cells(self) -> int:
+        """Cells in which visits are counted: the images."""
+        return self.next_node.shape[0]
+
+    def cell_of(self, record: jax.Array) -> jax.Array:
+        """The cell in which a visit counts, int32 [...]."""
+        return record
 
     def node_of(self, observation: jax.Array) -> jax.Array:
         """The node of stored observations, int32 [...]."""

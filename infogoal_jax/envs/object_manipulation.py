@@ -108,6 +108,24 @@ class ObjectManipulation(GraphWalk):
         cosine_of_half = jnp.abs((self.quaternion[record] * self.goal_quaternion[goal]).sum(-1))
         return cosine_of_half > np.cos(REACHED / 2)
 
+    @property
+    def goal_positions(self) -> jax.Array:
+        """Where goals lie: their rotation matrices, float32 [N, 9], whose distance grows with the angle between two poses."""
+        w, x, y, z = self.goal_quaternion.T
+        return jnp.stack([
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ], axis=-1)
+
+    @property
+    def num_cells(self) -> int:
+        """Cells in which visits are counted: the orientations."""
+        return self.goals.num_goals
+
+    def cell_of(self, record: jax.Array) -> jax.Array:
+        """The orientation that the image shows, int32 [...]."""
+        return self.orientation[record]
+
     def goals_of(self, record: jax.Array) -> jax.Array:
         """The orientation that the image shows, int32 [..., 1]."""
         return self.orientation[record][..., None]

@@ -69,4 +69,4 @@ def make(config: HERConfig) -> Hindsight:
         goal = jnp.where((share < config.future_share) & (later >= 0), later, goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
 
-    return Hindsight(relabel_goals)
+    return Hindsight(lambda context: context.achievements, relabel_goals)

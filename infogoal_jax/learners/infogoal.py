@@ -13,8 +13,9 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, PairRequest
-from infogoal_jax.pairs import GoalPairs
+from infogoal_jax.learners import information
+from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Request, Visited
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
@@ -72,30 +73,27 @@ def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
     """log f(z, z') for codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' / sqrt(d)."""
     if "score" in params:
         return jnp.einsum("...i,ij,...j->...", first, params["score"], second) / jnp.sqrt(first.shape[-1])
-    return -jnp.abs(first - second).mean(-1)
+    return information.log_score(first, second)
 
 
-def kl_to_standard_normal(code: GoalCode) -> jax.Array:
-    """KL(N(mean, std^2) || N(0, I)) in nats, summed over the last axis (Eq. 11)."""
-    return 0.5 * (code.mean**2 + code.std**2 - 1.0 - 2.0 * jnp.log(code.std)).sum(-1)
-
-
-def contrastive_bound(positive: jax.Array, negative: jax.Array) -> jax.Array:
-    """log f+ / (f+ + sum f-): Theorem 3's term for log scores [B] and [B, K]. Add log(K + 1) for the InfoNCE bound on the mutual information."""
-    return positive - jax.nn.logsumexp(jnp.concatenate([positive[..., None], negative], axis=-1), axis=-1)
-
-
-def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
-    """Mean under weights that may all be 0 (then 0)."""
-    return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)
+def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, hyper) -> jax.Array:
+    """The Lagrange multiplier after an update: Eq. 15, clipped to [0, 1] because a negative beta would reward a growing KL."""
+    surplus = accuracy - hyper.beta_threshold
+    if config.beta_rule == "linear":
+        beta = beta + hyper.beta_step * surplus
+    elif config.beta_rule == "sign":
+        beta = beta + SIGN_STEP * jnp.sign(surplus)
+    else:
+        beta = jnp.minimum(beta + SIGN_STEP, hyper.fixed_beta)
+    return jnp.clip(beta, 0.0, 1.0)
 
 
 def make(config: InfoGoalConfig) -> Learner:
     """The InfoGoal learner for this configuration."""
     encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
 
-    def init(key, goal_inputs, hyper):
-        params = {"encoder": encoder.init(key, goal_inputs[:1])}
+    def init(key, example, hyper):
+        params = {"encoder": encoder.init(key, example.goal_inputs[:1])}
         if config.score == "bilinear":
             params["score"] = jnp.eye(config.latent_size)
         start = 0.0 if config.beta_rule == "fixed" else hyper.beta_start
@@ -104,9 +102,10 @@ def make(config: InfoGoalConfig) -> Learner:
     def encode(params, goal_inputs):
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
 
-    def loss(params, state, encode: Encode, pairs: GoalPairs, key):
-        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of every code that took part."""
-        codes = [encode(goals) for goals in (pairs.anchor, pairs.positive, pairs.contrast, pairs.negative)]
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of all codes that took part. Gives the next beta too."""
+        pairs = batch.pairs
+        codes = [batch.encode(goals) for goals in (pairs.anchor, pairs.positive, pairs.contrast, pairs.negative)]
         keys = jax.random.split(key, 4)
         anchor, positive, contrast, negative = (code.sample(k) for code, k in zip(codes, keys, strict=True))
         if config.negatives == "anchored":
@@ -133,22 +132,13 @@ def make(config: InfoGoalConfig) -> Learner:
             "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
             "no_negative": 1.0 - weighted_mean(pairs.negative_weight.max(1), pairs.positive_weight),
         }
-        return infomax + jax.lax.stop_gradient(state.beta) * infomin, metrics
+        state = state.replace(beta=next_beta(config, state.beta, accuracy, hyper))
+        return infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin, metrics, state
 
-    def update(state, metrics, hyper):
-        """The Lagrange multiplier after an update: Eq. 15, clipped to [0, 1] because a negative beta would reward a growing KL."""
-        surplus = metrics["accuracy"] - hyper.beta_threshold
-        if config.beta_rule == "linear":
-            beta = state.beta + hyper.beta_step * surplus
-        elif config.beta_rule == "sign":
-            beta = state.beta + SIGN_STEP * jnp.sign(surplus)
-        else:
-            beta = jnp.minimum(state.beta + SIGN_STEP, hyper.fixed_beta)
-        return state.replace(beta=jnp.clip(beta, 0.0, 1.0))
-
-    def intrinsic_reward(state, encode: Encode, desired, achieved, mask):
+    def intrinsic_reward(state, encode: Encode, visited: Visited):
         """Eq. 16 with its minus sign: minus the distance of mean codes over its running mean; the farthest of the batch if nothing is achieved."""
-        target = encode(desired).mean[:, None, None]
+        achieved, mask = visited.achieved, visited.mask
+        target = encode(visited.desired).mean[:, None, None]
         distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)
         nearest = jnp.where(achieved >= 0, distance, jnp.inf).min(-1)
         found = jnp.isfinite(nearest)
@@ -157,5 +147,5 @@ def make(config: InfoGoalConfig) -> Learner:
         scale = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
         return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
 
-    request = PairRequest(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
-    return Learner(init, encode, request, loss, update, intrinsic_reward)
+    request = Request(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
+    return Learner(init, encode, loss, request, intrinsic_reward)

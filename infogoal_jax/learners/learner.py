@@ -8,7 +8,8 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
+from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.pairs import GoalPairs
 
 
@@ -32,61 +33,113 @@ Encode = Callable[[jax.Array], GoalCode]
 """Goal indices int32 [...] to their codes, for one set of parameters: a table for small goal sets, the network itself for large ones."""
 
 
-class PairRequest(NamedTuple):
-    """How many pairs a learner wants in each update (0: none), the width of the window, and how negatives are drawn."""
+class Request(NamedTuple):
+    """What a learner wants sampled for each of its losses.
 
-    num_pairs: int
-    window: int
-    num_negatives: int
-    anchored: bool
+    num_pairs: of goals achieved within `window` steps of each other, each with `num_negatives`; anchored: whether a negative is compared with the
+    pair's anchor, or with a goal of its own; dissimilar: whether negatives are taken from G_neg, or are any known goals. num_goals: known goals.
+    """
+
+    num_pairs: int = 0
+    window: int = 0
+    num_negatives: int = 0
+    anchored: bool = True
+    dissimilar: bool = True
+    num_goals: int = 0
+
+
+class Example(NamedTuple):
+    """What a learner's networks are made for: goal_inputs [M, ...] of goals, features [F] of a state, and how many cells visits are counted in."""
+
+    goal_inputs: jax.Array
+    features: jax.Array
+    num_cells: int
+
+
+class LearnerBatch(NamedTuple):
+    """What a learner's loss may look at.
+
+    encode: by the goal encoder that is trained; inputs_of: goals [...] to what the encoder sees of them; pairs: as requested, or None;
+    goals: int32 [num_goals], known goals; desired: int32 [B], the goals of the transitions, which are those of the agent's batch.
+    """
+
+    encode: Encode
+    inputs_of: Callable[[jax.Array], jax.Array]
+    pairs: GoalPairs | None
+    goals: jax.Array
+    desired: jax.Array
+    transitions: AgentBatch
+
+
+@flax.struct.dataclass
+class Visited:
+    """Where B transitions of n steps led, for an intrinsic reward.
+
+    desired: int32 [B]; achieved: int32 [B, n, K], the known goals achieved after each step, padded with -1; cell: int32 [B, n], in which visits are
+    counted; mask: float32 [B, n] of the steps that were taken.
+    """
+
+    desired: jax.Array
+    achieved: jax.Array
+    cell: jax.Array
+    mask: jax.Array
+
+
+def no_reward(state: Any, encode: Encode, visited: Visited) -> tuple[jax.Array, Any]:
+    """No intrinsic reward."""
+    return jnp.zeros(visited.mask.shape), state
+
+
+def keep(state: Any, cell: jax.Array, valid: jax.Array) -> Any:
+    """Nothing is learned from where the agent went."""
+    return state
 
 
 class Learner(NamedTuple):
     """A goal-representation learner.
 
-    init(key, goal_inputs, hyper) -> (params, state): parameters are trained by gradient, state is everything else.
+    init(key, example: Example, hyper) -> (params, state): parameters are trained by gradient, state is everything else.
     encode(params, goal_inputs) -> GoalCode; inputs are vectors float32 [..., D] or images uint8 [..., H, W, C].
-    pairs: what the learner wants sampled for its loss.
-    loss(params, state, encode, pairs: GoalPairs, key) -> (loss, metrics); called with the goal encoder's gradient on.
-    update(state, metrics, hyper) -> state: after the gradient (the Lagrange multiplier, running means).
-    intrinsic_reward(state, encode, desired int32 [B], achieved int32 [B, n, K] padded with -1, mask float32 [B, n] of the steps that were taken) ->
-    (float32 [B, n], state).
+    loss(params, state, batch: LearnerBatch, hyper, key) -> (loss, metrics, state): the state is that of the next update (the Lagrange multiplier,
+    running means).
+    request: what the learner wants sampled for its loss.
+    intrinsic_reward(state, encode, visited: Visited) -> (float32 [B, n], state).
+    observe(state, cell int32 [R, T], valid bool [R, T]) -> state: with the transitions that were collected, by the cell that each led to.
+    condition(params, code: GoalCode [B], features [B, F]) -> GoalCode: what the agent is given, where that depends on the state too; or None.
+    augment(key, goal_inputs [B, ...]) -> goal_inputs: how inputs are varied in the agent's updates; or None.
+    mean_at_test: whether a policy that is tested is given the mean of a code, not a draw.
     """
 
-    init: Callable[[jax.Array, jax.Array, Any], tuple[Any, Any]]
+    init: Callable[[jax.Array, Example, Any], tuple[Any, Any]]
     encode: Callable[[Any, jax.Array], GoalCode]
-    pairs: PairRequest
-    loss: Callable[[Any, Any, Encode, GoalPairs, jax.Array], tuple[jax.Array, dict[str, jax.Array]]]
-    update: Callable[[Any, dict[str, jax.Array], Any], Any]
-    intrinsic_reward: Callable[[Any, Encode, jax.Array, jax.Array, jax.Array], tuple[jax.Array, Any]]
+    loss: Callable[[Any, Any, LearnerBatch, Any, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]
+    request: Request = Request()
+    intrinsic_reward: Callable[[Any, Encode, Visited], tuple[jax.Array, Any]] = no_reward
+    observe: Callable[[Any, jax.Array, jax.Array], Any] = keep
+    condition: Callable[[Any, GoalCode, jax.Array], GoalCode] | None = None
+    augment: Callable[[jax.Array, jax.Array], jax.Array] | None = None
+    mean_at_test: bool = False
 
+
+def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Array) -> GoalCode:
+    """What the agent is given of these goals [B] in states of these features [B, F]."""
+    return code if learner.condition is None else learner.condition(params, code, features)
+
+
+View = Callable[[jax.Array, jax.Array], jax.Array]
+"""How goal inputs look while training: a key and inputs [..., *input] to inputs of the same shape, each varied by itself."""
 
 GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 MB.
 
 
-class Corruption(NamedTuple):
-    """How the images of goals are corrupted while training: key of the draws, backgrounds uint8 [M, H, W, C], and their weight."""
-
-    key: jax.Array
-    backgrounds: jax.Array
-    weight: float
-
-
-def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int, corruption: Corruption | None = None) -> Encode:
+def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int, view: View | None = None, key: jax.Array | None = None) -> Encode:
     """How to encode any goals under these parameters: all of them once if they are fewer than `batch_size`, else only those asked for.
 
-    With a corruption every goal gets a background of its own each time that this is called; within a scan each place
-    in the batch keeps its background.
+    With a view every goal is varied anew each time that this is called, by draws from `key`; within a scan each place in the batch keeps its draw.
     """
-    if corruption is not None:
+    if view is not None:
         calls = itertools.count()
-
-        def encode(indices):
-            key = jax.random.fold_in(corruption.key, next(calls))
-            backgrounds = draw_backgrounds(key, corruption.backgrounds, indices.shape)
-            return learner.encode(params, corrupt(goals.inputs_of(indices), backgrounds, corruption.weight))
-
-        return encode
+        return lambda indices: learner.encode(params, view(jax.random.fold_in(key, next(calls)), goals.inputs_of(indices)))
     if goals.num_goals <= batch_size:
         return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
     return lambda indices: learner.encode(params, goals.inputs_of(indices))
@@ -103,8 +156,8 @@ def in_place(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     return lambda indices: codes[place[indices]]
 
 
-def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: int, corruption: Corruption | None = None) -> Encode:
+def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: int, view: View | None = None, key: jax.Array | None = None):
     """How to encode goals that are commanded while training: they are few, so each is encoded once however large the goal space is."""
-    if corruption is not None or goals.num_goals <= batch_size:
-        return encode_goals(learner, params, goals, batch_size, corruption)
+    if view is not None or goals.num_goals <= batch_size:
+        return encode_goals(learner, params, goals, batch_size, view, key)
     return in_place(learner.encode(params, goals.inputs_of(goals.commanded)), goals, goals.commanded)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import GoalCode, Learner, PairRequest
+from infogoal_jax.learners.learner import GoalCode, Learner
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,11 +33,7 @@ def make(config: NoneConfig) -> Learner:
     def encode(params, goal_inputs):
         return GoalCode(encoder.apply(params, goal_inputs))
 
-    return Learner(
-        init=lambda key, goal_inputs, hyper: (encoder.init(key, goal_inputs[:1]), ()),
-        encode=encode,
-        pairs=PairRequest(num_pairs=0, window=0, num_negatives=0, anchored=True),
-        loss=lambda params, state, encode, pairs, key: (jnp.zeros(()), {}),
-        update=lambda state, metrics, hyper: state,
-        intrinsic_reward=lambda state, encode, desired, achieved, mask: (jnp.zeros(achieved.shape[:2]), state),
-    )
+    def loss(params, state, batch, hyper, key):
+        return jnp.zeros(()), {}, state
+
+    return Learner(init=lambda key, example, hyper: (encoder.init(key, example.goal_inputs[:1]), ()), encode=encode, loss=loss)

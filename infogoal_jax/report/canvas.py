@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from infogoal_jax import presets
 from infogoal_jax.report.runs import Run
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.tables import Table
@@ -71,7 +72,7 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
     left_out = "".join(f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items())
     below = (f"{seeds}{left_out}", f"data: {subject.run.data}")
-    return empty_figure(f"{config.task.replace('_', ' ')}, {config.method}: {title}", below, size)
+    return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from infogoal_jax import presets
 from infogoal_jax.errors import require
 from infogoal_jax.report import tables
 from infogoal_jax.report.runs import Run, read_params, read_run, read_timing
@@ -72,7 +73,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     evaluations, epochs = (tables.read(run.folder, name, diverged) for name in ("evaluations", "epochs"))
     left, acted = len(evaluations.seeds), "collect/valid" in epochs.values  # Who learns offline collects nothing.
     last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0
-    head = f"{run.config.task}, {run.config.method}: epoch {last_epoch} of {run.config.num_epochs}"
+    head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {last_epoch} of {run.config.num_epochs}"
     if left and evaluations.values:
         last = evaluations.last()
         num_goals, num_starts = last["first_reached"].shape[1:]
@@ -146,7 +147,7 @@ def evaluate_run(
     files.write_atomically(folder / "evaluation.json", lambda file: file.write((json.dumps(written) + "\n").encode()))
     protocol = f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
     protocol += corruption_in_words(scores, weight)
-    head = f"{run.config.task}, {run.config.method}: epoch {epoch} of {run.config.num_epochs}"
+    head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
     console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
     console.print(score_table(scores))
     for sentence in diverged_in_words(diverged):

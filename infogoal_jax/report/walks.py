@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.learners.learner import encode_goals
+from infogoal_jax.learners.learner import Example, Visited, encode_goals
 from infogoal_jax.report.canvas import Subject, in_words
 from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
 from infogoal_jax.train.rollout import run_episodes
@@ -64,10 +64,12 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view takes its place.
     """
     env, learner = subject.train.env, subject.train.parts.learner
-    state = learner.init(jax.random.key(0), env.goals.inputs, subject.run.config.hyper)[1]
+    example = Example(env.goals.inputs, jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
+    state = learner.init(jax.random.key(0), example, subject.run.config.hyper)[1]
     encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
     achieved = env.goals_of(jnp.arange(env.num_observations))
-    every = jnp.ones((1, env.num_observations))
-    reward = np.asarray(learner.intrinsic_reward(state, encode, jnp.asarray([goal]), achieved[None], every)[0][0], float)
+    every = jnp.arange(env.num_observations)[None]
+    visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), jnp.ones(every.shape))
+    reward = np.asarray(learner.intrinsic_reward(state, encode, visited)[0][0], float)
     reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
     return reward / max(np.abs(np.nanmean(reward)), 1e-12)

@@ -87,9 +87,23 @@ def default_config(arguments: list[str]) -> TrainConfig:
 
     resumed = flag(arguments, "resume")
     if resumed:
-        return read_run(Path(resumed)).config
+        config, method = read_run(Path(resumed)).config, flag(arguments, "method")
+        if method is not None and presets.method_named(method).learner != config.method:
+            raise UserError(f"method = {method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
+        return config
     task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
-    return presets.load(task, flag(arguments, "method") or "infogoal", flag(arguments, "algorithm"), flag(arguments, "relabelling"))
+    named = (flag(arguments, part) for part in ("algorithm", "relabelling", "exploration"))
+    return presets.load(task, flag(arguments, "method") or "infogoal", *named)
+
+
+def without_flag(arguments: list[str], name: str) -> list[str]:
+    """The arguments without `--name VALUE` or `--name=VALUE`."""
+    kept, skipping = [], False
+    for argument in arguments:
+        if not skipping and argument != f"--{name}" and not argument.startswith(f"--{name}="):
+            kept.append(argument)
+        skipping = argument == f"--{name}"
+    return kept
 
 
 def train(arguments: list[str]) -> int:
@@ -99,6 +113,7 @@ def train(arguments: list[str]) -> int:
         if arguments[0] != default.task:
             raise UserError(f"task = {arguments[0]!r}: the run to resume is of task {default.task!r}")
         arguments = arguments[1:]
+    arguments = without_flag(arguments, "method")  # A method may be a relabelling or an explorer; the preset has its parts.
     command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=arguments, default=TrainCommand(config=default))
     if command.seeds <= 0:
         raise UserError(f"seeds = {command.seeds}: give at least 1")
@@ -113,7 +128,7 @@ def train(arguments: list[str]) -> int:
 
         if flag(arguments, "seeds") is None and flag(arguments, "first-seed") is None:
             seeds = read_run(Path(command.resume)).seeds
-    folder = Path(command.resume or command.out or f"runs/{config.task}-{config.method}-{time.strftime('%Y%m%d-%H%M%S')}")
+    folder = Path(command.resume or command.out or f"runs/{config.task}-{presets.name_of(config)}-{time.strftime('%Y%m%d-%H%M%S')}")
     with make_listeners(folder, config, len(seeds), tensorboard=command.tensorboard, wandb=command.wandb) as listeners:
         sweep = host.run(config, seeds, folder, resume=resuming, listeners=listeners)
     from infogoal_jax.report.summary import print_summary

@@ -8,6 +8,7 @@ from statistics import fmean
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.train import host
@@ -64,7 +65,7 @@ def make_listeners(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[numbers]}"),
         console=Console(), refresh_per_second=2,
     )
-    line = bar.add_task(f"{config.task} {config.method} x {num_seeds}", total=config.num_epochs, numbers="compiling")
+    line = bar.add_task(f"{config.task} {presets.name_of(config)} x {num_seeds}", total=config.num_epochs, numbers="compiling")
 
     def advance(progress: host.Progress):
         means = seed_means(progress.evaluations)

@@ -19,17 +19,18 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax import agents, envs, hindsight, learners, networks, pairs, replay
+from infogoal_jax import agents, envs, exploration, hindsight, learners, networks, pairs, replay
 from infogoal_jax.agents.agent import Agent, Exploration
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.hindsight.relabelling import Achievements, Hindsight
-from infogoal_jax.learners.learner import Encode, Learner, encode_all, encode_commanded, in_place
+from infogoal_jax.exploration.explorer import Explorer
+from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
+from infogoal_jax.learners.learner import Encode, Example, GoalCode, Learner, conditioned, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, evaluate, has_image_goals
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
-from infogoal_jax.train.update import Experience, encode_states, training_corruption, updates, usable_goals
+from infogoal_jax.train.update import Experience, encode_states, training_view, updates, usable_goals
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
@@ -42,6 +43,7 @@ class Parts(NamedTuple):
     learner: Learner
     agent: Agent
     hindsight: Hindsight | None
+    explorer: Explorer | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
     batch_size: int
@@ -54,8 +56,9 @@ class Parts(NamedTuple):
 class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
-    params, target_params: {"goal", "state", "agent"}; learner, agent: their states; dissimilarity: bool [N, N]; seen: bool [N] goals achieved;
-    buffer: Rows; env_states: [num_envs]; both None offline. key: the seed's key, never consumed; env_steps: int32, collected or recorded.
+    params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer: their states;
+    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Rows; env_states: [num_envs]; both None offline.
+    key: the seed's key, never consumed; env_steps: int32, collected or recorded.
     """
 
     params: dict
@@ -63,6 +66,7 @@ class TrainState:
     optimizer_state: Any
     learner: Any
     agent: Any
+    explorer: Any
     dissimilarity: jax.Array
     seen: jax.Array
     buffer: Rows | None
@@ -93,7 +97,7 @@ class Train:
     initial: Callable[[jax.Array, Hyperparameters, Any], TrainState]
     chunk: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
     test_policies: Callable[..., dict[str, Policy]]
-    experience_of: Callable[[TrainState, jax.Array, Any], Experience]
+    experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
     parts: Parts
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
@@ -114,7 +118,8 @@ class Train:
 
 def check_names(config: TrainConfig) -> None:
     """Raise `UserError` for a name that does not exist, or a part whose configuration is not that of its name."""
-    for named, registered, field in (("method", learners, "learner"), ("algorithm", agents, "agent"), ("relabelling", hindsight, "hindsight")):
+    for named, registered, field in (("method", learners, "learner"), ("algorithm", agents, "agent"), ("relabelling", hindsight, "hindsight"),
+                                     ("exploration", exploration, "explorer")):
         needed, given = registered.entry(getattr(config, named)).config, getattr(config, field)
         require(isinstance(given, needed), field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {needed.__name__}; "
                 f"make the configuration with presets.load, and resume with the same --{named}")
@@ -128,6 +133,7 @@ def make_parts(config: TrainConfig, env) -> Parts:
         learner=method.make(config.learner),
         agent=algorithm.make(config.agent, env),
         hindsight=relabelling.make(config.hindsight),
+        explorer=exploration.entry(config.exploration).make(config.explorer),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
@@ -156,6 +162,8 @@ def load_environment(config: TrainConfig, env: Any = None):
     require(hasattr(env, "goals"), "env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set: give images")
     require(not config.training_corruption or env.train_backgrounds is not None, "training_corruption", config.training_corruption,
             f"goals of {config.task} are no images that could be corrupted: give 0")
+    require(config.exploration == "none" or (env.discrete and env.num_observations is not None), "exploration", config.exploration,
+            f"its bonus is kept for every image and move; {config.task} has no such finite set: give none")
     if config.algorithm == "hrac":
         return env if isinstance(env, hierarchy.Steered) else hierarchy.steer(env, config.agent)
     require(env.discrete, "algorithm", config.algorithm, f"{config.task} is not acted in by a choice among a few moves: give hrac")
@@ -174,9 +182,10 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
 
         def act(observation, goal, key):
             sample_key, act_key = jax.random.split(key)
-            code = encode(goal)
+            features = see(observation)
+            code = conditioned(learner, params["goal"], encode(goal), features)
             code = code.mean if use_mean else code.sample(sample_key)
-            return agent.act(params["agent"], see(observation), code, env.action_mask(observation), act_key, exploration)
+            return agent.act(params["agent"], features, code, env.action_mask(observation), act_key, exploration)
 
         return act
 
@@ -192,27 +201,30 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             codes = learner.encode(params["goal"], corrupted_images(env, num_starts, weight, seed))
             views["corrupted_"] = lambda goal: codes  # A background for each episode, the same for its whole length.
         return {
-            f"{prefix}{{group}}_goal{suffix}": policy(params, exploration, env, encode, use_mean=bool(suffix))
+            f"{prefix}{{group}}_goal{suffix}": policy(params, exploration, env, encode, use_mean=bool(suffix) or learner.mean_at_test)
             for suffix in ("", "_mean_code") for prefix, encode in views.items()
         }
 
     def training_policy(params, hyper, env, key) -> Policy:
-        encode = encode_commanded(learner, params["goal"], env.goals, parts.table_limit, training_corruption(parts, env, key))
+        encode = encode_commanded(learner, params["goal"], env.goals, parts.table_limit, training_view(parts, env, augmented=False), key)
         return policy(params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
         keys = jax.random.split(jax.random.fold_in(key, INITIAL), 4)
-        goal_params, learner_state = learner.init(keys[0], env.goals.inputs, hyper)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
-        params = {"goal": goal_params, "state": encoder.init(keys[1], env.render(observation))}
-        code = learner.encode(goal_params, env.goals.inputs[:1]).mean[0]
-        params["agent"], agent_state = agent.init(keys[2], encode_states(parts, params, env, 1)(observation), code)
+        params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
+        features = encode_states(parts, params, env, 1)(observation)
+        params["goal"], learner_state = learner.init(keys[0], Example(env.goals.inputs, features, env.num_cells), hyper)
+        code = conditioned(learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]).mean[0]
+        params["agent"], agent_state = agent.init(keys[2], features, code)
+        if parts.explorer is not None:
+            params["explorer"], explorer_state = parts.explorer.init(jax.random.fold_in(keys[2], 1), features, env.action_size)
         state = TrainState(
             params=params, target_params=params, optimizer_state=parts.optimizer.init(ravel_pytree(params)[0]), learner=learner_state,
-            agent=agent_state, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), seen=jnp.zeros(env.goals.num_goals, bool),
-            buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
+            agent=agent_state, explorer=explorer_state, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
+            seen=jnp.zeros(env.goals.num_goals, bool), buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
         )
         if env.recorded is not None:
             return witness(state, env.recorded, env)
@@ -228,12 +240,13 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         achieved = env.goals_of(rows.record)
         state = state.replace(
             agent=agent.observe(state.agent, rows), env_steps=state.env_steps + rows.valid.sum(),
+            learner=learner.observe(state.learner, env.cell_of(rows.record)[:, 1:], rows.valid),
             seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
         )
-        if not learner.pairs.num_pairs:
+        if not learner.request.num_pairs:
             return state
         similar = usable_goals(env, rows.record, usable_mask(env))
-        return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.pairs.window))
+        return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.request.window))
 
     def gather(state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
         """Collect the rows of an epoch into the buffer."""
@@ -248,8 +261,8 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             "collect/valid": rows.valid.mean(), "collect/goals_seen": state.seen.sum(),
         }
 
-    def experience_of(state: TrainState, number, env) -> Experience:
-        """What the updates of an epoch draw from."""
+    def experience_of(state: TrainState, number, hyper, env) -> tuple[Experience, TrainState]:
+        """What the updates of an epoch draw from, and the state with what the explorer made of it."""
         offline, usable = env.recorded is not None, usable_mask(env)
         buffer = env.recorded if offline else state.buffer
         written = jnp.arange(buffer.valid.shape[0]) < (buffer.valid.shape[0] if offline else (number + 1) * config.num_envs)
@@ -257,22 +270,43 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         achieved = (goals >= 0).any(-1) & written[:, None]
         achieved_count = replay.running_count(achieved)
         known = jnp.ones_like(usable) if config.known_goals == "all" else usable & state.seen
+        codes = encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None
+        table = bonus = None
+        if parts.hindsight is not None:
+            achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
+            table = parts.hindsight.prepare(hindsight_context(state, number, hyper, env, buffer, written, achievements, codes))
+        if parts.explorer is not None:
+            features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
+            bonus, explored = parts.explorer.survey(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
+            state = state.replace(explorer=explored)
         return Experience(
-            buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved,
-            achieved_count=achieved_count, known=known, usable=usable, dissimilarity=state.dissimilarity,
-            codes=encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None,
-            achievements=None if parts.hindsight is None else Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known),
-        )
+            buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
+            known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes, hindsight=table, bonus=bonus,
+        ), state
+
+    def hindsight_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements, codes: GoalCode | None) -> Context:
+        """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are few."""
+        def positions():
+            if env.goal_positions is not None:
+                return env.goal_positions
+            return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
+
+        def value(observation, goal):
+            features = encode_states(parts, state.params, env, goal.shape[0])(observation)
+            code = conditioned(learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features)
+            return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
+
+        return Context(rows, written, achievements, positions, value, hyper.discount, number * config.updates_per_epoch)
 
     def epoch(state: TrainState, number, hyper, env):
         collected = {}
         if env.recorded is None:
             state, collected = gather(state, number, hyper, env)
-        experience = experience_of(state, number, env)
+        experience, state = experience_of(state, number, hyper, env)
         update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
         metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
-        if learner.pairs.num_pairs:
+        if learner.request.num_pairs:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}

@@ -12,10 +12,13 @@ from jax.flatten_util import ravel_pytree
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
 from infogoal_jax.agents.agent import AgentBatch
-from infogoal_jax.hindsight.relabelling import Achievements
-from infogoal_jax.learners.learner import Corruption, GoalCode, encode_commanded, encode_goals
+from infogoal_jax.exploration.explorer import Moves
+from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.learners.learner import GoalCode, LearnerBatch, View, Visited, conditioned, encode_commanded, encode_goals
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Rows, Transitions
+
+CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
 
 @flax.struct.dataclass
@@ -25,7 +28,7 @@ class Experience:
     buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
-    achievements: what a relabelling chooses from; None without one.
+    hindsight: the table that a relabelling made for the epoch; bonus: float32 [K, A] of each observation and action; None without such a part.
     """
 
     buffer: Rows
@@ -36,7 +39,8 @@ class Experience:
     usable: jax.Array
     dissimilarity: jax.Array
     codes: GoalCode | None
-    achievements: Achievements | None = None
+    hindsight: Any = None
+    bonus: jax.Array | None = None
 
 
 @flax.struct.dataclass
@@ -44,18 +48,30 @@ class Sample:
     """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside of the loop over updates.
 
     transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], the known goals that were
-    achieved after each, padded with -1; pairs: of goals, or None.
+    achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known ones, as many as the learner asks for.
+    bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B]; None without an explorer.
     """
 
     transitions: Transitions
     external: jax.Array
     achieved: jax.Array
     pairs: GoalPairs | None
+    goals: jax.Array | None = None
+    bonus: jax.Array | None = None
+    move: tuple | None = None
 
 
-def training_corruption(parts, env, key: jax.Array) -> Corruption | None:
-    """How images of goals are corrupted while training: not at all by default."""
-    return Corruption(key, env.train_backgrounds, parts.training_corruption) if parts.training_corruption else None
+def training_view(parts, env, augmented: bool) -> View | None:
+    """How the inputs of goals look while training: as they are, or under a background, and in updates as the learner augments them."""
+    def view(key, inputs):
+        corrupt_key, augment_key = jax.random.split(key)
+        if parts.training_corruption:
+            backgrounds = draw_backgrounds(corrupt_key, env.train_backgrounds, inputs.shape[:-3])
+            inputs = corrupt(inputs, backgrounds, parts.training_corruption)
+        return augment(augment_key, inputs) if augment else inputs
+
+    augment = parts.learner.augment if augmented else None
+    return view if parts.training_corruption or augment else None
 
 
 def usable_goals(env, record, usable: jax.Array) -> jax.Array:
@@ -85,20 +101,40 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     """Draw what one update learns from: transitions, some of them under other goals (hindsight), and goal pairs."""
     transition_key, relabel_key, pair_key = jax.random.split(key, 3)
     buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
-    row, step = replay.draw(transition_key, experience.decision_count, parts.batch_size, buffer.valid.shape[1])
+    candidates = parts.batch_size * (1 if parts.hindsight is None else parts.hindsight.candidates)
+    row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
         goal = buffer.goal[row, step]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
     if parts.hindsight is not None:
-        goal = parts.hindsight.relabel(relabel_key, experience.achievements, row, step, buffer.goal[row, step])
-    transitions = replay.transitions_at(buffer, row, step, num_steps, goal, env.reached)
-    pairs = sample_pairs(parts.learner.pairs, env, experience, pair_key) if parts.learner.pairs.num_pairs else None
-    return judged(env, experience, transitions, pairs)
+        row, step, goal = in_hindsight(parts.hindsight, experience, relabel_key, row, step)
+    drawn = judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
+    request, goals_key = parts.learner.request, jax.random.fold_in(key, 3)
+    if request.num_pairs:
+        drawn = drawn.replace(pairs=sample_pairs(request, env, experience, pair_key))
+    if request.num_goals:
+        drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (request.num_goals,)))
+    if parts.explorer is not None:
+        taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
+        place = row[:, None], taken
+        bonus = experience.bonus[buffer.observation[place], buffer.action[place]]
+        drawn = drawn.replace(bonus=bonus, move=(buffer.observation[row, step], buffer.action[row, step], buffer.observation[row, step + 1]))
+    return drawn
 
 
-def judged(env, experience: Experience, transitions: Transitions, pairs: GoalPairs | None = None) -> Sample:
+def in_hindsight(relabelling, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that they are given."""
+    relabel_key, choose_key = jax.random.split(key)
+    goal = relabelling.relabel(relabel_key, experience.hindsight, row, step, experience.buffer.goal[row, step])
+    if relabelling.choose is None:
+        return row, step, goal
+    kept = relabelling.choose(choose_key, experience.hindsight, row, step, goal)
+    return row[kept], step[kept], goal[kept]
+
+
+def judged(env, experience: Experience, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
     external = env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
-    return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs)
+    return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs=None)
 
 
 def returns(parts, params, learner_state, env, hyper, experience: Experience, drawn: Sample) -> tuple[jax.Array, Any, dict]:
@@ -109,8 +145,11 @@ def returns(parts, params, learner_state, env, hyper, experience: Experience, dr
         encode = encode_goals(parts.learner, jax.lax.stop_gradient(params["goal"]), env.goals, parts.table_limit)
     else:
         encode = experience.codes.__getitem__
-    intrinsic, learner_state = parts.learner.intrinsic_reward(learner_state, encode, batch.goal, drawn.achieved, batch.mask)
+    visited = Visited(batch.goal, drawn.achieved, env.cell_of(batch.records), batch.mask)
+    intrinsic, learner_state = parts.learner.intrinsic_reward(learner_state, encode, visited)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
+    if drawn.bonus is not None:
+        step_reward += hyper.bonus_weight * drawn.bonus
     discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
     taken = batch.mask.sum()
     metrics = {"external_reward": (external * batch.mask).sum() / taken, "intrinsic_reward": (intrinsic * batch.mask).sum() / taken}
@@ -127,24 +166,29 @@ def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
     return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
 
 
-def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, corruption, key) -> AgentBatch:
-    """The transitions as codes, each occurrence of a goal with noise of its own."""
+def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, view_key, key) -> AgentBatch:
+    """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way before and after the step."""
     keys = jax.random.split(key, 3)
     see, see_by_target = (encode_states(parts, given, env, 2 * parts.batch_size) for given in (params, target_params))
     encoded = encode_commanded if parts.hindsight is None else encode_goals  # Relabelled goals are any, and not among those commanded.
+    view = training_view(parts, env, augmented=True)
     code, target_code = (
-        encoded(parts.learner, given["goal"], env.goals, parts.table_limit, corruption)(batch.goal) for given in (params, target_params)
+        encoded(parts.learner, given["goal"], env.goals, parts.table_limit, view, view_key)(batch.goal) for given in (params, target_params)
     )
+    features, next_features, target_features = see(batch.observation), see(batch.next_observation), see_by_target(batch.next_observation)
+    next_code = conditioned(parts.learner, params["goal"], code, next_features)
+    target_code = conditioned(parts.learner, target_params["goal"], target_code, target_features)
+    code = conditioned(parts.learner, params["goal"], code, features)
     code = jax.lax.stop_gradient(code) if parts.stop_encoder_gradient else code
     return AgentBatch(
         observation=batch.observation,
         next_observation=batch.next_observation,
-        features=see(batch.observation),
+        features=features,
         code=code.sample(keys[0]),
         action=batch.action,
-        next_features=jax.lax.stop_gradient(see(batch.next_observation)),
-        next_code=jax.lax.stop_gradient(code).sample(keys[1]),
-        target_features=see_by_target(batch.next_observation),
+        next_features=jax.lax.stop_gradient(next_features),
+        next_code=jax.lax.stop_gradient(next_code).sample(keys[1]),
+        target_features=target_features,
         target_code=target_code.sample(keys[2]),
         reward=reward,
         discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
@@ -167,32 +211,53 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
     Parameters and targets of the state are vectors, `restore` makes trees of them.
     """
     learner, agent = parts.learner, parts.agent
-    loss_key, code_key, agent_key, corruption_key = jax.random.split(key, 4)
+    loss_key, code_key, agent_key, view_key = jax.random.split(key, 4)
     batch, pairs = drawn.transitions, drawn.pairs
-    corruption = training_corruption(parts, env, corruption_key)
     targets = restore(state.target_params)
     reward, learner_state, reward_metrics = returns(parts, restore(state.params), state.learner, env, hyper, experience, drawn)
 
     def total_loss(vector):
         params = restore(vector)
-        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, corruption)
-        learner_loss, learner_metrics = learner.loss(params["goal"], learner_state, encode, pairs, loss_key)
-        codes = agent_batch(parts, env, hyper, params, targets, batch, reward, corruption, code_key)
+        encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, training_view(parts, env, augmented=True), view_key)
+        codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
+        seen = LearnerBatch(encode, env.goals.inputs_of, pairs, drawn.goals, batch.goal, codes)
+        learner_loss, learner_metrics, after = learner.loss(params["goal"], learner_state, seen, hyper, loss_key)
         agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper, agent_key)
-        return agent_loss + hyper.learner_weight * learner_loss, (learner_metrics, agent_metrics | {"loss": agent_loss})
+        total, states = agent_loss + hyper.learner_weight * learner_loss, {"learner": after}
+        metrics = named("agent", agent_metrics | reward_metrics | {"loss": agent_loss}) | named(parts.method, learner_metrics)
+        if parts.explorer is not None:
+            moves = moves_of(parts, env, params, targets, drawn.move)
+            explorer_loss, explorer_metrics, after = parts.explorer.loss(params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4))
+            total, states = total + explorer_loss, states | {"explorer": after}
+            metrics |= named("explorer", explorer_metrics)
+        return total, (metrics, states)
 
-    gradient, (learner_metrics, agent_metrics) = jax.grad(total_loss, has_aux=True)(state.params)
+    gradient, (metrics, states) = jax.grad(total_loss, has_aux=True)(state.params)
     norm = jnp.linalg.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
     direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
     params = state.params - hyper.learning_rate * direction
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
-    state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state,
-                          learner=learner.update(learner_state, learner_metrics, hyper))
-    metrics = {f"agent/{name}": value for name, value in (agent_metrics | reward_metrics | {"gradient_norm": norm}).items()}
-    if pairs is not None:
-        learner_metrics |= positive_regions(pairs, env.goals.regions)
-    return state, metrics | {f"{parts.method}/{name}": value for name, value in learner_metrics.items()}
+    state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)
+    metrics |= {"agent/gradient_norm": norm}
+    return state, metrics if pairs is None else metrics | named(parts.method, positive_regions(pairs, env.goals.regions))
+
+
+def named(part: str, metrics: dict) -> dict:
+    """The metrics under the name of the part that they are about."""
+    return {f"{part}/{name}": value for name, value in metrics.items()}
+
+
+def moves_of(parts, env, params, target_params, move: tuple) -> Moves:
+    """Single steps (observation, action, next observation) [B] as an explorer sees them."""
+    observation, action, following = move
+    see, see_by_target = (encode_states(parts, given, env, 2 * parts.batch_size) for given in (params, target_params))
+    return Moves(see(observation), action, jax.lax.stop_gradient(see_by_target(following)))
+
+
+def draws_at_once(parts, count: int) -> int:
+    """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates, whose tables take memory."""
+    return count if parts.hindsight is None or parts.hindsight.choose is None else min(count, CHOICES_AT_ONCE)
 
 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
@@ -204,7 +269,7 @@ def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, co
     sample_key, update_key = jax.random.split(key)
     params, restore = ravel_pytree(state.params)
     state = state.replace(params=params, target_params=ravel_pytree(state.target_params)[0])
-    drawn = jax.vmap(lambda key: sample(parts, env, experience, key))(jax.random.split(sample_key, count))
+    drawn = jax.lax.map(lambda key: sample(parts, env, experience, key), jax.random.split(sample_key, count), batch_size=draws_at_once(parts, count))
     keys = jax.random.split(update_key, count)
     state, metrics = jax.lax.scan(lambda carry, step: update(parts, env, hyper, experience, restore, carry, *step), state, (drawn, keys))
     return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics

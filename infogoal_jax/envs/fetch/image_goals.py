@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import archives, backgrounds, goal_images
+from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch import environment, targets
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.goals import GoalSet
@@ -20,6 +21,8 @@ VELOCITY_SCALE = 0.02
 """Velocities (times 40 ms) enter the networks in units of this: a gripper at full speed moves twice as far in a step, in m."""
 FINGER_SCALE = 0.05
 """Openings of the fingers enter the networks in units of this, the widest, in m."""
+VISIT_CELL = 0.025
+"""Side of the cells in which visits are counted, in m."""
 
 
 @flax.struct.dataclass
@@ -108,6 +111,26 @@ class ImageGoals:
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the position [..., 3] lies within 5 cm of the goal's, bool [...]."""
         return self.robot.reached(record, self.positions[goal])
+
+    @property
+    def goal_positions(self) -> jax.Array:
+        """Where goals lie, float32 [N, 3] (m)."""
+        return self.positions
+
+    @property
+    def _visit_cells(self) -> Cells:
+        return Cells.over(self.space.bounds, VISIT_CELL)
+
+    @property
+    def num_cells(self) -> int:
+        """Cells in which visits are counted, and one for everywhere outside of them."""
+        return self._visit_cells.count + 1
+
+    def cell_of(self, record: jax.Array) -> jax.Array:
+        """The cell in which a visit to the position [..., 3] counts, int32 [...]."""
+        cells = self._visit_cells
+        cell = cells.of(record)
+        return jnp.where(cell < 0, cells.count, cell)
 
     def goals_of(self, record: jax.Array) -> jax.Array:
         """The grid goal nearest to each position, int32 [..., 1]; -1 where the position is more than a step outside of the grid."""

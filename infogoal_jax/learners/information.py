@@ -1,0 +1,26 @@
+"""What several learners measure of goal codes: how much they tell of a goal, and whether they tell goals apart."""
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.learners.learner import GoalCode
+
+
+def log_score(first: jax.Array, second: jax.Array) -> jax.Array:
+    """log f(z, z') of codes [..., d]: minus the mean absolute difference (the authors' score, without parameters)."""
+    return -jnp.abs(first - second).mean(-1)
+
+
+def contrastive_bound(positive: jax.Array, negative: jax.Array) -> jax.Array:
+    """log f+ / (f+ + sum f-): Theorem 3's term for log scores [B] and [B, K]. Add log(K + 1) for the InfoNCE bound on the mutual information."""
+    return positive - jax.nn.logsumexp(jnp.concatenate([positive[..., None], negative], axis=-1), axis=-1)
+
+
+def kl_to_standard_normal(code: GoalCode) -> jax.Array:
+    """KL(N(mean, std^2) || N(0, I)) in nats, summed over the last axis (Eq. 11)."""
+    return 0.5 * (code.mean**2 + code.std**2 - 1.0 - 2.0 * jnp.log(code.std)).sum(-1)
+
+
+def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
+    """Mean under weights that may all be 0 (then 0)."""
+    return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)
