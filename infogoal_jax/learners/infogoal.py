@@ -103,7 +103,7 @@ def make(config: InfoGoalConfig) -> Learner:
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of all codes that took part. Gives the next beta too."""
+        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of all codes that took part."""
         pairs = batch.pairs
         codes = [batch.encode(goals) for goals in (pairs.anchor, pairs.positive, pairs.contrast, pairs.negative)]
         keys = jax.random.split(key, 4)
