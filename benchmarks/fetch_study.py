@@ -12,24 +12,17 @@ training goals was 0.99 or more twice in a row. No other goal has a say in it. A
 
 import argparse
 import dataclasses
-import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 
-import jax
-import numpy as np
-from machine import describe_machine
+import study
 
 from infogoal_jax import presets
 from infogoal_jax.report import tables
 from infogoal_jax.report.statistics import mean_interval, paired_difference
-from infogoal_jax.train import host
-from infogoal_jax.train.listeners import make_listeners
 
 METHODS = {"none": "HRAC", "infogoal": "InfoGoal"}
 KINDS = {"train_goal": "training", "test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
-CONVERGED = 0.99  # Success on training goals, twice in a row.
 PAPER = {
     "fetch_reach": {"test_goal": (0.06, 0.91), "corrupted_test_goal": (0.09, 0.84), "corrupted_train_goal": (0.67, 0.91)},
     "fetch_push": {"test_goal": (0.48, 0.84), "corrupted_test_goal": (0.25, 0.74), "corrupted_train_goal": (0.56, 0.88)},
@@ -38,27 +31,12 @@ PAPER = {
 """Table I of the paper: HRAC and InfoGoal. It has no row for training goals."""
 
 
-def run(task: str, method: str, seeds: int, out: Path, goal_images: Path | None) -> dict:
-    """Train the preset of this task and method, and say how long it took: from the first line to the last evaluation, compiling apart."""
-    started = time.perf_counter()
+def configuration(task: str, method: str, goal_images: Path | None):
+    """The preset of this task and method, on these goal images or those that are shipped."""
     config = presets.load(task, method)
     if goal_images:
         config = dataclasses.replace(config, env=dataclasses.replace(config.env, goal_images=str(goal_images / f"{task}.npz")))
-    with make_listeners(out, config, seeds) as listeners:
-        sweep = host.run(config, list(range(seeds)), out, listeners=listeners)
-    peak = (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use")
-    return {
-        "machine": describe_machine(), "data": sweep.train.env.source, "seeds": seeds,
-        "compile_seconds": sweep.compile_seconds, "run_seconds": sweep.run_seconds, "seconds": time.perf_counter() - started,
-        "peak_bytes": peak, "diverged": list(sweep.diverged),
-    }
-
-
-def converged(values: dict[str, np.ndarray]) -> int:
-    """Position of the evaluation at which the agent has converged on the training goals; the last where it never has. values: {name: [seeds, E]}."""
-    good = values["train_goal/success_rate"].mean(0) >= CONVERGED
-    twice = np.flatnonzero(good[1:] & good[:-1])
-    return int(twice[0]) + 1 if len(twice) else len(good) - 1
+    return config
 
 
 def scores_table(folder: Path, choose: Callable[[dict], int]) -> list[str]:
@@ -82,27 +60,12 @@ def finished(folder: Path, task: str) -> dict[str, Path]:
     return {method: folder / task / method for method in METHODS if (folder / task / method / "result.json").exists()}
 
 
-def describe_run(path: Path, task: str, method: str) -> str:
-    """What a run was and what it took, as an entry of a list."""
-    result, epochs_table = json.loads((path / "result.json").read_text()), tables.read(path, "epochs")
-    epochs, count = epochs_table.last(), int(epochs_table.epochs[-1])
-    learned = {name: epochs[f"{method}/{name}"] for name in ("beta", "accuracy") if f"{method}/{name}" in epochs}
-    beta = "".join(f", {name} {mean_interval(values).show(3)} at the end" for name, values in learned.items())
-    memory = f", {result['peak_bytes'] / 2**30:.1f} GiB of device memory" if result["peak_bytes"] else ""
-    lost = f", seeds {result['diverged']} diverged" if result["diverged"] else ""
-    return (
-        f"- {task}, {METHODS[method]}: {result['seeds']} seeds, {count} epochs, {epochs['env_steps'].mean():,.0f} environment steps a seed; "
-        f"{result['seconds']:.0f} s in all, {result['compile_seconds']:.0f} of them compiling, {result['run_seconds']:.0f} running"
-        f"{memory}{lost}{beta}. {result['data']}. {result['machine']}"
-    )
-
-
 def table(folder: Path) -> str:
     """The study as Markdown: both tables, then what each run took."""
-    runs = [describe_run(path, task, method) for task in PAPER for method, path in finished(folder, task).items()]
+    runs = [study.describe_run(path, f"{task}, {METHODS[method]}", method) for task in PAPER for method, path in finished(folder, task).items()]
     return "\n".join([
         "Success rate; mean ± 95 % interval (Student t) over seeds, and of the paired difference. Corrupted goals: a background of weight 0.4.", "",
-        "After the agent has converged on the training goals:", "", *scores_table(folder, converged), "",
+        "After the agent has converged on the training goals:", "", *scores_table(folder, study.converged), "",
         "Last parameters:", "", *scores_table(folder, lambda values: -1), "", *runs,
     ]) + "\n"
 
@@ -118,10 +81,7 @@ def main():
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for method in arguments.methods:
-            out = arguments.out / task / method
-            if not (out / "result.json").exists():
-                result = run(task, method, arguments.seeds, out, arguments.goal_images)
-                (out / "result.json").write_text(json.dumps(result) + "\n")
+            study.train(configuration(task, method, arguments.goal_images), arguments.seeds, arguments.out / task / method)
     (arguments.out / "study.md").write_text(table(arguments.out))
     print(table(arguments.out))
 

@@ -11,19 +11,15 @@ last parameters, 5 starts for each goal, no random actions, the goal's code samp
 import argparse
 import dataclasses
 import json
-import sys
-import time
 from pathlib import Path
 
 import jax
-from machine import describe_machine
+import study
 
 from infogoal_jax import envs, presets
 from infogoal_jax.report import tables
 from infogoal_jax.report.statistics import mean_interval, paired_difference
-from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
-from infogoal_jax.train.listeners import make_listeners
 
 VARIANTS = {
     "object_manipulation": {"none": ("HRAC", "none", None), "infogoal": ("InfoGoal", "infogoal", None)},
@@ -50,22 +46,6 @@ def configuration(task: str, variant: str, dataset: int):
     config = presets.load(task, method, relabelling=relabelling)
     seeds = {"generator_seed": dataset} | ({"goal_seed": dataset} if task == "object_manipulation" else {})
     return dataclasses.replace(config, env=dataclasses.replace(config.env, **seeds))
-
-
-def run(task: str, variant: str, dataset: int, seeds: int, out: Path) -> dict:
-    """Train one variant on one dataset, and say how long it took, compiling apart."""
-    started, config = time.perf_counter(), configuration(task, variant, dataset)
-    with make_listeners(out, config, seeds) as listeners:
-        sweep = host.run(config, list(range(seeds)), out, resume=(out / "checkpoint").exists(), listeners=listeners)
-    if sweep.stopped:
-        sys.exit(130)
-    env = sweep.train.env
-    return {
-        "machine": describe_machine(), "data": env.source, "seeds": seeds, "diverged": list(sweep.diverged), "epochs": config.num_epochs,
-        "updates": config.num_epochs * config.updates_per_epoch, "compile_seconds": sweep.compile_seconds, "run_seconds": sweep.run_seconds,
-        "seconds": time.perf_counter() - started, "data_bytes": host.bytes_of(env),
-        "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
-    }
 
 
 def baselines(task: str, dataset: int) -> dict[str, float]:
@@ -121,10 +101,7 @@ def main():
         for dataset in arguments.datasets:
             place = arguments.out / task / str(dataset)
             for variant in VARIANTS[task] if arguments.methods is None else arguments.methods:
-                out = place / variant
-                if not (out / "result.json").exists():
-                    result = run(task, variant, dataset, arguments.seeds, out)
-                    (out / "result.json").write_text(json.dumps(result) + "\n")
+                study.train(configuration(task, variant, dataset), arguments.seeds, place / variant)
             if not (place / "baselines.json").exists():
                 (place / "baselines.json").write_text(json.dumps(baselines(task, dataset)) + "\n")
     introduction = ("Success rate of the last parameters; mean ± 95 % interval (Student t) over seeds, and of the paired difference. "

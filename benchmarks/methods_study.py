@@ -1,0 +1,113 @@
+"""Table I of the paper: every method on its tasks, five seeds each, beside the paper's numbers.
+
+    python benchmarks/methods_study.py --out FOLDER [--tasks object_search fetch_reach ...] [--methods vae her ...] [--seeds 5]
+
+Every run stays in FOLDER/TASK/METHOD with the curve of every seed; result.json beside it holds times and machine. What is there is not run again, so
+that runs may come from several machines and several processes; FOLDER/study.md is the table of all that is there: 5 or 10 starts for each goal
+(the preset's), no random actions.
+
+As in the paper, numbers are those after the agent has converged on the training goals: of the first evaluation by which the mean success on
+training goals was 0.99 or more twice in a row, or the last; a second table has the last parameters. Methods are the presets': InfoGoal's were tuned
+(docs), the others share the bare agent's settings where nothing else is said.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import study
+
+from infogoal_jax import presets
+from infogoal_jax.report import tables
+from infogoal_jax.report.statistics import mean_interval, paired_difference
+
+NAMES = {
+    "infogoal": "InfoGoal", "infobot": "InfoBot", "cogoal": "COGOAL", "gcb": "GCB", "vae": "VAE", "dgrl": "DGRL", "rad": "RAD",
+    "none": "DQN / HRAC / CQL", "her": "HER", "cher": "CHER", "ghrl": "GHRL",
+}
+KINDS = {"train_goal": "training", "test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
+TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "fetch_pick_and_place", "embodied_qa")
+PAPER = {
+    "test_goal": {
+        "infogoal": (0.93, 0.92, 0.91, 0.84, 0.90, 1.0), "infobot": (0.85, 0.84, 0.70, 0.95, 0.72, 1.0), "cogoal": (0.45, 0.42, 0.34, 0.52, 0.17),
+        "gcb": (0.41, 0.53, 0.59, 0.78, 0.61, 0.15), "vae": (0.21, 0.27, 0.22, 0.61, 0.37), "dgrl": (0.33, 0.41, 0.38, 0.70, 0.38),
+        "rad": (0.19, 0.63, 0.33, 0.65, 0.33), "none": (0.18, 0.40, 0.06, 0.48, 0.19, 0.05), "her": (0.51, 0.88, 0.59, 0.75, 0.71),
+        "cher": (0.53, 0.83, 0.48, 0.76, 0.67), "ghrl": (0.55, 0.84, 0.61, 0.81, 0.68, 0.65),
+    },
+    "corrupted_test_goal": {
+        "infogoal": (0.95, 0.84, 0.74, 0.82), "infobot": (0.79, 0.80, 0.94, 0.76), "cogoal": (0.18, 0.0, 0.17, 0.0), "gcb": (0.35, 0.10, 0.28, 0.25),
+        "vae": (0.19, 0.14, 0.51, 0.24), "dgrl": (0.25, 0.33, 0.50, 0.31), "rad": (0.44, 0.16, 0.46, 0.15), "none": (0.30, 0.09, 0.25, 0.23),
+        "her": (0.52, 0.23, 0.48, 0.38), "cher": (0.50, 0.21, 0.52, 0.35), "ghrl": (0.48, 0.22, 0.48, 0.32),
+    },
+    "corrupted_train_goal": {
+        "infogoal": (1.0, 0.91, 0.88, 0.82), "infobot": (0.88, 0.76, 0.92, 0.69), "cogoal": (0.48, 0.12, 0.31, 0.17), "gcb": (0.75, 0.13, 0.38, 0.53),
+        "vae": (1.0, 0.84, 1.0, 0.91), "dgrl": (1.0, 0.90, 0.98, 0.95), "rad": (0.66, 0.62, 0.62, 0.46), "none": (0.75, 0.67, 0.56, 0.62),
+        "her": (0.69, 0.44, 0.53, 0.44), "cher": (0.69, 0.34, 0.59, 0.50), "ghrl": (0.72, 0.42, 0.78, 0.41),
+    },
+}
+"""Table I: by kind of goals and method, the tasks in the order of `TASKS`; corrupted goals of those with image goals, in the same order."""
+
+
+def reported(kind: str, method: str, task: str) -> str:
+    """The paper's number, or nothing where its table has none."""
+    tasks = TASKS if kind == "test_goal" else TASKS[1:5]
+    found = dict(zip(tasks, PAPER.get(kind, {}).get(method, ()), strict=False))
+    return f"{found[task]:.2f}" if task in found else ""
+
+
+def task_table(folder: Path, task: str, choose: Callable[[dict], int]) -> list[str]:
+    """Rows of Markdown for one task: a row for each finished method, at the evaluation that `choose` picks."""
+    runs = {method: tables.read(folder / task / method, "evaluations") for method in NAMES if (folder / task / method / "result.json").exists()}
+    places = {method: choose(table.values) for method, table in runs.items()}
+    kinds = {kind: title for kind, title in KINDS.items() if any(f"{kind}/success_rate" in table.values for table in runs.values())}
+    columns = ["method", "epochs"]
+    for kind, title in kinds.items():
+        columns += [title] + (["paper"] if kind in PAPER else [])
+    columns.append("test, less the bare agent's")
+    lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+
+    def scores(method: str, kind: str):
+        return runs[method].values[f"{kind}/success_rate"][:, places[method]]
+
+    for method, table in runs.items():
+        cells = [NAMES[method], str(int(table.epochs[places[method]]))]
+        for kind in kinds:
+            cells += [mean_interval(scores(method, kind)).show(2)] + ([reported(kind, method, task)] if kind in PAPER else [])
+        compared = method != "none" and "none" in runs
+        cells.append(paired_difference(scores(method, "test_goal"), scores("none", "test_goal")).show(2) if compared else "")
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def report(folder: Path) -> str:
+    """The study as Markdown: for each task both tables, then what each run took."""
+    lines = ["Success rate; mean ± 95 % interval (Student t) over seeds, and of the paired difference. Corrupted goals: a background of weight 0.4.",
+             ""]
+    for task in TASKS:
+        finished = [method for method in NAMES if (folder / task / method / "result.json").exists()]
+        if not finished:
+            continue
+        lines += [f"### {task}", "", "After the agent has converged on the training goals:", "", *task_table(folder, task, study.converged), ""]
+        lines += ["Last parameters:", "", *task_table(folder, task, lambda values: -1), ""]
+        lines += [study.describe_run(folder / task / method, f"{task}, {NAMES[method]}", presets.METHODS[method].learner) for method in finished]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main():
+    """Run what is not there yet, then write the table of all that is."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=TASKS)
+    parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
+    parser.add_argument("--seeds", type=int, default=5)
+    arguments = parser.parse_args()
+    for task in arguments.tasks:
+        for method in arguments.methods:
+            study.train(presets.load(task, method), arguments.seeds, arguments.out / task / method)
+    (arguments.out / "study.md").write_text(report(arguments.out))
+    print(report(arguments.out))
+
+
+if __name__ == "__main__":
+    main()
