@@ -28,6 +28,13 @@ def patches(images: jax.Array, side: int) -> jax.Array:
     return jnp.moveaxis(cut, -4, -3).reshape(*batch, height // side, width // side, side * side * channels)
 
 
+def unpatched(values: jax.Array, side: int) -> jax.Array:
+    """The images that `patches` would cut into these: [..., H / side, W / side, side * side * C] to [..., H, W, C]."""
+    *batch, rows, columns, size = values.shape
+    squares = jnp.moveaxis(values.reshape(*batch, rows, columns, side, side, size // side**2), -3, -4)
+    return squares.reshape(*batch, rows * side, columns * side, size // side**2)
+
+
 def standardised(images: jax.Array) -> jax.Array:
     """Images [..., H, W, C] less their mean, over their standard deviation: what a background laid over an image takes away first is contrast."""
     axes = (-3, -2, -1)
@@ -80,6 +87,36 @@ class GaussianEncoder(nn.Module):
     def __call__(self, inputs):
         mean, raw = jnp.split(GoalLayers(self.hidden, 2 * self.latent_size, self.standardise)(inputs), 2, axis=-1)
         return mean, jax.nn.softplus(raw) + MINIMUM_STD
+
+
+def as_encoded(inputs: jax.Array, standardise: bool) -> jax.Array:
+    """Goal inputs in the scale in which the first layer of `GoalLayers` takes them, float32: what its counterpart is to give back."""
+    if inputs.dtype != jnp.uint8:
+        return inputs
+    values = inputs.astype(jnp.float32) / 127.5 - 1.0
+    return standardised(values) if standardise else values
+
+
+class GoalDecoder(nn.Module):
+    """The counterpart of `GoalLayers`, layer by layer in reverse: codes [..., d] to goal inputs [..., *shape] in the scale of `as_encoded`.
+
+    Vectors come out of all layers of `hidden`, images (H and W multiples of 8) out of the last of them and of two transposed convolutions without
+    overlap: 32 channels for every 8 x 8 pixels, 16 for every 4 x 4, then the pixels.
+    hidden: widths as the encoder has them; shape: [D] or [H, W, C], of one input.
+    """
+
+    hidden: tuple[int, ...]
+    shape: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self, codes):
+        if len(self.shape) == 1:
+            return MLP(self.hidden[::-1], self.shape[0])(codes)
+        height, width, channels = self.shape
+        values = nn.relu(MLP(self.hidden[-1:], height // 8 * (width // 8) * 32)(codes))
+        values = values.reshape(*values.shape[:-1], height // 8, width // 8, 32)
+        values = nn.relu(unpatched(nn.Dense(2 * 2 * 16)(values), 2))
+        return unpatched(nn.Dense(4 * 4 * channels)(values), 4)
 
 
 class PatchEncoder(nn.Module):

@@ -43,17 +43,22 @@ HINDSIGHTS: dict[tuple[str, str], dict[str, Any]] = {("embodied_qa", "her"): {"f
 ENVIRONMENTS: dict[str, dict[str, Any]] = {task: {"goals": "images"} for task in IMAGE_TASKS}
 """Fields of each task's environment that training sets."""
 
-LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
-    ("fetch_reach", "infogoal"): {"window": 5, "num_pairs": 128},
-    ("fetch_push", "infogoal"): {"window": 3, "num_pairs": 128},
-    ("fetch_pick_and_place", "infogoal"): {"window": 3, "num_pairs": 256},
-    ("object_manipulation", "infogoal"): {"window": 3, "num_pairs": 256},
-    ("embodied_qa", "infogoal"): {"window": 0, "num_pairs": 128},
-}
-"""Fields of each learner [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
-
 EVERY = "every method"
 """Stands for the methods of which nothing else is said."""
+
+SIMILAR = {
+    "fetch_reach": {"window": 5, "num_pairs": 128}, "fetch_push": {"window": 3, "num_pairs": 128},
+    "fetch_pick_and_place": {"window": 3, "num_pairs": 256}, "object_manipulation": {"window": 3, "num_pairs": 256},
+    "embodied_qa": {"window": 0, "num_pairs": 128},
+}
+"""Which goals count as similar [M]: what moves in a few steps less far than the 20 cm between test and training goals."""
+
+LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
+    **{(task, EVERY): {"standardise_images": True} for task in IMAGE_TASKS},  # For corrupted goals (docs/hrac.md).
+    **{(task, method): fields for task, fields in SIMILAR.items() for method in ("infogoal", "cogoal")},
+    **{("embodied_qa", method): {"vector_std": 1.0} for method in ("vae", "dgrl")},  # Its embeddings are scaled to numbers of the order of 1.
+}
+"""Fields of each learner."""
 
 HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_search", EVERY): {"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},
@@ -64,6 +69,7 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_manipulation", "infogoal"): {"intrinsic_weight": 3.0},
     ("embodied_qa", EVERY): {"discount": 0.95, "intrinsic_weight": 0.0, "conservative_weight": 0.02},
     ("embodied_qa", "infogoal"): {"intrinsic_weight": 1.0, "conservative_weight": 0.01},
+    **{(task, "infobot"): {"intrinsic_weight": 1.0} for task in TASKS},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""
@@ -127,7 +133,7 @@ def load(task: str, method: str = "infogoal", algorithm: str | None = None, rela
     relabelling = relabelling or parts.relabelling or RELABELLINGS.get(task, "none")
     settings = {
         "task": task, "method": parts.learner, "algorithm": algorithm, "relabelling": relabelling, "exploration": explorer, "env": env,
-        "learner": learners.entry(parts.learner).config(**LEARNERS.get((task, parts.learner), {})),
+        "learner": learners.entry(parts.learner).config(**fields_of(LEARNERS, task, parts.learner)),
         "agent": agents.entry(algorithm).config(**AGENTS.get((task, algorithm), {})),
         "hindsight": hindsight.entry(relabelling).config(**HINDSIGHTS.get((task, relabelling), {})),
         "explorer": explorers.entry(explorer).config(),
@@ -151,3 +157,33 @@ def from_dict(values: dict[str, Any]) -> TrainConfig:
 def tuplify(value: Any) -> Any:
     """Lists of JSON as the tuples that configurations hold."""
     return tuple(tuplify(item) for item in value) if isinstance(value, list) else value
+
+
+def words_of(value: Any) -> list[str]:
+    """A value as the words that follow its flag."""
+    return [str(item) for item in value] if isinstance(value, tuple) else [repr(value) if isinstance(value, float) else str(value)]
+
+
+def changed_flags(config: Any, default: Any, prefix: str = "") -> list[str]:
+    """The flags that make one configuration record of another."""
+    flags = []
+    for field in dataclasses.fields(config):
+        value, before, name = getattr(config, field.name), getattr(default, field.name), f"{prefix}{field.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            flags += changed_flags(value, before, f"{name}.")
+        elif value != before and isinstance(value, bool):
+            flags.append(f"--{name}" if value else f"--{prefix}no-{name.removeprefix(prefix)}")
+        elif value != before:
+            flags += [f"--{name}", *words_of(value)]
+    return flags
+
+
+def train_flags(config: TrainConfig) -> list[str]:
+    """What follows `infogoal train TASK` for this configuration: the inverse of `load`."""
+    name = name_of(config)
+    method = name if name in METHODS else config.method
+    default, flags = load(config.task, method), ["--method", method]
+    parts = {part: getattr(config, part) for part in ("algorithm", "relabelling", "exploration")}
+    for part, value in parts.items():
+        flags += [f"--{part}", value] if value != getattr(default, part) else []
+    return flags + changed_flags(config, load(config.task, method, **parts))

@@ -24,7 +24,8 @@ COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the f
     "data build backgrounds": data_commands.BuildBackgroundsCommand, "data download cifar10": data_commands.DownloadCifar10Command,
     "data build cube": data_commands.BuildCubeCommand, "data build shelf": data_commands.BuildShelfCommand,
     "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
-    "pretrain object_manipulation": JointPretrainConfig(),
+    "pretrain object_manipulation": JointPretrainConfig(), "methods": command_line.MethodsCommand,
+    "tune": command_line.TuneCommand(config=presets.load("object_search")),
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -107,8 +108,9 @@ def test_flags_stand_behind_their_own_command(page):
     for line in "".join(blocks(page, "console")).splitlines():
         command, _, _ = line.partition("#")
         words = command.split()
-        if words[:2] == ["infogoal", "train"]:
-            assert words[2] in envs.registry and flags_in(command) <= train_flags(), line
+        if words[:2] in (["infogoal", "train"], ["infogoal", "tune"]):
+            own = flags_of(COMMANDS["tune"]) if words[1] == "tune" else set()
+            assert words[2] in envs.registry and flags_in(command) <= train_flags() | own, line
         elif words[:1] == ["infogoal"]:
             name = max((name for name in COMMANDS if " ".join(words[1:]).startswith(name)), key=len, default=None)
             assert name and flags_in(command) <= flags_of(COMMANDS[name]), line
@@ -119,7 +121,7 @@ def test_flags_stand_behind_their_own_command(page):
 @each_page
 def test_methods_that_are_named_on_a_command_line_exist(page):
     named = set(re.findall(r"--method ([a-z]\w*)", page.read_text())) - {"my_method"}
-    assert named <= set(learners.registry)
+    assert named <= set(presets.METHODS)
 
 
 @each_page

@@ -1,48 +1,38 @@
-"""Relabelling by indices: a goal achieved later in the same episode, the right reward, nothing across an episode's end."""
+"""Relabelling in hindsight: goals are achieved later in the same episode, and rewards follow from them, whichever method chooses them."""
 
+from collections import Counter
+
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hand_made_rows import GOALS, STEPS, context, episodes, later_goals, random_rows, rows_of
 
-from infogoal_jax import hindsight, replay
+from infogoal_jax import hindsight, make_train, replay
 from infogoal_jax.errors import UserError
+from infogoal_jax.hindsight.cher import CHERConfig
+from infogoal_jax.hindsight.ghrl import GHRLConfig
 from infogoal_jax.hindsight.her import HERConfig
-from infogoal_jax.hindsight.relabelling import Achievements
 from infogoal_jax.replay import Rows
 
-ROWS, STEPS, GOALS, DRAWS = 6, 12, 9, 4000
+DRAWS = 4000
+ALWAYS = [("her", HERConfig(future_share=1.0)), ("her", HERConfig(future_share=1.0, strategy="prefix")), ("cher", CHERConfig(future_share=1.0)),
+          ("ghrl", GHRLConfig(share=1.0))]
 
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
-    """Rows of several episodes; the record of a step is the goal achieved there, -1 for none; the commanded goal is 0."""
-    random = np.random.default_rng(0)
-    valid = random.random((ROWS, STEPS)) < 0.85
-    record = np.where(random.random((ROWS, STEPS + 1)) < 0.6, random.integers(1, GOALS, (ROWS, STEPS + 1)), -1)
-    parts = {"observation": record, "record": record, "action": np.zeros((ROWS, STEPS), int), "goal": np.zeros((ROWS, STEPS), int)}
-    nothing = np.zeros((ROWS, STEPS), bool)
-    return Rows(**{name: jnp.asarray(part, jnp.int32) for name, part in parts.items()}, valid=jnp.asarray(valid), terminated=jnp.asarray(nothing),
-                truncated=jnp.asarray(nothing), decided=jnp.asarray(valid))
+    return random_rows()
 
 
-def relabelled(rows: Rows, config: HERConfig, known=None):
+def relabelled(rows: Rows, config, known=None, name: str = "her"):
     """Draws of transitions and the goals that they are given."""
-    goals = rows.record[..., None]
-    known = jnp.ones(GOALS, bool) if known is None else known
-    achievements = Achievements(goals, replay.running_count(goals[..., 0] >= 0), replay.steps_left(rows.valid), known)
+    relabelling = hindsight.entry(name).make(config)
     row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), DRAWS, STEPS)
-    goal = hindsight.entry("her").make(config).relabel(jax.random.key(1), achievements, row, step, rows.goal[row, step])
+    table = relabelling.prepare(context(rows, known=known))
+    goal = jax.jit(relabelling.relabel)(jax.random.key(1), table, row, step, rows.goal[row, step])
     return np.asarray(row), np.asarray(step), np.asarray(goal)
-
-
-def later_goals(rows: Rows, row: int, step: int) -> set[int]:
-    """Goals achieved after this step in its episode, by hand."""
-    found = set()
-    while step < STEPS and rows.valid[row, step]:
-        step += 1
-        found.add(int(rows.record[row, step]))
-    return found - {-1}
 
 
 def test_goals_are_achieved_later_in_the_same_episode(rows):
@@ -65,26 +55,82 @@ def test_shares(rows):
     assert set(relabelled(rows, HERConfig(future_share=0.0))[2].tolist()) == {0}
 
 
-def test_relabelled_transitions_end_at_the_first_hit(rows):
+@pytest.mark.parametrize(("name", "config"), ALWAYS)
+@pytest.mark.parametrize("several", [1, 3])
+def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
     """A relabelled transition ends, with reward 1, where its goal is first achieved; otherwise with its episode or after n steps."""
-    row, step, goal = relabelled(rows, HERConfig(future_share=1.0))
-    batch = replay.transitions_at(rows, row, step, 3, jnp.asarray(goal), lambda record, wanted: record == wanted)
+    rows = random_rows(several)
+    row, step, goal = relabelled(rows, config, name=name)
+    batch = replay.transitions_at(rows, row, step, 3, jnp.asarray(goal), lambda record, wanted: (record == wanted[..., None]).any(-1))
+    first = np.asarray(batch.observation)
     for i in range(300):
-        taken = 0
-        for offset in range(3):
-            if step[i] + offset >= STEPS or not rows.valid[row[i], step[i] + offset]:
-                break
+        assert goal[i] == 0 or goal[i] in later_goals(rows, row[i], step[i])
+        taken, hit = 0, False
+        while taken < 3 and not hit and step[i] + taken < STEPS and rows.valid[row[i], step[i] + taken]:
             taken += 1
-            if rows.record[row[i], step[i] + offset + 1] == goal[i]:
-                break
-        hit = bool(rows.record[row[i], step[i] + taken] == goal[i])
+            hit = goal[i] in rows.record[row[i], step[i] + taken]
         assert int(batch.mask[i].sum()) == taken and bool(batch.terminated[i]) == hit
-        assert int(batch.next_observation[i]) == int(rows.observation[row[i], step[i] + taken])
-    assert batch.terminated.any() and not batch.terminated.all()
+        assert (first[i] == rows.observation[row[i], step[i]]).all()
+        assert (batch.next_observation[i] == rows.observation[row[i], step[i] + taken]).all()
+    assert batch.terminated.any() and not batch.terminated.all() and (several > 1 or (goal == 0).any())
 
 
-@pytest.mark.parametrize("fields", [{"future_share": 1.2}, {"random_share": -0.1}, {"future_share": 0.8, "random_share": 0.3}])
-def test_shares_that_cannot_be(fields):
+@pytest.mark.parametrize("several", [1, 2])
+def test_prefixes_come_up_as_often_as_they_should(several):
+    """Each goal of an episode is equally likely, then each of its occurrences; only what lies before that occurrence is given the goal."""
+    rows, times = random_rows(several), 3000
+    relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy="prefix"))
+    places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
+    row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
+    table = relabelling.prepare(context(rows))
+    drawn = np.asarray(relabelling.relabel(jax.random.key(2), table, row, step, jnp.zeros_like(row))).reshape(-1, times)
+    for (r, t, first, last), goals in zip(places, drawn, strict=True):
+        found = [(when, int(goal)) for when in range(first, last + 1) for goal in rows.record[r, when] if goal >= 0]
+        counts, expected = Counter(goal for _, goal in found), np.zeros(GOALS)
+        for when, goal in found:
+            expected[goal if when > t else 0] += 1 / len(counts) / counts[goal]
+        expected[0] += not found
+        np.testing.assert_allclose(np.bincount(goals, minlength=GOALS) / times, expected, atol=0.05)
+
+
+def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
+    """What sets `prefix` apart: goal 1 is achieved at nine steps, goal 2 at the last; from the first step `future` draws goal 2 once in ten times."""
+    rows = rows_of(np.ones((1, 10)), np.array([[-1, *[1] * 9, 2]])[..., None])
+    shares = {}
+    for strategy in ("future", "prefix"):
+        relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
+        start = jnp.zeros(2000, jnp.int32)
+        shares[strategy] = float((relabelling.relabel(jax.random.key(0), relabelling.prepare(context(rows)), start, start, start) == 2).mean())
+    np.testing.assert_allclose([shares["future"], shares["prefix"]], [0.1, 0.5], atol=0.05)
+
+
+def test_rows_too_long_for_the_prefixes_name_the_remedy():
+    """Steps, episodes and goals are sorted by one number of 31 bits; more do not fit, and nothing is sorted wrongly in silence."""
+    rows = rows_of(np.ones((1, 600)), np.full((1, 601, 1), -1))
+    relabelling = hindsight.entry("her").make(HERConfig(strategy="prefix"))
+    relabelling.prepare(context(rows, num_goals=5000))
+    with pytest.raises(UserError, match=r"rollout_steps = 600"):
+        relabelling.prepare(context(rows, num_goals=6000))
+
+
+@pytest.mark.parametrize("config", [
+    HERConfig(future_share=1.2), HERConfig(random_share=-0.1), HERConfig(future_share=0.8, random_share=0.3), CHERConfig(future_share=1.2),
+    GHRLConfig(random_share=0.6),
+])
+def test_shares_that_cannot_be(config):
     """Shares beyond 1, or below 0, name their field."""
     with pytest.raises(UserError, match=r"hindsight\.(future|random)_share"):
-        HERConfig(**fields).check(None)
+        config.check(None)
+
+
+@pytest.mark.parametrize(("method", "changes"), [
+    ("cher", {}), ("ghrl", {"hindsight": GHRLConfig(filter="advantage")}), ("infogoal", {"relabelling": "her"}),
+])
+def test_training_goes_through(method, changes):
+    """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are reached."""
+    train = make_train(hand_made.config(method, num_epochs=1, epochs_per_evaluation=1, **changes), hand_made.environment())
+    result = jax.jit(train)(jax.random.key(0))
+    for name, values in {**result.metrics, **result.epochs}.items():
+        assert np.isfinite(values).all(), name
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.params))
+    assert result.epochs["agent/external_reward"] > 0

@@ -1,10 +1,11 @@
 """State representation and bonus, a file a method. `registry` is the one place where a new one is named."""
 
-from infogoal_jax.exploration import none
+from infogoal_jax.exploration import none, sse_db
 from infogoal_jax.registry import Entry, find
 
 registry: dict[str, Entry] = {
     "none": Entry(none.NoneConfig, none.make),
+    "sse_db": Entry(sse_db.SSEDBConfig, sse_db.make),
 }
 
 

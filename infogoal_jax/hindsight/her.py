@@ -1,13 +1,19 @@
-"""Hindsight experience replay (Andrychowicz et al. 2017): a transition is given a goal that its own episode achieved later (strategy `future`)."""
+"""Hindsight experience replay (Andrychowicz et al. 2017): a transition is given a goal that its own episode achieved later.
+
+`future` is the paper's strategy: a later step, then a goal achieved there. `prefix` is that of InfoGoal's authors for graphs: each goal that the
+episode achieved is as likely as any other however long it stayed in view, then one of its occurrences, and what lies before it is given the goal.
+"""
 
 import dataclasses
+from typing import Literal
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import pairs
+from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
-from infogoal_jax.hindsight.relabelling import Achievements, Hindsight
+from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
 from infogoal_jax.replay import Rows
 
 
@@ -19,6 +25,8 @@ class HERConfig:
     """Share that is given a goal achieved later in the same episode (four of five, as in the paper on HER)."""
     random_share: float = 0.0
     """Share that is given any known goal: mostly failures, which offline learning sees nowhere else."""
+    strategy: Literal["future", "prefix"] = "future"
+    """Whether every later step at which something was achieved is equally likely, or every goal that the episode achieved [A]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -26,6 +34,34 @@ class HERConfig:
             require(0 <= getattr(self, name) <= 1, f"hindsight.{name}", getattr(self, name), "give a share from 0 to 1")
         require(self.future_share + self.random_share <= 1, "hindsight.random_share", self.random_share,
                 f"must leave room for future_share = {self.future_share}: together at most 1")
+        require(self.strategy in ("future", "prefix"), "hindsight.strategy", self.strategy, "give future or prefix")
+
+
+@flax.struct.dataclass
+class Occurrences:
+    """What was achieved in each row, W = (T + 1) K entries sorted by episode, then by goal, then by step; an episode keeps the places that it had.
+
+    goal: int32 [R, W], N for none; step: int32 [R, W]; size: int32 [R, W], at the first occurrence of a goal in an episode how often the goal occurs
+    there, 0 elsewhere; start: int32 [R, T + 1], the first step of each step's episode.
+    """
+
+    goal: jax.Array
+    step: jax.Array
+    size: jax.Array
+    start: jax.Array
+
+
+@flax.struct.dataclass
+class Prefixes:
+    """What the strategy `prefix` draws from.
+
+    count: int32 [R * W], running count of the first occurrences; steps_left: int32 [R, T]; known: bool [N], as in `Achievements`.
+    """
+
+    occurrences: Occurrences
+    count: jax.Array
+    steps_left: jax.Array
+    known: jax.Array
 
 
 def future_record(key: jax.Array, buffer: Rows, steps_left: jax.Array, row: jax.Array, step: jax.Array):
@@ -58,15 +94,57 @@ def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step
     return jnp.where(until > before, pairs.choose_goal(choose_goal, goals), -1)
 
 
+def episode_starts(rows: Rows) -> jax.Array:
+    """The first step of the episode that each observation belongs to, int32 [R, T + 1]."""
+    begins = jnp.pad(~rows.valid, ((0, 0), (1, 0)), constant_values=True)
+    return jax.lax.cummax(jnp.where(begins, jnp.arange(begins.shape[1]), 0), axis=1)
+
+
+def occurrences(goals: jax.Array, rows: Rows, num_goals: int) -> Occurrences:
+    """Where each episode of these rows achieved each goal. goals: int32 [R, T + 1, K], padded with -1."""
+    length, several = goals.shape[1:]
+    require(length**2 * (num_goals + 1) < 2**31, "rollout_steps", length - 1, f"with {num_goals} goals too long for this relabelling: give less")
+    name = rows.episode()[..., None] * (num_goals + 1) + jnp.where(goals < 0, num_goals, goals)
+    ordered = jnp.sort((name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1)  # One number sorts faster than two.
+    name, step = ordered // length, ordered % length
+    place, goal = jnp.arange(length * several), name % (num_goals + 1)
+    first = jnp.pad(name[:, 1:] != name[:, :-1], ((0, 0), (1, 0)), constant_values=True)
+    following = jnp.pad(jnp.where(first, place, length * several)[:, 1:], ((0, 0), (0, 1)), constant_values=length * several)
+    size = jnp.where(first & (goal < num_goals), jax.lax.cummin(following, axis=1, reverse=True) - place, 0)
+    return Occurrences(goal, step, size, episode_starts(rows))
+
+
+def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array) -> jax.Array:
+    """A goal that the episode achieved, each equally likely, int32 [B]; -1 if the occurrence drawn, of all of them, does not lie after `step`."""
+    choose_goal, choose_occurrence = jax.random.split(key)
+    seen, (length, width) = table.occurrences, (table.occurrences.start.shape[1], table.occurrences.goal.shape[1])
+    several = width // length
+    begin = row * width + seen.start[row, step] * several
+    end = row * width + (step + table.steps_left[row, step] + 1) * several
+    before, until = jnp.where(begin > 0, table.count[begin - 1], 0), table.count[end - 1]
+    rank = jax.random.randint(choose_goal, row.shape, before, jnp.maximum(until, before + 1))
+    first = jnp.minimum(jnp.searchsorted(table.count, rank, side="right"), table.count.shape[0] - 1)
+    place = first + jax.random.randint(choose_occurrence, row.shape, 0, jnp.maximum(seen.size.reshape(-1)[first], 1))
+    return jnp.where((until > before) & (seen.step.reshape(-1)[place] > step), seen.goal.reshape(-1)[place], -1)
+
+
+def prefixes(context: Context) -> Prefixes:
+    """The table of the strategy `prefix`, once an epoch."""
+    achieved = context.achievements
+    seen = occurrences(achieved.goals, context.rows, achieved.known.shape[0])
+    return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)
+
+
 def make(config: HERConfig) -> Hindsight:
     """HER for goals that are indices."""
+    prepare, later_goal = {"future": (lambda context: context.achievements, future_goal), "prefix": (prefixes, prefix_goal)}[config.strategy]
 
-    def relabel_goals(key, achievements, row, step, goal):
+    def relabel_goals(key, table, row, step, goal):
         future_key, random_key, choose_key = jax.random.split(key, 3)
-        later = future_goal(future_key, achievements, row, step)
-        anything = pairs.choose_from_mask(random_key, achievements.known, goal.shape)
+        later = later_goal(future_key, table, row, step)
+        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
         share = jax.random.uniform(choose_key, goal.shape)
         goal = jnp.where((share < config.future_share) & (later >= 0), later, goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
 
-    return Hindsight(lambda context: context.achievements, relabel_goals)
+    return Hindsight(prepare, relabel_goals)

@@ -42,7 +42,7 @@ class Request(NamedTuple):
 
     num_pairs: int = 0
     window: int = 0
-    num_negatives: int = 0
+    num_negatives: int = 1
     anchored: bool = True
     dissimilar: bool = True
     num_goals: int = 0

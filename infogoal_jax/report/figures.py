@@ -8,10 +8,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
@@ -67,13 +69,9 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
 
 
 def learning_curves(subject: Subject) -> Figure:
-    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals.
-
-    Who learns offline takes no steps, and is shown against epochs.
-    """
+    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals."""
     values, groups = subject.evaluations.values, subject.train.env.goals.groups
-    offline = subject.train.env.recorded is not None
-    steps = subject.evaluations.epochs if offline else values["env_steps"].mean(0)
+    steps, steps_label = progress(subject.run.config, subject.evaluations, subject.train.env)
     panels = {
         "success rate": {f"{group}_goal/success_rate": (group, USE_TITLES[group]) for group in groups},
         "success weighted by path length (SPL)": {f"{group}_goal/spl": (group, USE_TITLES[group]) for group in groups},
@@ -87,12 +85,31 @@ def learning_curves(subject: Subject) -> Figure:
         for name, (group, title) in curves.items():
             draw_curve(axes, steps, values[name], USE_COLOURS[group], title)
         finish_share_axis(axes, label)
-        axes.set_xlabel(f"epochs of {subject.run.config.updates_per_epoch} updates, offline" if offline else "environment steps")
-        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-        axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        axes.set_xlim(0, steps[-1] * 1.02)
+        finish_progress_axis(axes, steps_label, steps[-1])
         axes.legend(loc="best")
     return figure
+
+
+def progress(config: TrainConfig, evaluations: tables.Table, env) -> tuple[np.ndarray, str]:
+    """How far training was at each evaluation [E], and in what: environment steps, or epochs for who learns offline and takes none."""
+    if env.recorded is not None:
+        return evaluations.epochs, f"epochs of {config.updates_per_epoch} updates, offline"
+    return evaluations.values["env_steps"].mean(0), "environment steps"
+
+
+def finish_progress_axis(axes: Axes, label: str, last: float) -> None:
+    """A horizontal axis for the progress of training, from nothing to `last`."""
+    axes.set_xlabel(label)
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+    axes.set_xlim(0, last * 1.02)
+
+
+def finish_length_axis(axes: Axes, longest: int) -> None:
+    """A horizontal axis for the steps that an episode may take."""
+    axes.set_xlabel("allowed episode length (steps)")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(0, longest)
 
 
 def beta_and_accuracy(subject: Subject) -> Figure | None:
@@ -149,8 +166,7 @@ def success_by_length(subject: Subject) -> Figure:
             curve = success_within(shortest, mask, longest)
             axes.plot(curve, color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
     finish_share_axis(axes, "success rate")
-    axes.set_xlabel("allowed episode length (steps)")
-    axes.set_xlim(0, longest)
+    finish_length_axis(axes, longest)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 

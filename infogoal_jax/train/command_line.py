@@ -1,4 +1,4 @@
-"""The command `infogoal`: train, pretrain, evaluate, report, data (in data_commands.py), check-fetch, video.
+"""The command `infogoal`: train, tune, methods, pretrain, evaluate, report, compare, data (in data_commands.py), check-fetch, video.
 
 A command is a dataclass; its fields are the flags (tyro).
 """
@@ -27,10 +27,14 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal train object_search --method none     the bare agent, without goal-representation learning
   infogoal train object_search --seeds 16        sixteen seeds in one program
   infogoal train object_search --resume RUN      go on from the last checkpoint of a run
+  infogoal methods                               what each method is, and which tasks and agents it goes together with
+  infogoal methods fetch_push her                whether one combination works and why not; --algorithm, --relabelling, --exploration
+  infogoal tune object_search --method vae       look for hyperparameters on validation goals; --trials 16 --seeds 2, all in one program
   infogoal pretrain fetch_push --seeds 4         train the low level that drives the robot to target states, keep the best of four seeds
   infogoal evaluate RUN                          evaluate a run's last parameters again, with other starts or another epsilon
   infogoal evaluate RUN --corruption 0.4         the same with backgrounds of another weight over the images of corrupted goals
   infogoal report RUN                            draw the figures and print the table of a run
+  infogoal compare RUN RUN --out FILE.png        draw the success of several runs of one task in one figure
   infogoal pretrain object_manipulation          the same for an arm that moves its joints by steps
   infogoal data check PATH                       list everything that is wrong with a dataset: a folder of scenes, or an image dataset's npz
   infogoal data import FOLDER CSV --out FILE.npz make an image dataset of your own images (--size 64 64, --wrap JOINT)
@@ -119,8 +123,10 @@ def train(arguments: list[str]) -> int:
         raise UserError(f"seeds = {command.seeds}: give at least 1")
     use_compilation_cache()
     from infogoal_jax.train import host
+    from infogoal_jax.train.combinations import check_combination
     from infogoal_jax.train.listeners import make_listeners
 
+    check_combination(command.config)
     config, resuming = command.config, bool(command.resume)
     seeds = list(range(command.first_seed, command.first_seed + command.seeds))
     if resuming:
@@ -142,6 +148,86 @@ def train(arguments: list[str]) -> int:
     if sweep.stopped:
         print(f"Stopped. Go on with: infogoal train {config.task} --resume {folder}")
         return 130
+    return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class TuneCommand:
+    """Look for hyperparameters by random search: all trials with all seeds in one program, scored on validation goals."""
+
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")]
+    trials: int = 16
+    """Settings that are tried; the first is the preset."""
+    seeds: int = 2
+    """Seeds of each setting."""
+    first_seed: int = 1000
+    """Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ..."""
+    space_seed: int = 0
+    """Seed of the draws from the space; methods that are to be compared have the same."""
+    fields: tuple[str, ...] = ()
+    """Hyperparameters to search, such as learning_rate discount; empty: all that matter to the method."""
+    out: str = ""
+    """Folder of the search; empty: a new one under runs/."""
+
+
+def tune(arguments: list[str]) -> int:
+    """`infogoal tune TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then)."""
+    from infogoal_jax.train import tune as search
+
+    default = search.same_budget(default_config(arguments))
+    named = bool(arguments) and not arguments[0].startswith("-")
+    arguments = without_flag(arguments[named:], "method")
+    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=arguments, default=TuneCommand(config=default))
+    config = command.config
+    folder = Path(command.out or f"runs/{config.task}-{presets.name_of(config)}-tuning-{time.strftime('%Y%m%d-%H%M%S')}")
+    if any((folder / name).exists() for name in ("config.json", "trials.jsonl", "checkpoint")):
+        raise UserError(f"out = {str(folder)!r}: holds a search or a run already; give another folder")
+    use_compilation_cache()
+    import jax
+
+    from infogoal_jax.report import tuning
+
+    seeds = range(command.first_seed, command.first_seed + command.seeds)
+    fields = tuple(field.replace("-", "_") for field in command.fields)
+    try:
+        with tuning.watching(config, command.trials, command.seeds, folder) as watch:
+            result = search.tune(config, command.trials, seeds, jax.random.key(command.space_seed), fields, watch=watch)
+    except KeyboardInterrupt:
+        print(f"Stopped. The scores until then, if there are any, are in {folder}")
+        return 130
+    tuning.print_result(result)
+    return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class MethodsCommand:
+    """Say what each method is and which tasks it goes together with; or whether one combination works."""
+
+    task: tyro.conf.Positional[str] = ""
+    """Name of a task; empty: all."""
+    method: tyro.conf.Positional[str] = ""
+    """Name of a method on that task; empty: all."""
+    algorithm: str | None = None
+    """Name of another agent than the task's own."""
+    relabelling: str | None = None
+    """Name of another relabelling than the method's own."""
+    exploration: str | None = None
+    """Name of another explorer than the method's own."""
+
+
+def methods(arguments: list[str]) -> int:
+    """`infogoal methods`; with a task and a method it is 0 where they work together and 1 where they do not."""
+    command = tyro.cli(MethodsCommand, prog="infogoal methods", args=arguments)
+    from infogoal_jax.report import methods as table
+
+    parts = (command.algorithm, command.relabelling, command.exploration)
+    if command.method:
+        return 0 if table.print_combination(command.task, command.method, *parts) else 1
+    if any(parts):
+        raise UserError(f"method = {command.method!r}: name a task and a method: infogoal methods TASK METHOD --algorithm ...")
+    if command.task:
+        presets.load(command.task)  # Refuses a name that does not exist.
+    table.print_methods((command.task,) if command.task else presets.TASKS)
     return 0
 
 
@@ -216,6 +302,25 @@ def report(arguments: list[str]) -> int:
     print_run(Path(command.run))
     for path in draw_figures(Path(command.run)):
         print(f"figure      {path}")
+    return 0
+
+
+@dataclasses.dataclass(frozen=True)
+class CompareCommand:
+    """Draw the success of several runs of one task in one figure: while training, and by the allowed length of an episode."""
+
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    """Folders of the runs, in the order in which they are named in the figure."""
+    out: str
+    """File to write; must end in .png."""
+
+
+def compare(arguments: list[str]) -> int:
+    """`infogoal compare RUN RUN ... --out FILE`."""
+    command = tyro.cli(CompareCommand, prog="infogoal compare", args=arguments)
+    from infogoal_jax.report.comparison_figures import draw_comparison
+
+    print(f"figure      {draw_comparison([Path(run) for run in command.runs], Path(command.out))}")
     return 0
 
 
@@ -296,7 +401,10 @@ def video(arguments: list[str]) -> int:
     return 0
 
 
-COMMANDS = {"train": train, "pretrain": pretrain, "evaluate": evaluate, "report": report, "data": data, "check-fetch": check_fetch, "video": video}
+COMMANDS = {
+    "train": train, "tune": tune, "methods": methods, "pretrain": pretrain, "evaluate": evaluate, "report": report, "compare": compare,
+    "data": data, "check-fetch": check_fetch, "video": video,
+}
 
 
 def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:

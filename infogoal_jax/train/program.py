@@ -28,6 +28,7 @@ from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
 from infogoal_jax.learners.learner import Encode, Example, GoalCode, Learner, conditioned, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
+from infogoal_jax.train.combinations import STEERING, check_combination
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, evaluate, has_image_goals
 from infogoal_jax.train.rollout import Policy, collect, rows_shape
 from infogoal_jax.train.update import Experience, encode_states, training_view, updates, usable_goals
@@ -158,15 +159,12 @@ def load_environment(config: TrainConfig, env: Any = None):
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
     """
     check_names(config)
-    env = envs.load(config.task, config.env) if env is None else env
-    require(hasattr(env, "goals"), "env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set: give images")
-    require(not config.training_corruption or env.train_backgrounds is not None, "training_corruption", config.training_corruption,
-            f"goals of {config.task} are no images that could be corrupted: give 0")
-    require(config.exploration == "none" or (env.discrete and env.num_observations is not None), "exploration", config.exploration,
-            f"its bonus is kept for every image and move; {config.task} has no such finite set: give none")
-    if config.algorithm == "hrac":
-        return env if isinstance(env, hierarchy.Steered) else hierarchy.steer(env, config.agent)
-    require(env.discrete, "algorithm", config.algorithm, f"{config.task} is not acted in by a choice among a few moves: give hrac")
+    if env is None:
+        check_combination(config)
+        env = envs.load(config.task, config.env)
+    check_combination(config, env)
+    if config.algorithm in STEERING and not isinstance(env, hierarchy.Steered):
+        return hierarchy.steer(env, config.agent)
     return env
 
 

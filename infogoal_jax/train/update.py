@@ -81,7 +81,7 @@ def usable_goals(env, record, usable: jax.Array) -> jax.Array:
 
 
 def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPairs:
-    """Goal pairs for the contrastive bound, as the learner's `PairRequest` asks (Algorithm 1, lines 16 to 20)."""
+    """Goal pairs for the contrastive bound, as the learner's `Request` asks (Algorithm 1, lines 16 to 20)."""
     keys = jax.random.split(key, 5)
     records = replay.sample_within_window(
         keys[0], experience.buffer, experience.achieved, experience.achieved_count, request.num_pairs, request.window
@@ -93,7 +93,11 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
     contrast = jnp.broadcast_to(anchor[:, None], (request.num_pairs, request.num_negatives))
     if not request.anchored:
         contrast = goal_pairs.choose_from_mask(keys[3], experience.known, contrast.shape)
-    negative, negative_weight = goal_pairs.sample_negatives(keys[4], experience.dissimilarity, experience.known, contrast)
+    if request.dissimilar:
+        negative, negative_weight = goal_pairs.sample_negatives(keys[4], experience.dissimilarity, experience.known, contrast)
+    else:  # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
+        negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
+        negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 

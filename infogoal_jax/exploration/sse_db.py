@@ -1,0 +1,168 @@
+"""SSE-DB, self-supervised exploration by a dynamic bottleneck (Bai et al., NeurIPS 2021).
+
+A move (s, a) is squeezed into a code z, Gaussian, that has to tell the next state and should say nothing else. What the code of a move says beyond
+N(0, I), in nats, is the bonus for trying that move. The loss shapes the state encoder too, which is shared with the agent.
+"""
+
+import dataclasses
+
+import flax.linen as nn
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.exploration.explorer import Explorer, Moves
+from infogoal_jax.learners.information import kl_to_standard_normal, weighted_mean
+from infogoal_jax.learners.learner import GoalCode
+from infogoal_jax.replay import Rows
+
+NUM_BLOCKS = 2
+MINIMUM_SCALE = 0.1  # Of predictions: exact ones would earn without end.
+SCALE_RATE = 0.1  # Of the running mean, an epoch, that normalises the bonus.
+MINIMUM_RETURN = 1e-3  # Deviation of the bonus's returns, in nats, below which there is nothing left to tell moves apart by.
+
+
+@dataclasses.dataclass(frozen=True)
+class SSEDBConfig:
+    """Sizes, of about a quarter of the original's for images of a quarter of the side, and weights of the dynamic bottleneck."""
+
+    latent_size: int = 32
+    """Size of a move's code z; the original has 128."""
+    width: int = 128
+    """Width of all layers; the original has 256."""
+    projection_size: int = 64
+    """Size of what is contrasted; the original has 128."""
+    kl_weight: float = 0.1
+    """alpha 1: weight of what a code says beyond N(0, I). 0 or more."""
+    prediction_weight: float = 0.1
+    """alpha 2: weight of the log-likelihood of the next state's features. 0 or more."""
+    contrastive_weight: float = 0.1
+    """alpha 3: weight of telling the next state apart from others (InfoNCE). 0 or more."""
+    square_root: bool = False
+    """Take the square root of the bonus, as the paper has it; the authors' code does not."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        for name in ("latent_size", "width", "projection_size"):
+            require(getattr(self, name) > 0, f"explorer.{name}", getattr(self, name), "give a whole number greater than 0")
+        for name in ("kl_weight", "prediction_weight", "contrastive_weight"):
+            require(0 <= getattr(self, name) < float("inf"), f"explorer.{name}", getattr(self, name), "give 0 or more, for example 0.1")
+
+
+@flax.struct.dataclass
+class SSEDBState:
+    """scale: running deviation of the discounted returns of the bonus, 0 before the first survey; actions: float32 [A, A], one-hot, which say how
+    many there are."""
+
+    scale: jax.Array
+    actions: jax.Array
+
+
+class MoveLayer(nn.Module):
+    """A linear layer of a vector [..., D] and an action, one-hot [..., A], beside each other."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, inputs, action):
+        return nn.Dense(self.width)(inputs) + nn.Dense(self.width, use_bias=False)(action)
+
+
+class Transition(nn.Module):
+    """g(z|s, a): features [..., F] and actions, one-hot [..., A], to mean and std of the code, [..., latent_size]. Every layer sees the action."""
+
+    width: int
+    latent_size: int
+
+    @nn.compact
+    def __call__(self, features, action):
+        hidden = nn.leaky_relu(MoveLayer(self.width)(features, action))
+        for _ in range(NUM_BLOCKS):
+            step = nn.leaky_relu(MoveLayer(self.width)(hidden, action))
+            hidden = hidden + MoveLayer(self.width)(step, action)
+        mean, raw = jnp.split(MoveLayer(2 * self.latent_size)(hidden, action), 2, axis=-1)
+        return mean, jax.nn.softplus(raw) + networks.MINIMUM_STD
+
+
+class Projection(nn.Module):
+    """Features [..., F] to what is contrasted, [..., out]."""
+
+    width: int
+    out: int
+
+    @nn.compact
+    def __call__(self, features):
+        return nn.LayerNorm()(nn.Dense(self.out)(nn.relu(nn.LayerNorm()(nn.Dense(self.width)(features)))))
+
+
+def contrast(score: jax.Array, predicted: jax.Array, followed: jax.Array) -> jax.Array:
+    """log softmax of the bilinear scores u W v / sqrt(d) of every prediction [B, d] and every next state [B, d]: [B, B], right on the diagonal."""
+    return jax.nn.log_softmax(predicted @ score @ followed.T / jnp.sqrt(predicted.shape[-1]), axis=-1)
+
+
+def discounted_returns(reward: jax.Array, valid: jax.Array, discount: jax.Array | float) -> jax.Array:
+    """The sum of what follows each step within its episode, discounted: float32 [R, T] for rewards and valid transitions [R, T]; 0 at others."""
+    def back(following, now):
+        reward, valid = now
+        total = jnp.where(valid, reward + discount * following, 0.0)
+        return total, total
+
+    return jax.lax.scan(back, jnp.zeros(len(reward)), (reward.T, valid.T), reverse=True)[1].T
+
+
+def make(config: SSEDBConfig) -> Explorer:
+    """The explorer of this configuration."""
+    transition = Transition(config.width, config.latent_size)
+    projection = Projection(config.width, config.projection_size)
+
+    def decoder(size: int) -> networks.MLP:
+        return networks.MLP((config.width, config.width), size)
+
+    def init(key, features, num_actions):
+        keys = jax.random.split(key, 3)
+        params = {
+            "transition": transition.init(keys[0], features, jnp.zeros(num_actions)),
+            "decoder": decoder(features.shape[-1]).init(keys[1], jnp.zeros(config.latent_size)),
+            "log_scale": jnp.zeros(()),
+            "projection": projection.init(keys[2], features),
+            "score": jnp.eye(config.projection_size),
+        }
+        return params, SSEDBState(jnp.zeros(()), jnp.eye(num_actions))
+
+    def code_of(params, features, action):
+        return GoalCode(*transition.apply(params["transition"], features, action))
+
+    def survey(params, state, features, rows: Rows, written, discount):
+        """Bonus KL(g(z|s, a) || N(0, I)) of every move, over the running deviation of its discounted returns in what was collected."""
+        bonus = kl_to_standard_normal(code_of(params, features[:, None], state.actions))
+        bonus = jnp.sqrt(jnp.maximum(bonus, 0.0)) if config.square_root else bonus
+        counted = rows.valid & written[:, None]
+        returns = discounted_returns(bonus[rows.observation[:, :-1], rows.action], counted, discount)
+        deviation = jnp.sqrt(weighted_mean((returns - weighted_mean(returns, counted)) ** 2, counted))
+        scale = jnp.where(state.scale > 0, state.scale + SCALE_RATE * (deviation - state.scale), deviation)
+        return bonus / jnp.maximum(scale, MINIMUM_RETURN), state.replace(scale=scale)
+
+    def loss(params, state, moves: Moves, key):
+        """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, of which the last is log softmax."""
+        code_key, prediction_key = jax.random.split(key)
+        following = jax.lax.stop_gradient(moves.next_features)
+        code = code_of(params, moves.features, state.actions[moves.action])
+        mean = decoder(following.shape[-1]).apply(params["decoder"], code.sample(code_key))
+        scale = MINIMUM_SCALE + jnp.exp(params["log_scale"])
+        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
+        drawn = GoalCode(mean, scale).sample(prediction_key)
+        followed = projection.apply(jax.lax.stop_gradient(params["projection"]), following)
+        chances = contrast(params["score"], projection.apply(params["projection"], drawn), followed)
+        metrics = {
+            "kl": kl_to_standard_normal(code).mean(),
+            "prediction_loss": surprise.mean(),
+            "contrastive_loss": -jnp.diagonal(chances).mean(),
+            # A state that several moves of the batch lead to is right wherever it stands.
+            "accuracy": (following[chances.argmax(-1)] == following).all(-1).mean(),
+        }
+        weights = {"kl": config.kl_weight, "prediction_loss": config.prediction_weight, "contrastive_loss": config.contrastive_weight}
+        return sum(weight * metrics[name] for name, weight in weights.items()), metrics, state
+
+    return Explorer(init, survey, loss)

@@ -1,0 +1,134 @@
+"""GHRL, generalized hindsight (Li, Pinto, Abbeel 2020), by approximate inverse reinforcement learning.
+
+An episode is given the goal that it is the best demonstration of: not the one that it reached first, but the one that it reached sooner than most
+other episodes did. Learned from are both its own goal and this one.
+"""
+
+import dataclasses
+from typing import Literal
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import pairs, replay
+from infogoal_jax.errors import require
+from infogoal_jax.hindsight import her
+from infogoal_jax.hindsight.relabelling import Context, Hindsight
+
+VALUES_AT_ONCE = 256  # Episodes whose first observations and goals, perhaps images, are encoded together.
+
+
+@dataclasses.dataclass(frozen=True)
+class GHRLConfig:
+    """Shares of the transitions that are given another goal, and which goals are accepted."""
+
+    share: float = 0.5
+    """Share that is given the best goal of its episode: original and relabelled are learned from equally, as in the authors' code."""
+    random_share: float = 0.0
+    """Share that is given any known goal, as in HER: mostly failures, which offline learning sees nowhere else."""
+    filter: Literal["none", "advantage"] = "none"
+    """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its start."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        for name in ("share", "random_share"):
+            require(0 <= getattr(self, name) <= 1, f"hindsight.{name}", getattr(self, name), "give a share from 0 to 1")
+        require(self.share + self.random_share <= 1, "hindsight.random_share", self.random_share,
+                f"must leave room for share = {self.share}: together at most 1")
+        require(self.filter in ("none", "advantage"), "hindsight.filter", self.filter, "give none or advantage")
+
+
+@flax.struct.dataclass
+class Table:
+    """The best goal of the episode that each step belongs to, int32 [R, T + 1], and the step at which it was first reached, -1 where there is none;
+    known: bool [N], goals that may be drawn at random."""
+
+    goal: jax.Array
+    hit: jax.Array
+    known: jax.Array
+
+
+def percentiles(returns: jax.Array) -> jax.Array:
+    """Rank of each trajectory among all by its return, for each task: [N, G] to int32 [N, G], from 0, the least, to N - 1.
+
+    Equal returns are ranked in their order, as in the authors' code.
+    """
+    return returns.argsort(axis=0, stable=True).argsort(axis=0).astype(jnp.int32)
+
+
+def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
+    """The task that each trajectory ranks highest in; of equal ranks that of the greatest preference, its return or advantage, then the first.
+
+    ranks, preference: [N, G]. Returns int32 [N].
+    """
+    return jnp.where(ranks == ranks.max(1, keepdims=True), preference, -jnp.inf).argmax(1).astype(jnp.int32)
+
+
+def best_goals(context: Context) -> Table:
+    """The goal that each episode reached better than most: the rule of `percentiles` and `choose_task`, with two differences.
+
+    Only goals that the episode reached can be chosen: with rewards so sparse the authors' code may choose one never reached, by the order of zeros.
+    And equal returns have equal ranks, the number of episodes with a smaller return, so that nothing hangs on their order; then there is no need to
+    sort, only to count hits by goal and delay. All that is stored is counted: the authors stop at 500 trajectories, as they work each reward out.
+    Where the episode began is not counted as reached: no transition led there. A row that ends cuts its last episode in two.
+    """
+    rows, achieved = context.rows, context.achievements
+    num_rows, length, several = achieved.goals.shape
+    num_goals = achieved.known.shape[0]
+    led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # By a transition.
+    seen = her.occurrences(jnp.where(led_to[..., None], achieved.goals, -1), rows, num_goals)
+    first, start = seen.size > 0, jnp.repeat(seen.start, several, axis=1)
+    delay = jnp.where(first, seen.step - start, 0)  # Transitions until the goal was reached, from 1.
+    hits = jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
+    num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
+    rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]  # Episodes that were slower, or never got there.
+
+    score = jnp.where(first, rank * length - delay, -length)  # Of equal ranks the greater return, which came sooner.
+    episode = (jnp.arange(num_rows)[:, None] * length + start).reshape(-1)
+
+    def over_episodes(reduce, values):
+        return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(first.shape)
+
+    best = first & (score == over_episodes(jax.ops.segment_max, score))
+    goal = over_episodes(jax.ops.segment_min, jnp.where(best, seen.goal, num_goals))  # Then the first goal.
+    hit = over_episodes(jax.ops.segment_max, jnp.where(best & (seen.goal == goal), seen.step, -1))
+    goal, hit = goal[:, ::several], hit[:, ::several]  # An episode has all places of its steps, in order.
+    return Table(jnp.where(hit >= 0, goal, -1), hit, achieved.known)
+
+
+def accepted(context: Context, table: Table) -> jax.Array:
+    """Whether an episode's return for its best goal is no less than the value of the policy at its start: bool [R, T + 1], at that start."""
+    shape = table.hit.shape
+    starts = her.episode_starts(context.rows) == jnp.arange(shape[1])
+    count = replay.running_count(starts & (table.hit >= 0))
+
+    def some(number, passed):
+        rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE)
+        place = jnp.searchsorted(count, rank, side="right")  # Beyond the end for ranks that there are not: dropped below.
+        row, step = jnp.unravel_index(jnp.minimum(place, count.shape[0] - 1), shape)
+        value = context.value(jax.tree.map(lambda leaf: leaf[row, step], context.rows.observation), jnp.maximum(table.goal[row, step], 0))
+        return passed.at[place].set(context.discount ** (table.hit[row, step] - step - 1) >= value, mode="drop")
+
+    chunks = (count[-1] + VALUES_AT_ONCE - 1) // VALUES_AT_ONCE
+    return jax.lax.fori_loop(0, chunks, some, jnp.zeros(count.shape[0], bool)).reshape(shape)
+
+
+def make(config: GHRLConfig) -> Hindsight:
+    """GHRL for goals that are indices. A transition after its episode first reached the goal keeps its own: reaching a goal ends an episode."""
+
+    def prepare(context):
+        table = best_goals(context)
+        if config.filter == "none":
+            return table
+        start = her.episode_starts(context.rows)
+        return table.replace(hit=jnp.where(jnp.take_along_axis(accepted(context, table), start, axis=1), table.hit, -1))
+
+    def relabel(key, table, row, step, goal):
+        random_key, choose_key = jax.random.split(key)
+        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+        share = jax.random.uniform(choose_key, goal.shape)
+        goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
+        return jnp.where(share >= 1.0 - config.random_share, anything, goal)
+
+    return Hindsight(prepare, relabel)

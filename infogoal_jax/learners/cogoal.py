@@ -1,0 +1,63 @@
+"""COGOAL (Zou & Suzuki, ICONIP 2021): a deterministic goal code in which goals that are achieved close together in time lie close together.
+
+Codes of goals achieved within a window of one trajectory are pulled together against goals drawn at random: the contrastive bound of InfoGoal
+without noise, without compression and without knowledge of which goals are dissimilar. The loss follows how the later paper describes it, since
+the full text was not at hand (docs/infogoal.md on the bound itself).
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+from infogoal_jax.errors import require
+from infogoal_jax.learners import none
+from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
+from infogoal_jax.learners.learner import Learner, LearnerBatch, Request
+
+
+@dataclasses.dataclass(frozen=True)
+class CoGoalConfig(none.NoneConfig):
+    """Sizes of the plain goal encoder, and of the contrastive loss on its codes."""
+
+    window: int = 4
+    """Steps within which two achieved goals count as similar, as InfoGoal's."""
+    num_pairs: int = 256
+    """Positive pairs in an update, as InfoGoal's."""
+    num_negatives: int = 1
+    """Negatives for each positive pair, drawn at random among the known goals."""
+    norm_penalty: float = 1e-5
+    """Weight of the mean squared norm of the codes: without noise nothing else keeps distances from growing for ever. 0 turns it off."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        super().check(config)
+        for name in ("num_pairs", "num_negatives"):
+            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(0 <= self.window <= config.env.episode_length, "learner.window", self.window,
+                f"must lie between 0 and the episode length, {config.env.episode_length}")
+        require(self.norm_penalty >= 0, "learner.norm_penalty", self.norm_penalty, "give 0 or more, for example 1e-5")
+
+
+def make(config: CoGoalConfig) -> Learner:
+    """The COGOAL learner for this configuration."""
+
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """Minus the contrastive bound (Eq. 13 of InfoGoal with std = 0 and beta = 0), plus the penalty on the codes' norms."""
+        pairs = batch.pairs
+        anchor, positive, negative = (batch.encode(goals).mean for goals in (pairs.anchor, pairs.positive, pairs.negative))
+        log_positive, log_negative = log_score(anchor, positive), log_score(anchor[:, None], negative)
+        weights = pairs.positive_weight[:, None] * pairs.negative_weight
+        bound = contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf))
+        contrastive = -weighted_mean(bound, weights.max(1))
+        took_part = ((anchor, pairs.positive_weight), (positive, pairs.positive_weight), (negative, weights))
+        squared_norm = sum(weighted_mean((code**2).sum(-1), weight) for code, weight in took_part) / len(took_part)
+        metrics = {
+            "contrastive": contrastive,
+            "accuracy": weighted_mean(log_positive[:, None] > log_negative, weights),  # As InfoGoal's Eq. 14: ties count as wrong.
+            "code_norm": jnp.sqrt(squared_norm),
+            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),  # Always told apart: codes have no noise.
+        }
+        return contrastive + config.norm_penalty * squared_norm, metrics, state
+
+    request = Request(config.num_pairs, config.window, config.num_negatives, dissimilar=False)
+    return none.make(config)._replace(loss=loss, request=request)

@@ -1,0 +1,176 @@
+"""Discrete goal codes (DGRL: Islam et al. 2022, "Discrete Factorial Representations as an Abstraction for Goal Conditioned RL").
+
+A code that reconstructs the goal is cut into segments, and each segment is replaced by the nearest vector of one codebook (van den Oord et al. 2017):
+goals share the parts that they are made of. Gradients pass the replacement as if it were not there.
+"""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.learners import vae
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
+
+USAGE_RATE = 0.01  # Rate of the running share of segments that each code vector stands for.
+PATIENCE = 100  # Updates after which a code vector that nothing was nearest to is revived.
+INITIAL_GOALS = 256  # Whose segments the codebook is drawn from: a large set of images cannot be encoded at once.
+INITIAL_NOISE = 0.01  # Of the first code vectors, in standard deviations of the segments: no two are the same.
+
+
+@dataclasses.dataclass(frozen=True)
+class DGRLConfig:
+    """Sizes of encoder, decoder and codebook; the encoder is that of the other methods."""
+
+    latent_size: int = 32
+    """Size of the goal code."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers; the decoder has them in reverse."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
+    num_goals: int = 64
+    """Known goals, desired and achieved ones, that are reconstructed in an update."""
+    factors: int = 8
+    """Segments that a code is cut into [R]."""
+    codes: int = 64
+    """Vectors in the codebook that all segments share [R]."""
+    commitment: float = 0.25
+    """Weight of what pulls a segment to its code vector [M]."""
+    revival: float = 1.0
+    """Weight of what pulls code vectors that are nearest to nothing back to the segments; 0: they stay lost."""
+    vector_std: float = 0.05
+    """Standard deviation of the decoder for goals that are vectors, as in the VAE: sets the weight of their reconstruction."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        for name in ("latent_size", "num_goals", "factors", "codes"):
+            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        require(self.latent_size % self.factors == 0, "learner.factors", self.factors, f"must divide learner.latent_size, {self.latent_size}")
+        for name in ("commitment", "revival"):
+            require(getattr(self, name) >= 0, f"learner.{name}", getattr(self, name), "give 0 or more")
+        require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")
+
+
+@flax.struct.dataclass
+class DGRLState:
+    """usage: float32 [codes], running share of the segments that each code vector stands for; idle: int32 [codes], updates since it last stood for
+    one. home: float32 [codes, d / factors], where among the segments a code vector is revived, in their standard deviations from their mean."""
+
+    usage: jax.Array
+    idle: jax.Array
+    home: jax.Array
+
+
+def squared_distance(first: jax.Array, second: jax.Array) -> jax.Array:
+    """Of all vectors [..., N, D] to all vectors [M, D]: [..., N, M]."""
+    return ((first[..., :, None, :] - second) ** 2).sum(-1)
+
+
+def nearest(segments: jax.Array, codebook: jax.Array) -> jax.Array:
+    """The number of the code vector [codes, D] nearest to each segment [..., D]: int32 [...]."""
+    return squared_distance(segments, codebook).argmin(-1)
+
+
+def straight_through(segments: jax.Array, vectors: jax.Array) -> jax.Array:
+    """The code vectors, exactly, with the gradient of the segments that they replace; none reaches the codebook."""
+    return jax.lax.stop_gradient(vectors) + (segments - jax.lax.stop_gradient(segments))
+
+
+def distances_to_codes(segments: jax.Array, vectors: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """|sg[y] - e|^2 and |y - sg[e]|^2, means over segments [..., D] (van den Oord et al., Eq. 3): one trains codes, the other segments."""
+    codebook_loss = ((jax.lax.stop_gradient(segments) - vectors) ** 2).sum(-1).mean()
+    commitment_loss = ((segments - jax.lax.stop_gradient(vectors)) ** 2).sum(-1).mean()
+    return codebook_loss, commitment_loss
+
+
+def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, state: DGRLState) -> jax.Array:
+    """Pulls each code vector that nothing was nearest to for `PATIENCE` updates to a segment; reaches no other code vector, and no segment.
+
+    It is a segment, of [N, D], near the code vector's home, and rather one that is far from its own code vector. Homes are spread like the segments
+    and stay where they are, so that lost vectors neither end up in one place nor follow the draws of a batch.
+    """
+    segments = jax.lax.stop_gradient(segments)
+    error = ((segments - jax.lax.stop_gradient(codebook)[indices]) ** 2).sum(-1)
+    home = segments.mean(0) + segments.std(0) * state.home
+    distance = squared_distance(home, segments) / (error + error.mean() + 1e-12)
+    pull = ((codebook - segments[distance.argmin(1)]) ** 2).sum(-1)
+    return ((state.idle >= PATIENCE) * pull).mean()
+
+
+def after_use(state: DGRLState, indices: jax.Array) -> DGRLState:
+    """The state after these code vectors, int32 [N], stood for segments."""
+    count = jnp.zeros_like(state.usage).at[indices].add(1.0)
+    usage = state.usage + USAGE_RATE * (count / indices.size - state.usage)
+    return state.replace(usage=usage, idle=jnp.where(count > 0, 0, state.idle + 1))
+
+
+def perplexity(usage: jax.Array) -> jax.Array:
+    """How many code vectors would be as varied if all were used alike: exp of the entropy of the shares of use [codes], which need not sum to 1."""
+    share = usage / usage.sum()
+    return jnp.exp(-jax.scipy.special.xlogy(share, share).sum())
+
+
+def encoder_of(config: DGRLConfig) -> networks.GoalLayers:
+    """The network that gives codes before they are made discrete."""
+    return networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
+
+
+def segments_of(config: DGRLConfig, encoder_params, goal_inputs: jax.Array) -> jax.Array:
+    """Codes of goal inputs [..., *input] before they are made discrete, in segments: [..., factors, d / factors]."""
+    codes = encoder_of(config).apply(encoder_params, goal_inputs)
+    return codes.reshape(*codes.shape[:-1], config.factors, -1)
+
+
+def indices_of(config: DGRLConfig, params: dict, goal_inputs: jax.Array) -> jax.Array:
+    """The discrete codes of goal inputs [..., *input]: the numbers of their code vectors, int32 [..., factors]."""
+    return nearest(segments_of(config, params["encoder"], goal_inputs), params["codebook"])
+
+
+def make(config: DGRLConfig) -> Learner:
+    """The learner of discrete codes that reconstruct the goal."""
+
+    def init(key, example, hyper):
+        """The first code vectors are segments of goals, so that none is far from all of them."""
+        keys = jax.random.split(key, 6)
+        inputs = example.goal_inputs
+        encoder_params = encoder_of(config).init(keys[0], inputs[:1])
+        if len(inputs) > INITIAL_GOALS:
+            inputs = inputs[jax.random.choice(keys[1], len(inputs), (INITIAL_GOALS,), replace=False)]
+        segments = segments_of(config, encoder_params, inputs).reshape(-1, config.latent_size // config.factors)
+        chosen = segments[jax.random.choice(keys[2], len(segments), (config.codes,), replace=len(segments) < config.codes)]
+        noise = INITIAL_NOISE * segments.std(0) * jax.random.normal(keys[3], chosen.shape)
+        decoder_params = vae.init_decoder(keys[4], config.hidden, config.latent_size, inputs)
+        params = {"encoder": encoder_params, "decoder": decoder_params, "codebook": chosen + noise}
+        state = DGRLState(jnp.zeros(config.codes), jnp.zeros(config.codes, jnp.int32), jax.random.normal(keys[5], chosen.shape))
+        return params, state
+
+    def encode(params, goal_inputs):
+        segments = segments_of(config, params["encoder"], goal_inputs)
+        vectors = params["codebook"][nearest(segments, params["codebook"])]
+        return GoalCode(straight_through(segments, vectors).reshape(*segments.shape[:-2], config.latent_size))
+
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """Reconstruction from the discrete code, in the VAE's scale, plus the distances between segments and code vectors (Islam et al.), plus the
+        revival of lost code vectors, which stands in for the usual replacement: parameters are changed by their gradient alone."""
+        inputs = batch.inputs_of(batch.goals)
+        segments = segments_of(config, params["encoder"], inputs)
+        indices = nearest(segments, params["codebook"])
+        vectors = params["codebook"][indices]
+        code = straight_through(segments, vectors).reshape(len(inputs), -1)
+        error = vae.squared_error(params["decoder"], config.hidden, code, inputs, config.standardise_images)
+        size = inputs[0].size
+        reconstruction = vae.negative_log_likelihood(error, inputs, config.vector_std).mean() / size
+        codebook_loss, commitment_loss = distances_to_codes(segments, vectors)
+        revival = revival_loss(params["codebook"], segments.reshape(indices.size, -1), indices.reshape(-1), state)
+        state = after_use(state, indices.reshape(-1))
+        metrics = {
+            "reconstruction_error": error.mean() / size, "codebook_loss": codebook_loss, "commitment_loss": commitment_loss,
+            "codes_used": (state.idle < PATIENCE).sum().astype(jnp.float32), "perplexity": perplexity(state.usage),
+        }
+        return reconstruction + codebook_loss + config.commitment * commitment_loss + config.revival * revival, metrics, state
+
+    return Learner(init, encode, loss, Request(num_goals=config.num_goals))

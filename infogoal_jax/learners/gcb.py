@@ -1,0 +1,136 @@
+"""GCB, goal-conditioned bisimulation (Hansen-Estruch, Zhang, Nair, Yin, Levine 2022): pairs of state and goal are alike if they pay alike.
+
+A paired code phi(s, g) is as far from another as their rewards differ, plus as far as the pairs that follow lie apart. It is then split in two,
+psi(g) - psi(s), and that difference is the goal's code for the policy: what is left to do. Where rewards are sparse most target distances are 0, and
+the paired codes may collapse into one: watch the metric `code_spread`.
+
+Two things differ from the authors' code. There the encoders of this method are its own; here the state encoder belongs to the agent, whose loss alone
+trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors take phi(g, g) from the
+target of psi, so that nothing is left to do at the goal; here a goal may be a text or a picture of an object while a state is a view from the robot:
+there is no pair (g, g), and the target of psi is phi(s, g) itself.
+"""
+
+import dataclasses
+from typing import Literal
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import optax
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch
+
+
+@dataclasses.dataclass(frozen=True)
+class GCBConfig:
+    """Sizes and switches of GCB; the goal encoder's are those of every method."""
+
+    latent_size: int = 32
+    """Size d of the goal code, and of the paired code."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers, and of those that the paired code sees the goal through."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
+    paired_hidden: tuple[int, ...] = (128, 128)
+    """Widths of the layers that join state and goal to the paired code, and of those of psi(s)."""
+    reward_weight: float = 1.0
+    """Weight c_r of the gap between rewards in the target distance; 1 in the authors' code."""
+    policy_input: Literal["difference", "goal"] = "difference"
+    """What the policy is given: `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
+        for name, widths in (("hidden", "128 128 128"), ("paired_hidden", "128 128")):
+            require(all(width > 0 for width in getattr(self, name)), f"learner.{name}", getattr(self, name),
+                    f"give widths greater than 0, for example {widths}")
+        require(self.reward_weight > 0, "learner.reward_weight", self.reward_weight, "give a number greater than 0: 0 makes all pairs alike")
+        require(self.policy_input in ("difference", "goal"), "learner.policy_input", self.policy_input, "give difference or goal")
+
+
+class PairedEncoder(nn.Module):
+    """phi(s, g): features [..., B, F] of states and inputs of goals [B, ...] to [..., B, out].
+
+    A linear layer brings the features to the size of the goal's code, so that neither outweighs the other where the two are joined.
+    """
+
+    hidden: tuple[int, ...]
+    paired_hidden: tuple[int, ...]
+    out: int
+    standardise: bool
+
+    @nn.compact
+    def __call__(self, features, goal_inputs):
+        goal = networks.GoalLayers(self.hidden, self.out, self.standardise)(goal_inputs)
+        state = nn.Dense(self.out)(features)
+        return networks.MLP(self.paired_hidden, self.out)(jnp.concatenate([state, jnp.broadcast_to(goal, state.shape)], axis=-1))
+
+
+def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax.Array, partner: jax.Array, reward_weight: float) -> jax.Array:
+    """How far apart paired codes should lie (Hansen-Estruch et al., the goal-conditioned bisimulation metric), [B], without gradient.
+
+    c_r h(r_i - r_j) + || discount_i phi'_i - discount_j phi'_j ||_2, where h is the Huber loss (smooth L1) and phi' = phi(s', g) [B, d].
+    partner: int32 [B], j for each i. For equal discounts this is the authors' gamma || phi'_i - phi'_j ||. A transition that terminated has
+    discount 0 and no successor: two of them differ by their rewards alone, and one of them lies discount || phi' || from another that goes on.
+    """
+    rewards, following = jax.lax.stop_gradient((rewards, discounts[:, None] * following))
+    gap = optax.huber_loss(rewards, rewards[partner])
+    return reward_weight * gap + jnp.linalg.norm(following - following[partner], axis=-1)
+
+
+def paired_loss(codes: jax.Array, target: jax.Array, partner: jax.Array) -> jax.Array:
+    """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]; the norm sums over d, so that distances grow with d."""
+    gap = codes - codes[partner]
+    distance = (gap * jnp.sign(gap)).sum(-1)  # The slope of jnp.abs at 0 is 1, which would drive equal codes apart in one direction.
+    return ((distance - target) ** 2).mean()
+
+
+def difference_loss(difference: jax.Array, paired: jax.Array, grounding: jax.Array | float = 0.0) -> jax.Array:
+    """L_psi = mean over pairs and d of (psi(g) - psi(s) - sg[phi(s, g) - grounding])^2; the authors' grounding is phi(g, g)."""
+    return ((difference - jax.lax.stop_gradient(paired - grounding)) ** 2).mean()
+
+
+def code_spread(codes: jax.Array) -> jax.Array:
+    """Standard deviation of codes [B, d] over their 1-norm, times sqrt(d) (authors' code): 0 if all are one, 1.25 / sqrt(d) for Gaussian noise."""
+    size = jnp.abs(codes).sum(-1, keepdims=True)
+    return jnp.sqrt(codes.shape[-1]) * (codes / jnp.maximum(size, 1e-12)).std(0, ddof=1).mean()
+
+
+def make(config: GCBConfig) -> Learner:
+    """The GCB learner for this configuration."""
+    encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
+    state_head = networks.MLP(config.paired_hidden, config.latent_size)
+    paired = PairedEncoder(config.hidden, config.paired_hidden, config.latent_size, config.standardise_images)
+
+    def init(key, example, hyper):
+        keys = jax.random.split(key, 3)
+        goal_inputs, features = example.goal_inputs[:1], example.features[None]
+        params = {
+            "encoder": encoder.init(keys[0], goal_inputs), "state_head": state_head.init(keys[1], features),
+            "paired": paired.init(keys[2], features, goal_inputs),
+        }
+        return params, ()
+
+    def encode(params, goal_inputs):
+        """psi(g)."""
+        return GoalCode(encoder.apply(params["encoder"], goal_inputs))
+
+    def condition(params, code, features):
+        """psi(g) - psi(s)."""
+        return GoalCode(code.mean - state_head.apply(params["state_head"], features))
+
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """L_phi of each transition with another of the batch, plus L_psi. Rewards and discounts are those that the agent learns from, of n steps."""
+        transitions = batch.transitions
+        features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
+        codes, next_codes = paired.apply(params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired))
+        partner = jax.random.permutation(key, len(codes))
+        target = bisimulation_target(transitions.reward, next_codes, transitions.discount, partner, config.reward_weight)
+        paired_error = paired_loss(codes, target, partner)
+        psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes)
+        metrics = {"paired_loss": paired_error, "psi_loss": psi_error, "target": target.mean(), "code_spread": code_spread(codes)}
+        return paired_error + psi_error, metrics, state
+
+    return Learner(init, encode, loss, condition=condition if config.policy_input == "difference" else None)

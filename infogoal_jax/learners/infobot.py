@@ -1,0 +1,96 @@
+"""InfoBot (Goyal et al. 2019): a goal code that costs the policy something for every bit that it uses of the goal.
+
+The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is held constant. An intrinsic reward leads to states that were seldom
+visited, the more so the more the code tells of the goal. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone;
+`state_conditioned` is the original form p(z | s, g).
+"""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.learners import none
+from infogoal_jax.learners.information import kl_to_standard_normal
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
+
+SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward, as InfoGoal's.
+
+
+@dataclasses.dataclass(frozen=True)
+class InfoBotConfig(none.NoneConfig):
+    """Sizes and switches of InfoBot. Its beta is a hyperparameter, `fixed_beta`: constant from the first update on."""
+
+    state_conditioned: bool = False
+    """Let the code depend on the state too, p(z | s, g) of the original; the comparisons of InfoGoal's paper encode the goal alone."""
+
+
+@flax.struct.dataclass
+class InfoBotState:
+    """counts: float32 [num_cells], visits to each cell; scale: running mean of the KL of desired goals, which normalises the intrinsic reward."""
+
+    counts: jax.Array
+    scale: jax.Array
+
+
+def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Array:
+    """Counts [num_cells] with these visits: cell int32 [R, T], of which only those that are valid, bool [R, T], happened."""
+    return counts.at[cell].add(valid.astype(counts.dtype))
+
+
+def make(config: InfoBotConfig) -> Learner:
+    """The InfoBot learner for this configuration."""
+    kind = networks.GoalLayers if config.state_conditioned else networks.GaussianEncoder
+    encoder = kind(config.hidden, config.latent_size, config.standardise_images)
+    joint_encoder = networks.GaussianEncoder(config.hidden[-1:], config.latent_size)
+
+    def init(key, example, hyper):
+        goal_key, joint_key = jax.random.split(key)
+        first, scale = example.goal_inputs[:1], jnp.ones(())
+        params = {"encoder": encoder.init(goal_key, first)}
+        if config.state_conditioned:
+            params["joint"] = joint_encoder.init(joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size)))
+        else:
+            scale = kl_to_standard_normal(encode(params, first)).mean()  # Near that of any goal, so that the mean need not run in from afar.
+        return params, InfoBotState(counts=jnp.zeros(example.num_cells), scale=scale)
+
+    def encode(params, goal_inputs):
+        """phi(g); of the state-conditioned form its half that sees the goal, which has no noise yet."""
+        encoded = encoder.apply(params["encoder"], goal_inputs)
+        return GoalCode(encoded) if config.state_conditioned else GoalCode(*encoded)
+
+    def condition(params, code: GoalCode, features):
+        """p(z | s, g). Gradients go through both halves: the KL and the agent's loss shape the state's encoder as well as the goal's."""
+        return GoalCode(*joint_encoder.apply(params["joint"], jnp.concatenate([features, code.mean], axis=-1)))
+
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """beta KL(p(z | s, g) || N(0, I)) of the desired goals (InfoBot's bound on I(A; G | S)), in bits, the scale of the authors' 0.01."""
+        code = batch.encode(batch.desired)
+        if config.state_conditioned:
+            code = condition(params, code, batch.transitions.features)
+        kl = kl_to_standard_normal(code).mean()
+        metrics = {  # The KL in nats, as InfoGoal reports it.
+            "kl": kl, "beta": jnp.asarray(hyper.fixed_beta, jnp.float32), "visited_cells": (state.counts > 0).sum(),
+        }
+        return hyper.fixed_beta * kl / jnp.log(2.0), metrics, state
+
+    def intrinsic_reward(state, encode: Encode, visited: Visited):
+        """KL(phi(g) || N(0, I)), over its running mean, over sqrt(c(s)), c(s) = 1 + the visits counted so far where each step led.
+
+        It is of the order of 1 in a new cell; its weight kappa is `intrinsic_weight / episode_length`: with 1, and 100 steps, 0.01. The KL of
+        the state-conditioned form is not known here, for want of the features of every state: visits alone are counted, as if it were its mean.
+        """
+        rarity = jax.lax.rsqrt(state.counts[visited.cell] + 1.0)
+        if config.state_conditioned:
+            return rarity, state
+        kl = jax.lax.stop_gradient(kl_to_standard_normal(encode(visited.desired)))
+        state = state.replace(scale=state.scale + SCALE_RATE * (kl.mean() - state.scale))
+        return kl[:, None] / jnp.maximum(state.scale, 1e-6) * rarity, state
+
+    def observe(state, cell, valid):
+        return state.replace(counts=count_visits(state.counts, cell, valid))
+
+    return Learner(
+        init, encode, loss, intrinsic_reward=intrinsic_reward, observe=observe, condition=condition if config.state_conditioned else None)

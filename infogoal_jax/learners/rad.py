@@ -1,0 +1,62 @@
+"""RAD, reinforcement learning with augmented data (Laskin et al. 2020), applied to the inputs of goals: a plain encoder that sees each goal varied.
+
+Images are shifted by a few pixels, vectors of text are scaled as a whole. There is no loss of its own: the agent's updates see varied goals, while
+acting and evaluation see goals as they are.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.errors import require
+from infogoal_jax.learners import none
+from infogoal_jax.learners.learner import Learner
+
+
+@dataclasses.dataclass(frozen=True)
+class RADConfig(none.NoneConfig):
+    """Sizes of the plain goal encoder, and how far its inputs are varied."""
+
+    shift: int = 4
+    """Pixels by which an image is shifted at most along each axis; zeros come in from outside of it. 0 turns shifts off."""
+    amplitude_low: float = 0.6
+    """Least factor by which a vector is scaled, as for some tasks of the paper on RAD. Greater than 0."""
+    amplitude_high: float = 1.2
+    """Greatest factor by which a vector is scaled."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        super().check(config)
+        require(self.shift >= 0, "learner.shift", self.shift, "give a whole number of pixels, 0 or more")
+        require(self.amplitude_low > 0, "learner.amplitude_low", self.amplitude_low, "give a factor greater than 0, for example 0.6")
+        require(self.amplitude_low <= self.amplitude_high, "learner.amplitude_high", self.amplitude_high,
+                f"must not be below amplitude_low = {self.amplitude_low}")
+
+
+def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
+    """Images [..., H, W, C], each moved over zeros by its own draw, whole pixels uniform in [-shift, shift] along both axes (random translate)."""
+    *batch, height, width, channels = images.shape
+    padded = jnp.pad(images, [(0, 0)] * len(batch) + [(shift, shift), (shift, shift), (0, 0)])
+    corners = jax.random.randint(key, (*batch, 2), 0, 2 * shift + 1)
+
+    def cut(image, corner):
+        return jax.lax.dynamic_slice(image, (corner[0], corner[1], 0), (height, width, channels))
+
+    return jax.vmap(cut)(padded.reshape(-1, *padded.shape[-3:]), corners.reshape(-1, 2)).reshape(images.shape)
+
+
+def scaled(key: jax.Array, vectors: jax.Array, low: float, high: float) -> jax.Array:
+    """Vectors [..., D], each multiplied as a whole by its own factor, uniform in [low, high) (random amplitude scaling): its direction stays."""
+    return vectors * jax.random.uniform(key, (*vectors.shape[:-1], 1), vectors.dtype, low, high)
+
+
+def make(config: RADConfig) -> Learner:
+    """The learner that learns nothing by itself, but varies what the agent's updates see of goals."""
+
+    def augment(key, goal_inputs):
+        if goal_inputs.dtype == jnp.uint8:
+            return shifted(key, goal_inputs, config.shift)
+        return scaled(key, goal_inputs, config.amplitude_low, config.amplitude_high)
+
+    return none.make(config)._replace(augment=augment)

@@ -1,0 +1,88 @@
+"""Variational autoencoder as goal representation (RIG: Nair et al. 2018; Kingma & Welling 2014).
+
+The code of a goal is a Gaussian from which the goal's input can be reconstructed, kept close to N(0, I). Unlike InfoGoal it is told nothing of which
+goals are similar: whatever takes up many pixels takes up the code. As in the paper's comparison it brings a representation only, no reward.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import networks
+from infogoal_jax.errors import require
+from infogoal_jax.learners.information import kl_to_standard_normal
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
+
+
+@dataclasses.dataclass(frozen=True)
+class VAEConfig:
+    """Sizes of encoder and decoder, and the weights of the bound; the encoder is that of the other methods."""
+
+    latent_size: int = 32
+    """Latent dimension d."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers; the decoder has them in reverse."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
+    num_goals: int = 64
+    """Known goals, desired and achieved ones, that are reconstructed in an update."""
+    vae_beta: float = 1.0
+    """Weight of the KL: 1 is the evidence lower bound itself [R]. RIG takes 20 to 30 with smaller codes."""
+    vector_std: float = 0.05
+    """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), what the numbers of a sentence embedding of length 1
+    measure. At 1, as images have it in their scale of -1 to 1, no code of such a goal is worth its KL, and every posterior collapses to N(0, I)."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        for name in ("latent_size", "num_goals"):
+            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        require(self.vae_beta >= 0, "learner.vae_beta", self.vae_beta, "give 0 or more; 1 is the evidence lower bound")
+        require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")
+
+
+def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal_inputs: jax.Array):
+    """Parameters of the decoder that gives back such inputs [M, ...]."""
+    return networks.GoalDecoder(hidden, goal_inputs.shape[1:]).init(key, jnp.zeros((1, latent_size)))
+
+
+def squared_error(params, hidden: tuple[int, ...], codes: jax.Array, inputs: jax.Array, standardise: bool) -> jax.Array:
+    """Squared error of the reconstruction from codes [B, d], summed over the numbers of each input [B, ...], in the scale that the encoder sees."""
+    decoded = networks.GoalDecoder(hidden, inputs.shape[1:]).apply(params, codes)
+    return ((decoded - networks.as_encoded(inputs, standardise)) ** 2).reshape(len(inputs), -1).sum(1)
+
+
+def negative_log_likelihood(error: jax.Array, inputs: jax.Array, vector_std: float) -> jax.Array:
+    """-log p(g | z) in nats of a Gaussian decoder, less its constant, of squared errors [B]; of variance 1 for images, vector_std^2 for vectors."""
+    return 0.5 * error / (1.0 if inputs.dtype == jnp.uint8 else vector_std**2)
+
+
+def make(config: VAEConfig) -> Learner:
+    """The learner whose codes reconstruct the goal."""
+    encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
+
+    def init(key, example, hyper):
+        encoder_key, decoder_key = jax.random.split(key)
+        return {
+            "encoder": encoder.init(encoder_key, example.goal_inputs[:1]),
+            "decoder": init_decoder(decoder_key, config.hidden, config.latent_size, example.goal_inputs),
+        }, ()
+
+    def encode(params, goal_inputs):
+        return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
+
+    def loss(params, state, batch: LearnerBatch, hyper, key):
+        """Minus the evidence lower bound (Kingma & Welling, Eq. 3), summed over the numbers of an input and then divided by how many there are: its
+        size is comparable with that of the agent's loss, and a `vae_beta` of 1 stays the bound itself. `elbo` and `kl` are in nats for a whole goal,
+        without the decoder's constant.
+        """
+        inputs = batch.inputs_of(batch.goals)
+        code = encode(params, inputs)  # Not `batch.encode`, which may see the goals varied: the target is the very input that is encoded.
+        error = squared_error(params["decoder"], config.hidden, code.sample(key), inputs, config.standardise_images)
+        surprise, kl = negative_log_likelihood(error, inputs, config.vector_std).mean(), kl_to_standard_normal(code).mean()
+        size = inputs[0].size
+        metrics = {"elbo": -(surprise + kl), "reconstruction_error": error.mean() / size, "kl": kl}
+        return (surprise + config.vae_beta * kl) / size, metrics, state
+
+    return Learner(init, encode, loss, Request(num_goals=config.num_goals), mean_at_test=True)

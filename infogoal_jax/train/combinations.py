@@ -1,0 +1,138 @@
+"""Which tasks, methods and agents go together. Every refusal stands here once, for training and for the table of `infogoal methods`.
+
+Rules look at a configuration's names and at a few traits of its task, which are known before anything is loaded or compiled; of an environment that
+was loaded, or made by hand, `traits_seen` reads them off.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from infogoal_jax import learners
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
+from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
+from infogoal_jax.envs.object_search import ObjectSearchConfig
+from infogoal_jax.errors import require
+from infogoal_jax.learners import none
+from infogoal_jax.learners.learner import Learner, no_reward
+from infogoal_jax.train.hierarchy import Steered
+
+STEERING = ("hrac",)
+"""Agents whose actions are target states, for a low level to reach. The others choose among a few moves."""
+
+
+class Traits(NamedTuple):
+    """What decides what a task can be combined with.
+
+    finite_goals: whether goals are a finite set; image_goals: whether they are images; moves: whether an action is a choice among a few;
+    finite_observations: whether there is a list of all that can be seen; recorded: whether learning is from recorded moves alone;
+    target_states: whether a low level could be sent somewhere.
+    """
+
+    finite_goals: bool
+    image_goals: bool
+    moves: bool
+    finite_observations: bool
+    recorded: bool
+    target_states: bool
+
+
+TRAITS: dict[type, Callable[[Any], Traits]] = {
+    ObjectSearchConfig: lambda env: Traits(True, image_goals=False, moves=True, finite_observations=True, recorded=False, target_states=False),
+    EmbodiedQAConfig: lambda env: Traits(True, image_goals=False, moves=True, finite_observations=True, recorded=True, target_states=False),
+    ObjectManipulationConfig: lambda env: Traits(True, image_goals=True, moves=True, finite_observations=False, recorded=False, target_states=True),
+    FetchConfig: lambda env: Traits(env.goals == "images", env.goals == "images", moves=False, finite_observations=False, recorded=False,
+                                    target_states=True),
+}
+"""Traits of each kind of task by its configuration. A task that is not listed is judged once it is loaded."""
+
+
+def traits_seen(env) -> Traits:
+    """The traits of an environment that was loaded or made by hand."""
+    def has(name: str) -> bool:
+        return getattr(env, name, None) is not None
+
+    return Traits(
+        finite_goals=has("goals"), image_goals=has("train_backgrounds"), moves=bool(getattr(env, "discrete", False)),
+        finite_observations=has("num_observations"), recorded=has("recorded"),
+        target_states=isinstance(env, Steered) or hasattr(type(env), "space"),  # Not of the instance: some can say only when asked.
+    )
+
+
+class Refusal(NamedTuple):
+    """Why a configuration makes no sense: the field that is to blame and its value, the reason in few words, and what to give instead."""
+
+    field: str
+    value: Any
+    reason: str
+    remedy: str
+
+
+def make_learner(config: TrainConfig) -> Learner:
+    """The learner that the configuration names."""
+    return learners.entry(config.method).make(config.learner)
+
+
+def has_own_loss(learner: Learner) -> bool:
+    """Whether the goal encoder is trained by anything but the agent's loss."""
+    return getattr(learner.loss, "__module__", "") != none.__name__
+
+
+def has_reward(learner: Learner) -> bool:
+    """Whether there is an intrinsic reward."""
+    return learner.intrinsic_reward is not no_reward
+
+
+def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
+    """Everything that speaks against this configuration of a task with these traits."""
+    if not traits.finite_goals:
+        yield Refusal("env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set of goals", "give images")
+    if config.algorithm in STEERING and not traits.target_states:
+        yield Refusal("algorithm", config.algorithm, "there are no target states that a low level could be sent to",
+                      "give dqn, or cql for recorded moves")
+    if config.algorithm not in STEERING and not traits.moves:
+        yield Refusal("algorithm", config.algorithm, f"{config.task} is not acted in by a choice among a few moves", f"give {' or '.join(STEERING)}")
+    if config.exploration != "none":
+        yield from refusals_of_explorer(config, traits)
+    if config.training_corruption and not traits.image_goals:
+        yield Refusal("training_corruption", config.training_corruption, f"goals of {config.task} are no images that could be corrupted", "give 0")
+    if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
+        yield Refusal("stop_encoder_gradient", True, f"nothing else than the agent's loss trains the goal encoder of method {config.method!r}",
+                      "give False, or another method")
+
+
+def refusals_of_explorer(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
+    """What speaks against a bonus, which is kept for every observation and move."""
+    if traits.recorded:
+        yield Refusal("exploration", config.exploration, "a bonus cannot explore what is recorded", "give none")
+    elif not traits.moves or config.algorithm in STEERING:
+        yield Refusal("exploration", config.exploration, "actions are continuous", "its bonus is kept for each move; give none")
+    if not traits.finite_observations:
+        yield Refusal("exploration", config.exploration, "observations are no finite set", "its bonus is kept for each; give none")
+
+
+def reasons_against(config: TrainConfig, env: Any = None) -> list[Refusal]:
+    """Everything that speaks against training this configuration, from names alone, or as the environment `env` shows it; empty: nothing does."""
+    if env is not None:
+        return list(refusals(config, traits_seen(env)))
+    known = TRAITS.get(type(config.env))
+    return [] if known is None else list(refusals(config, known(config.env)))
+
+
+def check_combination(config: TrainConfig, env: Any = None) -> None:
+    """Raise `UserError` for the first of `reasons_against`."""
+    for refusal in reasons_against(config, env):
+        require(False, refusal.field, refusal.value, f"{refusal.reason}: {refusal.remedy}")
+
+
+def remarks(config: TrainConfig) -> list[str]:
+    """What is allowed but unusual about a configuration."""
+    known = TRAITS.get(type(config.env))
+    recorded = known is not None and known(config.env).recorded
+    found = []
+    if config.algorithm == "cql" and known is not None and not recorded:
+        found.append("cql is meant for recorded moves: acting, it holds down the values of what it has not tried")
+    if config.algorithm == "dqn" and recorded:
+        found.append("dqn is meant for acting: nothing holds down the values of moves that were not recorded")
+    return found

@@ -1,0 +1,126 @@
+"""Several runs in one figure: each curve is that of its run's tables, and what cannot be compared is refused."""
+
+import dataclasses
+import json
+import math
+
+import hand_made
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from infogoal_jax import envs, presets
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.comparison_figures import check_same_task, comparison, draw_comparison, read_compared
+from infogoal_jax.train import files
+from infogoal_jax.train.command_line import main
+
+EPOCHS, STARTS = (1, 2, 3), 2
+DATA = "hand-made graph (a stand-in for nothing)"
+
+
+@pytest.fixture(scope="module")
+def env():
+    return hand_made.environment()
+
+
+def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
+    """A run's folder as training leaves it, with random results; the success rates are those of the steps that were needed."""
+    folder.mkdir()
+    (folder / "config.json").write_text(json.dumps(
+        {"config": dataclasses.asdict(config), "seeds": list(seeds), "data": DATA, "versions": {}, "device": "cpu"}))
+    random, evaluations, epochs = np.random.default_rng(len(str(folder))), [], []
+    for seed in seeds:
+        for epoch in EPOCHS:
+            first = random.integers(1, 2 * env.episode_length, (len(env.goals.evaluated), STARTS)).clip(max=env.episode_length + 1)
+            rates = {f"{group}_goal/success_rate": float((first[np.asarray(getattr(env.goals, f"{group}_mask"))] <= env.episode_length).mean())
+                     for group in env.goals.groups}
+            evaluations.append({"seed": seed, "epoch": epoch, "env_steps": 320 * epoch, "first_reached": first.tolist()} | rates)
+            epochs.append({"seed": seed, "epoch": epoch, "agent/loss": math.nan if seed in diverged else 0.1, "agent/gradient_norm": 1.0})
+    files.append_rows(folder, "evaluations", evaluations)
+    files.append_rows(folder, "epochs", epochs)
+    return folder
+
+
+@pytest.fixture
+def folders(tmp_path, env):
+    """A run of InfoGoal, and one of the bare agent with an explorer of which one seed diverged."""
+    explored = hand_made.config("none", exploration="sse_db", explorer=presets.load("object_search", "sse_db").explorer)
+    return [write_run(tmp_path / "first", env, hand_made.config()), write_run(tmp_path / "second", env, explored, diverged=(1,))]
+
+
+def curves(figure, place: int) -> dict[str, np.ndarray]:
+    """The labelled curves of these axes, by their label: x and y."""
+    lines = figure.axes[place].get_lines()
+    return {line.get_label(): np.asarray(line.get_xydata()).T for line in lines if not line.get_label().startswith("_")}
+
+
+def text_of(figure) -> str:
+    """The line above the figure and the small print below it."""
+    return f"{figure.get_suptitle()} {figure.get_supxlabel()}".replace("\n", " ")
+
+
+def test_curves_are_the_means_of_the_runs_tables(folders, env):
+    """Left against environment steps, right by the allowed length; training goals above test goals; without the seed that diverged."""
+    figure = comparison([read_compared(folder) for folder in folders], env)
+    for row, group in enumerate(("train", "test")):
+        left, right = curves(figure, 2 * row), curves(figure, 2 * row + 1)
+        assert list(left) == list(right) == ["infogoal, 3 seeds", "sse_db, 2 seeds"]
+        for label, folder, seeds in (("infogoal, 3 seeds", folders[0], (0, 1, 2)), ("sse_db, 2 seeds", folders[1], (0, 2))):
+            rows = [row for row in files.read_table(folder, "evaluations") if row["seed"] in seeds]
+            rates = [np.mean([row[f"{group}_goal/success_rate"] for row in rows if row["epoch"] == epoch]) for epoch in EPOCHS]
+            np.testing.assert_allclose(left[label], [[320, 640, 960], rates])
+            first = np.array([row["first_reached"] for row in rows if row["epoch"] == EPOCHS[-1]])[:, np.asarray(getattr(env.goals, f"{group}_mask"))]
+            np.testing.assert_allclose(right[label][1], [(first <= length).mean() for length in range(env.episode_length + 1)])
+            assert right[label][1][-1] == pytest.approx(rates[-1])
+    assert "training goals" in figure.axes[0].get_ylabel() and "test goals" in figure.axes[2].get_ylabel()
+
+
+def test_figure_names_task_data_and_what_is_left_out(folders, env):
+    text = text_of(comparison([read_compared(folder) for folder in folders], env))
+    assert text.startswith("object search") and DATA in text and "sse_db: seed 1 diverged at epoch 1" in text and "95 % interval" in text
+
+
+def test_runs_of_one_method_are_told_apart_by_their_folders(folders, env):
+    third = write_run(folders[0].parent / "third", env, hand_made.config())
+    labels = curves(comparison([read_compared(folder) for folder in (folders[0], third)], env), 0)
+    assert list(labels) == ["infogoal (first), 3 seeds", "infogoal (third), 3 seeds"]
+
+
+def test_figure_is_written(folders, env, tmp_path):
+    path = draw_comparison(folders, tmp_path / "figures" / "eight.png", env)
+    picture = imread(path)[..., :3]
+    assert min(picture.shape[:2]) > 300 and (picture.min(-1) < 0.9).mean() > 0.01
+
+
+def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
+    """Another task, another setting of the task, a run without numbers, and a file that is no PNG, each with the folder or the value."""
+    first = read_compared(folders[0]).run
+    other_task = dataclasses.replace(first, config=presets.load("embodied_qa"))
+    with pytest.raises(UserError, match="is of task embodied_qa, and .*first of object_search; give runs of one task"):
+        check_same_task([first, other_task])
+    longer = dataclasses.replace(first.config, env=dataclasses.replace(first.config.env, episode_length=30))
+    with pytest.raises(UserError, match="env.episode_length = 30, and .*first 20"):
+        check_same_task([first, dataclasses.replace(first, config=longer)])
+    all_diverged = write_run(tmp_path / "diverged", env, hand_made.config(), diverged=(0, 1, 2))
+    with pytest.raises(UserError, match="diverged': has no evaluation"):
+        draw_comparison([folders[0], all_diverged], tmp_path / "a.png", env)
+    with pytest.raises(UserError, match="out = .*ends in .png"):
+        draw_comparison(folders, tmp_path / "a.pdf", env)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_command(folders, tmp_path, capsys):
+    """Mistakes are named without a traceback, and nothing is written."""
+    assert main(["compare", str(folders[0]), str(tmp_path / "none"), "--out", str(tmp_path / "a.png")]) == 2
+    assert "holds no config.json" in capsys.readouterr().err
+    assert main(["compare", "--out", str(tmp_path / "a.png")]) == 2
+    assert "give 1 to 12 folders of runs" in capsys.readouterr().err
+
+
+def test_command_draws(tmp_path, capsys):
+    """Runs on the shipped house, whose environment is loaded by their configuration."""
+    config = presets.load("object_search")
+    folder = write_run(tmp_path / "run", envs.load("object_search", config.env), config, seeds=(0,))
+    assert main(["compare", str(folder), "--out", str(tmp_path / "a.png")]) == 0
+    assert str(tmp_path / "a.png") in capsys.readouterr().out and (tmp_path / "a.png").stat().st_size > 10_000

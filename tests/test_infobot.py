@@ -1,0 +1,201 @@
+"""InfoBot's code pays for what it tells of the goal, and its bonus leads to states that were seldom visited."""
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from infogoal_jax import make_train
+from infogoal_jax.config import Hyperparameters
+from infogoal_jax.learners import infobot
+from infogoal_jax.learners.information import kl_to_standard_normal
+from infogoal_jax.learners.learner import GoalCode, Visited
+
+FEATURES, GOALS = 4, 8
+
+
+class Transitions:
+    """As much of an agent's batch as InfoBot looks at."""
+
+    def __init__(self, features):
+        self.features = features
+
+
+def start(**changes):
+    """A small learner with its parameters and state, and inputs of eight goals."""
+    learner = infobot.make(infobot.InfoBotConfig(hidden=(32,), latent_size=8, **changes))
+    inputs = jax.random.normal(jax.random.key(0), (GOALS, 16))
+    return learner, *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), Hyperparameters()), inputs
+
+
+def by_hand(code: GoalCode) -> np.ndarray:
+    """KL to N(0, I) in nats."""
+    mean, std = np.asarray(code.mean, float), np.asarray(code.std, float)
+    return 0.5 * (mean**2 + std**2 - 1 - np.log(std**2)).sum(-1)
+
+
+@pytest.mark.parametrize("state_conditioned", [False, True])
+def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditioned):
+    learner, params, state, inputs = start(state_conditioned=state_conditioned)
+    desired, features = jnp.array([0, 0, 3]), jax.random.normal(jax.random.key(2), (3, FEATURES))
+    code = learner.encode(params, inputs[desired])
+    code = learner.condition(params, code, features) if state_conditioned else code
+    kl = by_hand(code).mean()  # Goal 0 counts twice.
+    batch = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=desired, transitions=Transitions(features))
+    state = state.replace(counts=jnp.array([0.0, 2.0, 0.0, 1.0, 0.0]))
+    loss, metrics, after = learner.loss(params, state, batch, Hyperparameters(fixed_beta=0.03), jax.random.key(3))
+    np.testing.assert_allclose(loss, 0.03 * kl / np.log(2), rtol=1e-4)
+    np.testing.assert_allclose([metrics["kl"], metrics["beta"], metrics["visited_cells"]], [kl, 0.03, 2], rtol=1e-4)
+    assert after is state
+
+
+def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
+    """A code that has to tell eight goals apart (a regression in the place of the agent), under three betas."""
+    learner, params, state, inputs = start()
+    targets = jax.random.normal(jax.random.key(2), (GOALS, 4))
+    params = {"goal": params, "head": jax.random.normal(jax.random.key(3), (8, 4)) / 3}
+    optimizer, desired = optax.adam(3e-3), jnp.tile(jnp.arange(GOALS), 4)
+
+    def train(beta):
+        def step(carry, key):
+            params, optimizer_state = carry
+
+            def objective(params):
+                codes = learner.encode(params["goal"], inputs)
+                batch = hand_made.learner_batch(codes.__getitem__, desired=desired)
+                loss, metrics, _ = learner.loss(params["goal"], state, batch, Hyperparameters(fixed_beta=beta), key)
+                error = ((codes[desired].sample(key) @ params["head"] - targets[desired]) ** 2).mean()
+                return loss + error, (metrics["kl"], error)
+
+            gradient, measured = jax.grad(objective, has_aux=True)(params)
+            change, optimizer_state = optimizer.update(gradient, optimizer_state)
+            return (optax.apply_updates(params, change), optimizer_state), measured
+
+        _, (kl, error) = jax.lax.scan(step, (params, optimizer.init(params)), jax.random.split(jax.random.key(4), 500))
+        return kl[-50:].mean(), error[-50:].mean()
+
+    kl, error = jax.jit(jax.vmap(train))(jnp.array([0.0, 0.01, 1.0]))
+    assert kl[0] > 1.5 * kl[1] and kl[1] > 5 * kl[2]
+    assert error[0] < error[1] < error[2]
+
+
+def bonus(learner, state, codes: GoalCode, desired, cell):
+    """Bonus of single steps into these cells."""
+    cell = jnp.asarray(cell)[:, None]
+    visited = Visited(jnp.asarray(desired), jnp.full((*cell.shape, 1), -1), cell, jnp.ones(cell.shape))
+    reward, state = learner.intrinsic_reward(state, codes.__getitem__, visited)
+    return reward[:, 0], state
+
+
+@pytest.mark.parametrize("state_conditioned", [False, True])
+def test_bonus_falls_as_one_over_the_root_of_the_visits(state_conditioned):
+    learner, _, state, _ = start(state_conditioned=state_conditioned)
+    codes = GoalCode(jnp.ones((GOALS, 8)), None if state_conditioned else jnp.ones((GOALS, 8)))
+    state = state.replace(counts=jnp.array([0.0, 3.0, 8.0, 99.0, 0.0]))
+    reward, _ = bonus(learner, state, codes, [0, 0, 0, 0], [0, 1, 2, 3])
+    np.testing.assert_allclose(reward / reward[0], [1, 1 / 2, 1 / 3, 1 / 10], rtol=1e-5)
+    assert reward[0] > 0
+
+
+def test_bonus_grows_with_what_the_code_tells_and_is_of_the_order_of_one():
+    learner, params, state, inputs = start()
+    reward, _ = bonus(learner, state, learner.encode(params, inputs), jnp.arange(GOALS), jnp.zeros(GOALS, int))
+    assert 0.5 < reward.mean() < 2  # From the first update on.
+    codes = GoalCode(jnp.zeros((2, 8)).at[1].set(2.0), jnp.full((2, 8), 0.5))
+    step = jax.jit(lambda state: bonus(learner, state, codes, [0, 1, 1], [0, 0, 0]))
+    for _ in range(1000):
+        reward, state = step(state)
+    kl = by_hand(codes)
+    np.testing.assert_allclose(reward, kl[[0, 1, 1]] / (kl[[0, 1, 1]].mean()), rtol=1e-3)
+    assert reward[1] > reward[0]
+
+
+def test_bonus_stays_finite_for_a_code_that_tells_nothing():
+    learner, _, state, _ = start()
+    state = state.replace(scale=jnp.zeros(()))
+    reward, after = bonus(learner, state, GoalCode(jnp.zeros((1, 8)), jnp.ones((1, 8))), [0], [0])
+    assert np.isfinite(reward).all() and np.isfinite(after.scale)
+
+
+def test_bonus_does_not_train_the_encoder():
+    learner, params, state, inputs = start()
+
+    def total(params):
+        visited = Visited(jnp.array([1, 2]), jnp.full((2, 3, 1), -1), jnp.zeros((2, 3), int), jnp.ones((2, 3)))
+        return learner.intrinsic_reward(state, learner.encode(params, inputs).__getitem__, visited)[0].sum()
+
+    assert all(not leaf.any() for leaf in jax.tree.leaves(jax.grad(total)(params)))
+
+
+def test_counts_are_those_of_valid_visits():
+    learner, _, state, _ = start()
+    random = np.random.default_rng(0)
+    expected = np.zeros(5)
+    for _ in range(2):
+        cell, valid = random.integers(0, 5, (6, 20)), random.random((6, 20)) < 0.7
+        cell[cell == 4], valid[0, :3], cell[0, :3] = 3, False, 4  # Cell 4 by invalid steps alone.
+        state = learner.observe(state, jnp.asarray(cell), jnp.asarray(valid))
+        expected += np.bincount(cell[valid], minlength=5)
+    np.testing.assert_array_equal(state.counts, expected)
+    assert state.counts[4] == 0 and expected.sum() > 0
+
+
+def test_code_of_the_plain_form_is_the_same_in_every_state():
+    learner, params, _, inputs = start()
+    assert learner.condition is None and "joint" not in params
+    assert learner.encode(params, inputs).std.shape == (GOALS, 8)
+
+
+def test_code_of_the_state_conditioned_form_depends_on_state_and_goal():
+    learner, params, _, inputs = start(state_conditioned=True)
+    features = jax.random.normal(jax.random.key(5), (2, FEATURES))
+    half = learner.encode(params, inputs[jnp.array([0, 0, 1])])
+    assert half.std is None
+    code = learner.condition(params, half, features[jnp.array([0, 1, 0])])
+    for part in (code.mean, code.std):
+        assert part.shape == (3, 8)
+        assert not np.allclose(part[0], part[1]) and not np.allclose(part[0], part[2])
+    assert (code.std > 0).all()
+
+
+def test_kl_of_the_state_conditioned_form_shapes_both_encoders():
+    """Its gradient reaches the goal's half, the joint layers and the features of the state; it is finite for a state without any feature."""
+    learner, params, state, inputs = start(state_conditioned=True)
+    for features in (jax.random.normal(jax.random.key(6), (3, FEATURES)), jnp.zeros((3, FEATURES))):
+        def loss(params, features):
+            encode = learner.encode(params, inputs).__getitem__
+            batch = hand_made.learner_batch(encode, desired=jnp.array([0, 1, 2]), transitions=Transitions(features))
+            return learner.loss(params, state, batch, Hyperparameters(), jax.random.key(0))[0]
+
+        of_params, of_features = jax.grad(loss, argnums=(0, 1))(params, features)
+        assert of_features.any()
+        for part in ("encoder", "joint"):
+            assert any(leaf.any() for leaf in jax.tree.leaves(of_params[part]))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((of_params, of_features)))
+
+
+def test_gradient_is_zero_and_finite_at_the_standard_normal():
+    def kl(mean, std):
+        return kl_to_standard_normal(GoalCode(mean, std)).sum()
+
+    for gradient in jax.grad(kl, argnums=(0, 1))(jnp.zeros(8), jnp.ones(8)):
+        np.testing.assert_array_equal(gradient, np.zeros(8))
+
+
+def test_a_run_is_finite_and_counts_every_collected_step():
+    train = make_train(hand_made.config("infobot", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
+    result = jax.jit(train)(jax.random.key(0), Hyperparameters(intrinsic_weight=1.0))
+    for name, values in (result.metrics | result.epochs).items():
+        assert np.isfinite(values).all(), name
+    assert result.state.learner.counts.sum() == result.state.env_steps > 0
+    assert result.epochs["agent/intrinsic_reward"][0] > 0
+    np.testing.assert_allclose(result.epochs["infobot/beta"], 0.01, rtol=1e-5)
+
+
+def test_the_state_conditioned_form_fits_the_program():
+    """Traced, not run: shapes of the code agree wherever it is given a state."""
+    config = hand_made.config("infobot", learner=infobot.InfoBotConfig(state_conditioned=True))
+    result = jax.eval_shape(make_train(config, hand_made.environment()), jax.random.key(0))
+    assert result.epochs["infobot/kl"].shape == (config.num_epochs,)

@@ -1,0 +1,145 @@
+"""What `infogoal methods` says is what training does: one set of refusals, told from names, true of the environments themselves."""
+
+import dataclasses
+import re
+import subprocess
+import sys
+
+import hand_made
+import hand_made_frames
+import hand_made_points
+import pytest
+
+from infogoal_jax import Hyperparameters, agents, exploration, learners, presets
+from infogoal_jax.errors import UserError
+from infogoal_jax.report import methods
+from infogoal_jax.train import combinations
+from infogoal_jax.train.combinations import check_combination, reasons_against, traits_seen
+from infogoal_jax.train.command_line import main
+
+PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
+
+
+@pytest.mark.parametrize(("env", "config"), [
+    (hand_made.environment, hand_made.config), (hand_made_frames.manipulation, hand_made_frames.manipulation_config),
+    (hand_made_frames.qa, hand_made_frames.qa_config), (hand_made_points.points, hand_made_points.config),
+    (hand_made_points.steered, hand_made_points.config),
+], ids=["object_search", "object_manipulation", "embodied_qa", "fetch", "fetch steered"])
+def test_traits_known_by_name_are_those_of_the_environment(env, config):
+    declared = config("none").env
+    assert combinations.TRAITS[type(declared)](declared) == traits_seen(env())
+
+
+def test_every_task_is_judged_before_it_is_loaded():
+    assert all(type(presets.load(task).env) in combinations.TRAITS for task in presets.TASKS)
+
+
+def test_the_table_has_a_tick_where_training_starts_and_a_reason_where_it_refuses():
+    """The cells as they are printed, against what training is asked."""
+    columns = methods.combination_table(presets.TASKS).columns
+    cells = {(task, name): cell for task, column in zip(presets.TASKS, columns[3:], strict=True)
+             for name, cell in zip(presets.METHODS, column.cells, strict=True)}
+    assert list(cells) == PAIRS
+    for (task, name), cell in cells.items():
+        config = presets.load(task, name)
+        if cell == "✓":
+            check_combination(config)
+            continue
+        field = reasons_against(config)[0].field
+        with pytest.raises(UserError, match=rf"^{re.escape(field)} = .*{re.escape(cell.split(';')[0])}"):
+            check_combination(config)
+
+
+def test_methods_that_bring_a_learner_or_a_relabelling_go_together_with_every_task():
+    """The rows of the paper's Table I."""
+    refused = {(task, name) for task, name in PAIRS if methods.against(task, name)}
+    assert {name for _, name in refused} <= {name for name, parts in presets.METHODS.items() if parts.exploration != "none"}
+
+
+@pytest.mark.parametrize("explorer", [name for name in exploration.registry if name != "none"])
+def test_a_bonus_goes_together_with_object_search_alone(explorer):
+    possible = {task for task in presets.TASKS if not reasons_against(presets.load(task, "none", exploration=explorer))}
+    assert possible == {"object_search"}
+    reasons = {task: " ".join(refusal.reason for refusal in methods.against(task, "none", exploration=explorer)) for task in presets.TASKS}
+    assert "recorded" in reasons["embodied_qa"] and "finite" in reasons["fetch_push"] and "continuous" in reasons["fetch_push"]
+    by_moves = presets.load("object_manipulation", "none", algorithm="dqn", exploration=explorer)
+    assert "no finite set" in reasons_against(by_moves)[0].reason
+
+
+def test_agents_of_each_task():
+    moves, drives = {"dqn", "cql"}, {"hrac"}
+    taken = {task: {name for name in agents.registry if name in methods.agents_of(task)} & (moves | drives) for task in presets.TASKS}
+    assert taken == dict.fromkeys(presets.IMAGE_TASKS, drives) | {
+        "object_search": moves, "object_manipulation": moves | drives, "embodied_qa": moves,
+    }
+
+
+@pytest.mark.parametrize(("task", "changes", "field"), [
+    ("object_search", {"training_corruption": 0.4}, "training_corruption"), ("embodied_qa", {"training_corruption": 0.4}, "training_corruption"),
+    ("fetch_reach", {"training_corruption": 0.4}, None), ("object_manipulation", {"training_corruption": 0.4}, None),
+    ("fetch_push", {"algorithm": "dqn"}, "algorithm"), ("embodied_qa", {"algorithm": "hrac"}, "algorithm"),
+    ("object_search", {"stop_encoder_gradient": True}, "stop_encoder_gradient"),
+    ("object_search", {"method": "her", "stop_encoder_gradient": True}, "stop_encoder_gradient"),
+    ("object_search", {"method": "infogoal", "stop_encoder_gradient": True}, None),
+])
+def test_refusals_by_name(task, changes, field):
+    config = presets.load(task, **({"method": "none"} | changes))
+    assert [refusal.field for refusal in reasons_against(config)] == ([] if field is None else [field])
+
+
+def test_positions_as_goals_are_refused_by_name():
+    config = presets.load("fetch_reach", "none")
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, goals="positions"))
+    with pytest.raises(UserError, match=r"env\.goals = 'positions'.*give images"):
+        check_combination(config)
+
+
+@pytest.mark.parametrize("name", list(learners.registry))
+def test_learners_said_to_have_no_loss_have_none(name):
+    """A loss that looks at nothing is 0; one of its own cannot do without a batch."""
+    learner = combinations.make_learner(presets.load("object_search", name))
+    if combinations.has_own_loss(learner):
+        with pytest.raises((AttributeError, TypeError)):
+            learner.loss({}, (), None, Hyperparameters(), None)
+    else:
+        assert learner.loss({}, (), None, Hyperparameters(), None)[0] == 0
+
+
+def test_the_table_loads_no_data_and_starts_no_device():
+    code = """
+import sys
+from infogoal_jax import envs, presets
+from infogoal_jax.train.command_line import main
+def refuse(*arguments):
+    raise AssertionError("loaded an environment")
+envs.load = refuse
+envs.registry = {name: entry._replace(make=refuse) for name, entry in envs.registry.items()}
+assert main(["methods"]) == 0
+from jax._src import xla_bridge
+assert not xla_bridge._backends and "mujoco" not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for name in (*presets.METHODS, *presets.TASKS, *agents.registry):
+        assert name in done.stdout
+
+
+def test_one_combination_in_words(capsys):
+    assert main("methods fetch_push her".split()) == 0
+    assert "works" in capsys.readouterr().out
+    assert main("methods fetch_push her --algorithm dqn".split()) == 1
+    printed = capsys.readouterr().out
+    assert "does not work" in printed and "algorithm = 'dqn'" in printed and "give hrac" in printed
+    assert main("methods object_search none --algorithm cql".split()) == 0
+    assert "meant for recorded moves" in capsys.readouterr().out
+    for arguments, words in (("fetch_pusch", "Did you mean 'fetch_push'"), ("fetch_push hers", "Did you mean 'her'"),
+                             ("fetch_push her --algorithm hrak", "Did you mean 'hrac'"), ("fetch_push --algorithm dqn", "TASK METHOD")):
+        assert main(["methods", *arguments.split()]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_training_is_refused_before_anything_is_loaded(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("infogoal_jax.envs.load", lambda *arguments: pytest.fail("loaded an environment"))
+    assert main("train object_search --method none --stop-encoder-gradient".split()) == 2
+    assert "stop_encoder_gradient = True" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
