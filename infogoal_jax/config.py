@@ -44,6 +44,8 @@ class Hyperparameters:
     """Weight of the goal-representation loss beside the loss of the agent [A]."""
     intrinsic_weight: float = 5.0
     """Intrinsic reward of a whole episode spent at the mean distance from the goal, in successes; 0 turns it off."""
+    explorer_weight: float = 0.01
+    """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]. 0 or more."""
     bonus_weight: float = 0.05
     """Weight of an explorer's bonus, which is of the order of 1, beside the environment's reward. 0 or more."""
     beta_start: float = 0.0
@@ -53,7 +55,7 @@ class Hyperparameters:
     beta_threshold: float = 0.96
     """alpha of Eq. 15: the accuracy above which beta grows [A], in (0, 1)."""
     fixed_beta: float = 0.01
-    """Where beta ramps to, by 1e-5 an update [A], under `--learner.beta-rule fixed`, in [0, 1]."""
+    """Where InfoGoal's beta ramps to, by 1e-5 an update [A], under `--learner.beta-rule fixed`; InfoBot's beta from the start. In [0, 1]."""
 
     def check(self) -> None:
         """Raise `UserError` for a value out of its range. Called on Python floats only, never on traced values."""
@@ -62,8 +64,8 @@ class Hyperparameters:
             require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{field.name}", value, "give a finite number")
         for name in ("learning_rate", "max_gradient_norm"):
             require(getattr(self, name) > 0, f"hyper.{name}", getattr(self, name), "give a number greater than 0")
-        for name in ("learner_weight", "intrinsic_weight", "bonus_weight", "beta_step", "noise", "target_noise", "adjacency_weight",
-                     "conservative_weight"):
+        for name in ("learner_weight", "intrinsic_weight", "explorer_weight", "bonus_weight", "beta_step", "noise", "target_noise",
+                     "adjacency_weight", "conservative_weight"):
             require(getattr(self, name) >= 0, f"hyper.{name}", getattr(self, name), "give 0 or more")
         for name in ("epsilon", "test_epsilon", "beta_start", "fixed_beta"):
             require(0 <= getattr(self, name) <= 1, f"hyper.{name}", getattr(self, name), "give a number from 0 to 1")

@@ -37,7 +37,11 @@ AGENTS: dict[tuple[str, str], dict[str, Any]] = {
 RELABELLINGS = {"embodied_qa": "her"}
 """How goals are relabelled where the task has it [P]; elsewhere not at all."""
 
-HINDSIGHTS: dict[tuple[str, str], dict[str, Any]] = {("embodied_qa", "her"): {"future_share": 0.6, "random_share": 0.2}}
+HINDSIGHTS: dict[tuple[str, str], dict[str, Any]] = {
+    **{("embodied_qa", relabelling): {"future_share": 0.6, "random_share": 0.2} for relabelling in ("her", "cher")},
+    ("embodied_qa", "ghrl"): {"share": 0.6, "random_share": 0.2},
+    **{(task, "ghrl"): {"share": 0.8} for task in IMAGE_TASKS},
+}
 """Fields of the relabelling of each (task, relabelling)."""
 
 ENVIRONMENTS: dict[str, dict[str, Any]] = {task: {"goals": "images"} for task in IMAGE_TASKS}
@@ -69,7 +73,9 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_manipulation", "infogoal"): {"intrinsic_weight": 3.0},
     ("embodied_qa", EVERY): {"discount": 0.95, "intrinsic_weight": 0.0, "conservative_weight": 0.02},
     ("embodied_qa", "infogoal"): {"intrinsic_weight": 1.0, "conservative_weight": 0.01},
-    **{(task, "infobot"): {"intrinsic_weight": 1.0} for task in TASKS},
+    **{(task, "infobot"): {"intrinsic_weight": 1.0, "fixed_beta": 3e-5} for task in TASKS},  # The authors' 0.01 is beside rewards of 10, squared.
+    **{(task, "gcb"): {"learner_weight": 0.1} for task in TASKS} | {("object_search", "gcb"): {"learner_weight": 0.03}},
+    ("object_search", "vae"): {"learner_weight": 0.1},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""

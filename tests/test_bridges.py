@@ -129,6 +129,7 @@ def test_without_gymnasium_the_remedy_is_named(monkeypatch):
         importlib.import_module("infogoal_jax.bridges.gymnasium")
 
 
+@pytest.mark.long
 def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
     assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
     start, _ = vector.reset(seed=0)

@@ -25,6 +25,7 @@ COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the f
     "data build cube": data_commands.BuildCubeCommand, "data build shelf": data_commands.BuildShelfCommand,
     "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
     "pretrain object_manipulation": JointPretrainConfig(), "methods": command_line.MethodsCommand,
+    "compare": command_line.CompareCommand,
     "tune": command_line.TuneCommand(config=presets.load("object_search")),
 }
 
@@ -52,7 +53,7 @@ def flags_of(record, prefix: str = "") -> set[str]:
 def train_flags() -> set[str]:
     """The flags of `infogoal train`, of every task and method."""
     configs = [presets.load(task, method, relabelling="her") for task in presets.ALGORITHMS for method in learners.registry]
-    configs.append(presets.load("object_manipulation", algorithm="dqn"))
+    configs += [presets.load("object_manipulation", algorithm="dqn"), presets.load("object_search", "sse_db")]
     return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
 
 

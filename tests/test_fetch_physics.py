@@ -103,6 +103,7 @@ def cost_of(inertia, force, rows):
     return cost
 
 
+@pytest.mark.long
 def test_free_step_is_mjx_step(reach):
     """Without contact, one physics step is `mjx.step`."""
     weights = reach.mujoco_model

@@ -125,6 +125,7 @@ def test_a_target_is_reached_within_the_tolerance_of_each_component():
     assert push.reward(shifted(0.0, far * PRECISE), origin) == -1.0
 
 
+@pytest.mark.long
 def test_shipped_reach_policy_reaches_and_follows(reaching):
     program, run = reaching
     rows, metrics = run(low_level_file.load("", "fetch_reach"), jax.random.key(7), False, program.config.hyper)

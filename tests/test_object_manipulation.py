@@ -130,6 +130,7 @@ def test_views_of_one_state(data):
     np.testing.assert_array_equal(after.node % count, np.asarray(plain.next_node)[np.asarray(starts.node) % count, 0])
 
 
+@pytest.mark.long
 def test_trains_by_dqn_with_and_without_relabelling(env):
     """A few epochs of either run through, with finite numbers."""
     for relabelling in ("none", "her"):

@@ -127,12 +127,24 @@ def test_vae_learns_to_reconstruct_goals(inputs):
 def test_a_large_beta_or_a_coarse_decoder_empties_the_code():
     """The latter is why vectors, whose numbers are small, have a standard deviation of their own."""
     kl = {
-        (beta, std): float(trained(vae.make(vae.VAEConfig(vae_beta=beta, vector_std=std, **SMALL)), VECTORS, 400)[2]["kl"][-50:].mean())
+        (beta, std): float(trained(vae.make(vae.VAEConfig(vae_beta=beta, vector_std=std, warm_up=0, **SMALL)), VECTORS, 400)[2]["kl"][-50:].mean())
         for beta, std in ((1.0, 0.05), (30.0, 0.05), (1.0, 1.0))
     }
     assert kl[1.0, 0.05] > np.log(len(VECTORS))  # Enough to tell the goals apart.
     assert kl[30.0, 0.05] < 0.5 * kl[1.0, 0.05]
     assert kl[1.0, 1.0] < 0.1
+
+
+def test_the_kl_s_weight_rises_over_the_warm_up():
+    """From nothing to vae_beta, and no further: the loss less the reconstruction's is that share of the KL."""
+    learner = vae.make(vae.VAEConfig(vae_beta=2.0, warm_up=4, vector_std=1.0, **SMALL))
+    params, state = begun(learner, VECTORS)
+    size = VECTORS[0].size
+    for share in (0.25, 0.5, 0.75, 1.0, 1.0):
+        loss, (metrics, state) = loss_of(learner, VECTORS, params, state, jax.random.key(0))
+        surprise = 0.5 * metrics["reconstruction_error"] * size
+        np.testing.assert_allclose(loss * size - surprise, 2.0 * share * metrics["kl"], rtol=1e-4)
+
 
 
 @pytest.mark.parametrize("standardise", [True, False])

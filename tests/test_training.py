@@ -114,7 +114,7 @@ def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(t
     assert (abs(ended - resets) <= train.config.num_envs).all()  # All but those that ended with the last step.
 
 
-@pytest.mark.parametrize("known_goals", ["train", "visited", "all"])
+@pytest.mark.parametrize("known_goals", [*(pytest.param(name, marks=pytest.mark.long) for name in ("train", "all")), "visited"])
 def test_learns_the_hand_made_rooms(known_goals):
     """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it nothing to know the others by."""
     long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
@@ -126,6 +126,7 @@ def test_learns_the_hand_made_rooms(known_goals):
     assert left >= (24 if known_goals != "train" else 6)  # Rooms two apart are never seen within the window of 4.
 
 
+@pytest.mark.long
 def test_bare_dqn_learns_its_training_goals_only():
     long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
     train = make_train(hand_made.config("none", **long), hand_made.environment())

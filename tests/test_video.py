@@ -181,6 +181,7 @@ def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
     assert "folder is not there" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run, tmp_path):
     subject = read_subject(reach_run.folder, reach_run.train.env)
     outcomes = image_goal_episodes.policy_video(subject, tmp_path / "policy.mp4", episodes=2, seed=3, corruption=0.8, size=SIZE)

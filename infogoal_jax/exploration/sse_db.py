@@ -20,7 +20,6 @@ from infogoal_jax.replay import Rows
 
 NUM_BLOCKS = 2
 MINIMUM_SCALE = 0.1  # Of predictions: exact ones would earn without end.
-SCALE_RATE = 0.1  # Of the running mean, an epoch, that normalises the bonus.
 MINIMUM_RETURN = 1e-3  # Deviation of the bonus's returns, in nats, below which there is nothing left to tell moves apart by.
 
 
@@ -34,8 +33,9 @@ class SSEDBConfig:
     """Width of all layers; the original has 256."""
     projection_size: int = 64
     """Size of what is contrasted; the original has 128."""
-    kl_weight: float = 0.1
-    """alpha 1: weight of what a code says beyond N(0, I). 0 or more."""
+    kl_weight: float = 0.001
+    """alpha 1: weight of what a code says beyond N(0, I); the authors have 0.1, and 0.001 for some games. With 0.1 the shared state encoder collapses
+    here [M]. 0 or more."""
     prediction_weight: float = 0.1
     """alpha 2: weight of the log-likelihood of the next state's features. 0 or more."""
     contrastive_weight: float = 0.1
@@ -53,7 +53,7 @@ class SSEDBConfig:
 
 @flax.struct.dataclass
 class SSEDBState:
-    """scale: running deviation of the discounted returns of the bonus, 0 before the first survey; actions: float32 [A, A], one-hot, which say how
+    """scale: deviation of the discounted returns of the bonus at the last survey, 0 before the first; actions: float32 [A, A], one-hot, which say how
     many there are."""
 
     scale: jax.Array
@@ -135,14 +135,13 @@ def make(config: SSEDBConfig) -> Explorer:
         return GoalCode(*transition.apply(params["transition"], features, action))
 
     def survey(params, state, features, rows: Rows, written, discount):
-        """Bonus KL(g(z|s, a) || N(0, I)) of every move, over the running deviation of its discounted returns in what was collected."""
+        """Bonus KL(g(z|s, a) || N(0, I)) of every move, over the deviation of its discounted returns in all that was collected."""
         bonus = kl_to_standard_normal(code_of(params, features[:, None], state.actions))
         bonus = jnp.sqrt(jnp.maximum(bonus, 0.0)) if config.square_root else bonus
         counted = rows.valid & written[:, None]
         returns = discounted_returns(bonus[rows.observation[:, :-1], rows.action], counted, discount)
         deviation = jnp.sqrt(weighted_mean((returns - weighted_mean(returns, counted)) ** 2, counted))
-        scale = jnp.where(state.scale > 0, state.scale + SCALE_RATE * (deviation - state.scale), deviation)
-        return bonus / jnp.maximum(scale, MINIMUM_RETURN), state.replace(scale=scale)
+        return bonus / jnp.maximum(deviation, MINIMUM_RETURN), state.replace(scale=deviation)
 
     def loss(params, state, moves: Moves, key):
         """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, of which the last is log softmax."""
@@ -151,7 +150,7 @@ def make(config: SSEDBConfig) -> Explorer:
         code = code_of(params, moves.features, state.actions[moves.action])
         mean = decoder(following.shape[-1]).apply(params["decoder"], code.sample(code_key))
         scale = MINIMUM_SCALE + jnp.exp(params["log_scale"])
-        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
+        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).mean(-1)  # Per feature: of the order of 1.
         drawn = GoalCode(mean, scale).sample(prediction_key)
         followed = projection.apply(jax.lax.stop_gradient(params["projection"]), following)
         chances = contrast(params["score"], projection.apply(params["projection"], drawn), followed)

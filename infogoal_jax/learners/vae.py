@@ -29,6 +29,9 @@ class VAEConfig:
     """Known goals, desired and achieved ones, that are reconstructed in an update."""
     vae_beta: float = 1.0
     """Weight of the KL: 1 is the evidence lower bound itself [R]. RIG takes 20 to 30 with smaller codes."""
+    warm_up: int = 2000
+    """Updates over which the KL's weight rises from 0 [M]: from the start it can drown what the decoder has not yet learned to read, and the code
+    of text goals stays N(0, I) for good."""
     vector_std: float = 0.05
     """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), what the numbers of a sentence embedding of length 1
     measure. At 1, as images have it in their scale of -1 to 1, no code of such a goal is worth its KL, and every posterior collapses to N(0, I)."""
@@ -38,6 +41,7 @@ class VAEConfig:
         for name in ("latent_size", "num_goals"):
             require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
         require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
         require(self.vae_beta >= 0, "learner.vae_beta", self.vae_beta, "give 0 or more; 1 is the evidence lower bound")
         require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")
 
@@ -67,7 +71,7 @@ def make(config: VAEConfig) -> Learner:
         return {
             "encoder": encoder.init(encoder_key, example.goal_inputs[:1]),
             "decoder": init_decoder(decoder_key, config.hidden, config.latent_size, example.goal_inputs),
-        }, ()
+        }, jnp.zeros((), jnp.int32)  # Updates so far.
 
     def encode(params, goal_inputs):
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
@@ -81,8 +85,8 @@ def make(config: VAEConfig) -> Learner:
         code = encode(params, inputs)  # Not `batch.encode`, which may see the goals varied: the target is the very input that is encoded.
         error = squared_error(params["decoder"], config.hidden, code.sample(key), inputs, config.standardise_images)
         surprise, kl = negative_log_likelihood(error, inputs, config.vector_std).mean(), kl_to_standard_normal(code).mean()
-        size = inputs[0].size
+        size, weight = inputs[0].size, config.vae_beta * jnp.minimum(1.0, (state + 1) / max(1, config.warm_up))
         metrics = {"elbo": -(surprise + kl), "reconstruction_error": error.mean() / size, "kl": kl}
-        return (surprise + config.vae_beta * kl) / size, metrics, state
+        return (surprise + weight * kl) / size, metrics, state + 1
 
     return Learner(init, encode, loss, Request(num_goals=config.num_goals), mean_at_test=True)

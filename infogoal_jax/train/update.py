@@ -232,7 +232,7 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         if parts.explorer is not None:
             moves = moves_of(parts, env, params, targets, drawn.move)
             explorer_loss, explorer_metrics, after = parts.explorer.loss(params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4))
-            total, states = total + explorer_loss, states | {"explorer": after}
+            total, states = total + hyper.explorer_weight * explorer_loss, states | {"explorer": after}
             metrics |= named("explorer", explorer_metrics)
         return total, (metrics, states)
 
