@@ -53,7 +53,8 @@ def flags_of(record, prefix: str = "") -> set[str]:
 def train_flags() -> set[str]:
     """The flags of `infogoal train`, of every task and method."""
     configs = [presets.load(task, method, relabelling="her") for task in presets.ALGORITHMS for method in learners.registry]
-    configs += [presets.load("object_manipulation", algorithm="dqn"), presets.load("object_search", "sse_db")]
+    configs += [presets.load("object_search", method) for method in presets.METHODS]
+    configs.append(presets.load("object_manipulation", algorithm="dqn"))
     return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
 
 
