@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from infogoal_jax import envs, learners, presets
-from infogoal_jax.train import command_line, data_commands
+from infogoal_jax.train import command_line, data_commands, run_commands
 from infogoal_jax.train.pretrain import PretrainConfig, preset
 from infogoal_jax.train.pretrain_host import PretrainCommand
 from infogoal_jax.train.pretrain_joints import JointPretrainConfig
@@ -18,14 +18,14 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
 OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
 COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
-    "evaluate": command_line.EvaluateCommand, "report": command_line.ReportCommand, "data check": data_commands.CheckCommand,
+    "evaluate": run_commands.EvaluateCommand, "report": run_commands.ReportCommand, "data check": data_commands.CheckCommand,
     "data build house": data_commands.BuildHouseCommand, "data embed": data_commands.EmbedCommand,
-    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": command_line.VideoCommand, "data build fetch": data_commands.BuildFetchCommand,
+    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": run_commands.VideoCommand, "data build fetch": data_commands.BuildFetchCommand,
     "data build backgrounds": data_commands.BuildBackgroundsCommand, "data download cifar10": data_commands.DownloadCifar10Command,
     "data build cube": data_commands.BuildCubeCommand, "data build shelf": data_commands.BuildShelfCommand,
     "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
     "pretrain object_manipulation": JointPretrainConfig(), "methods": command_line.MethodsCommand,
-    "compare": command_line.CompareCommand,
+    "compare": run_commands.CompareCommand,
     "tune": command_line.TuneCommand(config=presets.load("object_search")),
 }
 

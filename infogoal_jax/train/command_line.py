@@ -1,10 +1,9 @@
-"""The command `infogoal`: train, tune, methods, pretrain, evaluate, report, compare, data (in data_commands.py), check-fetch, video.
+"""The command `infogoal`: train, tune, methods, pretrain; those that look at runs stand in run_commands.py, those about data in data_commands.py.
 
 A command is a dataclass; its fields are the flags (tyro).
 """
 
 import dataclasses
-import os
 import sys
 import time
 from pathlib import Path
@@ -14,9 +13,9 @@ import tyro
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, nearest
 from infogoal_jax.train.data_commands import DATA_COMMANDS
+from infogoal_jax.train.run_commands import RUN_COMMANDS, use_compilation_cache
 
 USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in JAX
 
@@ -259,152 +258,12 @@ def pretrain(arguments: list[str]) -> int:
     return 130 if result.stopped else 0
 
 
-@dataclasses.dataclass(frozen=True)
-class EvaluateCommand:
-    """Evaluate the last parameters of a run: every goal from several starts."""
-
-    run: tyro.conf.Positional[str]
-    """Folder of the run."""
-    starts: int = 50
-    """Start states for each goal."""
-    start_seed: int = 1
-    """Seed of the start states; training's own evaluations use others."""
-    test_epsilon: float = -1.0
-    """Share of random actions; negative: the run's own."""
-    corruption: float | None = None
-    """Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the run's own."""
-
-
-def evaluate(arguments: list[str]) -> int:
-    """`infogoal evaluate RUN`: prints success, SPL and episode length of each kind of goals over the run's seeds."""
-    command = tyro.cli(EvaluateCommand, prog="infogoal evaluate", args=arguments)
-    use_compilation_cache()
-    from infogoal_jax.report.summary import evaluate_run
-
-    evaluate_run(Path(command.run), command.starts, command.start_seed, command.test_epsilon, command.corruption)
-    return 0
-
-
-@dataclasses.dataclass(frozen=True)
-class ReportCommand:
-    """Draw the figures of a run and print its table."""
-
-    run: tyro.conf.Positional[str]
-    """Folder of the run."""
-
-
-def report(arguments: list[str]) -> int:
-    """`infogoal report RUN`."""
-    command = tyro.cli(ReportCommand, prog="infogoal report", args=arguments)
-    from infogoal_jax.report.figures import draw_figures
-    from infogoal_jax.report.summary import print_run
-
-    print_run(Path(command.run))
-    for path in draw_figures(Path(command.run)):
-        print(f"figure      {path}")
-    return 0
-
-
-@dataclasses.dataclass(frozen=True)
-class CompareCommand:
-    """Draw the success of several runs of one task in one figure: while training, and by the allowed length of an episode."""
-
-    runs: tyro.conf.Positional[tuple[str, ...]]
-    """Folders of the runs, in the order in which they are named in the figure."""
-    out: str
-    """File to write; must end in .png."""
-
-
-def compare(arguments: list[str]) -> int:
-    """`infogoal compare RUN RUN ... --out FILE`."""
-    command = tyro.cli(CompareCommand, prog="infogoal compare", args=arguments)
-    from infogoal_jax.report.comparison_figures import draw_comparison
-
-    print(f"figure      {draw_comparison([Path(run) for run in command.runs], Path(command.out))}")
-    return 0
-
-
 def data(arguments: list[str]) -> int:
     """`infogoal data COMMAND ...`."""
     return dispatch(DATA_COMMANDS, arguments, "data ")
 
 
-@dataclasses.dataclass(frozen=True)
-class CheckFetchCommand:
-    """Replay recorded episodes of the reference Fetch tasks here, and print how far grip and object are from where they were recorded."""
-
-    file: tyro.conf.Positional[str]
-    """The episodes: an npz as benchmarks/record_fetch_reference.py writes it."""
-    faithful: bool = False
-    """Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast default."""
-    kinds: str = ""
-    """Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart: random,held,scripted."""
-    out: str = ""
-    """File to write the numbers to, those of each episode too (json)."""
-
-
-def check_fetch(arguments: list[str]) -> int:
-    """`infogoal check-fetch FILE`: measures and passes no judgement, so it is 0 whatever the numbers."""
-    command = tyro.cli(CheckFetchCommand, prog="infogoal check-fetch", args=arguments)
-    from infogoal_jax.envs.fetch.recordings import load_recordings
-    from infogoal_jax.report.fetch_parity import check_recordings, read_kinds
-
-    kinds, recordings = read_kinds(command.kinds), load_recordings(command.file)
-    use_compilation_cache()
-    check_recordings(recordings, command.faithful, kinds, Path(command.out) if command.out else None)
-    return 0
-
-
-@dataclasses.dataclass(frozen=True)
-class VideoCommand:
-    """Draw episodes as an mp4: of a random policy on a Fetch task, or of a run's policy on test goals that are images."""
-
-    subject: tyro.conf.Positional[str]
-    """Folder of a run; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy."""
-    out: str
-    """File to write; must end in .mp4."""
-    episodes: int = 1
-    """Episodes, one after the other."""
-    seed: int = 0
-    """Seed of starts, goals, actions and backgrounds."""
-    corruption: float = 0.0
-    """Weight of the backgrounds of the goal images that a run's policy sees, from 0 (clean) to 1."""
-    height: int = 480
-    """Pixels; the width is 4/3 of it."""
-
-
-def video(arguments: list[str]) -> int:
-    """`infogoal video RUN --out FILE`, `infogoal video TASK --out FILE`."""
-    command = tyro.cli(VideoCommand, prog="infogoal video", args=arguments)
-    size = command.height, command.height * 4 // 3
-    use_compilation_cache()
-    if command.subject not in TASKS and (Path(command.subject).is_dir() or os.sep in command.subject):
-        from infogoal_jax.report.figures import read_subject
-        from infogoal_jax.report.image_goal_episodes import policy_video
-
-        run = read_subject(Path(command.subject))
-        reached = policy_video(run, command.out, command.episodes, command.seed, command.corruption, size)
-        words = f"corrupted with weight {command.corruption:g}" if command.corruption else "clean"
-        print(f"{command.out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; {sum(reached)} reach the goal")
-        return 0
-    if command.corruption:
-        raise UserError(f"corruption = {command.corruption}: a random policy looks at no goal; leave it out, or give the folder of a run")
-    import jax
-
-    from infogoal_jax.envs.fetch.environment import make
-    from infogoal_jax.report.video import episode_video, random_policy
-
-    env = make(command.subject, FetchConfig(ends_at_goal=False))
-    last = episode_video(env, random_policy, jax.random.key(command.seed), command.out, command.episodes, size)
-    at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
-    print(f"{command.out}: {command.episodes} episodes of a random policy, {at_goal} end at the goal")
-    return 0
-
-
-COMMANDS = {
-    "train": train, "tune": tune, "methods": methods, "pretrain": pretrain, "evaluate": evaluate, "report": report, "compare": compare,
-    "data": data, "check-fetch": check_fetch, "video": video,
-}
+COMMANDS = {"train": train, "tune": tune, "methods": methods, "pretrain": pretrain, "data": data, **RUN_COMMANDS}
 
 
 def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:
@@ -415,18 +274,6 @@ def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:
     if arguments[0] not in commands:
         raise UserError(f"{prefix}{arguments[0]!r}: no such command.{nearest(arguments[0], list(commands))} Known: {', '.join(commands)}")
     return commands[arguments[0]](arguments[1:])
-
-
-def use_compilation_cache() -> None:
-    """Keep compiled programs on disk between runs, under $XDG_CACHE_HOME or ~/.cache. Only the command line does this, never an import."""
-    import jax
-
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal" / "jax"
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # A home that cannot be written to costs the cache, nothing else.
-    jax.config.update("jax_compilation_cache_dir", str(cache))
 
 
 def main(arguments: list[str] | None = None) -> int:
