@@ -2,7 +2,7 @@
 PYTHON ?= python3
 SEEDS ?= 5
 # Two processes, each file in one of them: most of the time goes into compiling, which uses one core.
-PARALLEL := --numprocesses 2 --dist loadfile
+PARALLEL := --numprocesses 2 --dist loadfile --durations 20
 ENVIRONMENT := .venv
 READY := $(ENVIRONMENT)/.ready
 

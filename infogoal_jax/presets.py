@@ -109,6 +109,8 @@ TRAINING: dict[tuple[str, str], dict[str, Any]] = {
 
 def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
+    if name in learners.registry:
+        return Method(name)  # One that was registered after this module was imported, too.
     require(name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}")
     return METHODS[name]
 
@@ -116,7 +118,8 @@ def method_named(name: str) -> Method:
 def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
     own = RELABELLINGS.get(config.task, "none")
-    parts = [name for name in (config.method, config.relabelling if config.relabelling != own else "none", config.exploration) if name != "none"]
+    relabelling = "none" if config.relabelling == own else "unrelabelled" if config.relabelling == "none" else config.relabelling
+    parts = [name for name in (config.method, relabelling, config.exploration) if name != "none"]
     return "+".join(parts) or "none"
 
 

@@ -30,7 +30,8 @@ def context(rows: Rows, num_goals: int = GOALS, known=None, **changes) -> Contex
     known = jnp.ones(num_goals, bool) if known is None else known
     achieved = Achievements(rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known)
     plain = {"rows": rows, "written": jnp.ones(rows.valid.shape[0], bool), "achievements": achieved, "discount": 0.9, "updates": 0,
-             "positions": lambda: jnp.arange(float(num_goals))[:, None], "value": lambda observation, goal: jnp.zeros(goal.shape)}
+             "positions": lambda: jnp.arange(float(num_goals))[:, None], "value": lambda observation, goal: jnp.zeros(goal.shape),
+             "reached": lambda record, goal: (record == goal[..., None]).any(-1)}
     return Context(**(plain | changes))
 
 

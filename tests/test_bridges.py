@@ -198,6 +198,7 @@ def brax_states(brax_reach):
     return states
 
 
+@pytest.mark.long
 def test_brax_s_keys_may_be_raw_or_typed(brax_reach):
     env, _, _ = brax_reach
     reset = jax.jit(env.reset)
@@ -206,6 +207,7 @@ def test_brax_s_keys_may_be_raw_or_typed(brax_reach):
     assert env.action_size == 4 and raw.reward.shape == raw.done.shape == ()
 
 
+@pytest.mark.long
 def test_every_episode_under_brax_s_own_wrappers_has_a_fresh_goal(brax_states):
     goals = np.array([state.obs[:, -3:] for state in brax_states])
     done = np.array([state.done for state in brax_states]).astype(bool)
@@ -217,6 +219,7 @@ def test_every_episode_under_brax_s_own_wrappers_has_a_fresh_goal(brax_states):
     assert len(np.unique(goals.reshape(-1, 3), axis=0)) == sum(per_env) == done.sum() + 3
 
 
+@pytest.mark.long
 def test_brax_sees_the_first_observation_of_the_next_episode_and_what_ended_the_last(brax_states):
     """brax stores it in place of the last one's end, and leaves it out of targets: by `truncation` at the time limit, by `done` at the goal."""
     start = np.asarray(brax_states[0].obs[0, :10])
@@ -241,6 +244,7 @@ def test_reaching_the_goal_ends_the_episode_as_done_and_not_as_truncated(brax_re
     assert not np.allclose(after.obs[0, -3:], goals[0]) and not np.allclose(after.obs[0, -3:], state.obs[0, -3:])
 
 
+@pytest.mark.long
 def test_brax_links_are_where_mujoco_puts_them_and_move_as_they_say(brax_states):
     from infogoal_jax.report.fetch_scene import body_poses
 
@@ -254,6 +258,7 @@ def test_brax_links_are_where_mujoco_puts_them_and_move_as_they_say(brax_states)
     assert np.allclose(state.xd.vel, (ahead - behind) / (2 * step), atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_viewer_s_page_shows_the_robot_its_motion_and_the_goal(brax_reach, brax_states):
     from brax.io import html
 

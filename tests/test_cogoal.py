@@ -186,6 +186,7 @@ def test_values_out_of_range_are_named(field, changes):
         hand_made.config("cogoal", learner=cogoal.CoGoalConfig(**changes))
 
 
+@pytest.mark.long
 def test_a_run_is_finite():
     train = make_train(hand_made.config("cogoal", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
     result = jax.jit(train)(jax.random.key(0))

@@ -1,6 +1,6 @@
 """Every method goes through one program on every kind of task: houses and poses under DQN, image goals under HRAC, recorded flights under CQL.
 
-Each method's own file of tests has a run on the hand-made rooms; the other tasks take minutes to trace and stand among the long tests.
+Programs of the other tasks take minutes to trace, and runs to compile: both stand among the long tests.
 """
 
 import hand_made
@@ -45,8 +45,10 @@ def test_every_method_of_the_paper_has_a_task():
     assert {method for task in TASKS for method in presets.METHODS if (task, method) not in working()} == {"sse_db"}
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(("task", "method"), working())
+SOME_LONG = [pair if pair[0] == "object_search" else pytest.param(*pair, marks=pytest.mark.long) for pair in working()]
+
+
+@pytest.mark.parametrize(("task", "method"), SOME_LONG)
 def test_is_one_program_over_seeds(task, method):
     """Traced, not run: shapes agree from the first draw to the last evaluation, with an axis of seeds, and the method's own loss has its metrics."""
     train = train_of(task, method)

@@ -132,6 +132,7 @@ def random_problem(seed):
     return jnp.asarray(root @ root.T + np.eye(8), jnp.float32), jnp.asarray(draw.normal(size=8) * 10, jnp.float32), rows
 
 
+@pytest.mark.long
 def test_four_newton_steps_reach_the_minimum():
     """On drawn problems, far harder than a robot's, four steps bring the cost within a thousandth of the minimum found by many; one does not."""
     shortfall = {1: [], 4: []}

@@ -72,7 +72,7 @@ def by_hand(rows) -> tuple[np.ndarray, np.ndarray]:
     delays = [{} for _ in found]
     for (row, first, last), delay in zip(found, delays, strict=True):
         for step in range(last, first, -1):
-            delay |= {int(goal): step - first for goal in rows.record[row, step] if goal >= 0}
+            delay |= {int(goal): step - first for goal in rows.record[row, step] if goal >= 0 and goal not in rows.record[row, first]}
     goals, hits = np.full((ROWS, STEPS + 1), -1), np.full((ROWS, STEPS + 1), -1)
     for (row, first, last), delay in zip(found, delays, strict=True):
         if delay:
@@ -89,6 +89,20 @@ def test_rows_of_several_episodes_by_hand(several):
     np.testing.assert_array_equal(table.goal, goals)
     np.testing.assert_array_equal(table.hit, hits)
     assert (goals < 0).any() and len(set(goals.ravel().tolist())) > 3
+
+
+def test_a_goal_that_held_at_the_start_was_not_reached():
+    """Kept from the start it would be the fastest of all, and would teach nothing."""
+    table = best_goals(rows_of(np.ones((2, 3)), [[[4], [4], [5], [4]], [[4], [4], [4], [4]]]))
+    np.testing.assert_array_equal(table.goal, [[5] * 4, [-1] * 4])
+    np.testing.assert_array_equal(table.hit, [[2] * 4, [-1] * 4])
+
+
+def test_the_environment_says_when_a_goal_was_reached():
+    """It may do so before the record is nearest to the goal: here a goal counts as reached from the one before it on."""
+    rows = rows_of(np.ones((1, 4)), [[[1], [2], [3], [4], [5]]])
+    table = ghrl.best_goals(context(rows, reached=lambda record, goal: ((record == goal[..., None]) | (record == goal[..., None] - 1)).any(-1)))
+    assert table.goal[0, 0] == 3 and (table.hit == 1).all()  # 2 held at the start by this judgement.
 
 
 def test_agrees_with_the_public_rule_where_no_two_returns_are_equal():

@@ -124,7 +124,8 @@ def test_shares_that_cannot_be(config):
 
 
 @pytest.mark.parametrize(("method", "changes"), [
-    ("cher", {}), ("ghrl", {"hindsight": GHRLConfig(filter="advantage")}), ("infogoal", {"relabelling": "her"}),
+    ("cher", {}), pytest.param("ghrl", {"hindsight": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
+    pytest.param("infogoal", {"relabelling": "her"}, marks=pytest.mark.long),
 ])
 def test_training_goes_through(method, changes):
     """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are reached."""

@@ -1,6 +1,7 @@
 """What `infogoal methods` says is what training does: one set of refusals, told from names, true of the environments themselves."""
 
 import dataclasses
+import json
 import re
 import subprocess
 import sys
@@ -11,11 +12,12 @@ import hand_made_points
 import pytest
 
 from infogoal_jax import Hyperparameters, agents, exploration, learners, presets
+from infogoal_jax.config import to_json
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import methods
 from infogoal_jax.train import combinations
 from infogoal_jax.train.combinations import check_combination, reasons_against, traits_seen
-from infogoal_jax.train.command_line import main
+from infogoal_jax.train.command_line import is_of_method, main
 
 PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
 
@@ -143,3 +145,26 @@ def test_training_is_refused_before_anything_is_loaded(capsys, monkeypatch, tmp_
     assert main("train object_search --method none --stop-encoder-gradient".split()) == 2
     assert "stop_encoder_gradient = True" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
+    """As docs/own_learner.md registers one: it can be loaded, read back and named."""
+    monkeypatch.setitem(learners.registry, "mine", learners.registry["none"])
+    config = presets.load("object_search", "mine")
+    assert config.method == "mine" and presets.name_of(config) == "mine"
+    assert presets.from_dict(json.loads(to_json(config))) == config
+    assert "mine" in presets.train_flags(config)
+
+
+@pytest.mark.parametrize(("own", "asked", "same"), [
+    ("her", "her", True), ("none", "her", False), ("none", "sse_db", False), ("infogoal", "none", False), ("her", "none", True), ("vae", "vae", True),
+])
+def test_a_run_goes_on_with_its_own_method_only(own, asked, same):
+    """A relabelling or an explorer that the run was not made with is no detail; one that was added to a learner is left alone."""
+    assert is_of_method(presets.load("object_search", own), asked) == same
+
+
+def test_runs_without_the_task_s_own_relabelling_say_so():
+    """Two runs of embodied question answering that differ in it have different names."""
+    assert presets.name_of(presets.load("embodied_qa", "none")) == "none"
+    assert presets.name_of(presets.load("embodied_qa", "none", relabelling="none")) == "unrelabelled"

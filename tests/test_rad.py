@@ -132,6 +132,7 @@ def test_values_out_of_range_are_named(field, changes):
         rad.RADConfig(**changes).check(None)
 
 
+@pytest.mark.long
 def test_training_varies_goals_in_updates_alone(monkeypatch):
     """A whole run: whatever is varied has the size of an update's batch, which no rollout and no evaluation has."""
     sizes = []

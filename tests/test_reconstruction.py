@@ -270,7 +270,7 @@ def test_discrete_codes_learn_to_reconstruct_goals():
     assert len(np.unique(dgrl.indices_of(DISCRETE, params, VECTORS), axis=0)) == len(VECTORS)
 
 
-@pytest.mark.parametrize("method", ["vae", "dgrl"])
+@pytest.mark.parametrize("method", [pytest.param("vae", marks=pytest.mark.long), "dgrl"])
 def test_trains_on_the_hand_made_task(method):
     config = hand_made.config(method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3, batch_size=8, rollout_steps=20)
     result = jax.jit(make_train(config, hand_made.environment(8)))(jax.random.key(0))

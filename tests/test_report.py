@@ -241,6 +241,7 @@ def rows_of(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("│")[1:3]] for line in text.splitlines() if line.startswith("│")]
 
 
+@pytest.mark.long
 def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_run):
     text, scores = printed(print_run, reach_run.folder), tables.read(reach_run.folder, "evaluations").last()
     kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
@@ -281,6 +282,7 @@ def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(p
             evaluate_run(points.folder, 1, 1, 0.0, weight, env=env)
 
 
+@pytest.mark.long
 def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run):
     env, scores = reach_run.train.env, tables.read(reach_run.folder, "evaluations").last()
     for group in env.goals.groups:
@@ -290,6 +292,7 @@ def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run
         np.testing.assert_allclose(curve[:, -1], scores[f"{group}_goal/success_rate"], atol=1e-6)
 
 
+@pytest.mark.long
 def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
     env = reach_run.train.env
     apart = fetch_figures.distances_of_goals(env)
@@ -311,6 +314,7 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
     assert not np.array_equal(path, env.robot.achieved(corrupted.observations))
 
 
+@pytest.mark.long
 def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
     env = image_goal_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
     clean, half, background = (image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0))
@@ -335,6 +339,7 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
     np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(some, 0.4, 9))
 
 
+@pytest.mark.long
 def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):
     image_goal_figures.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
     assert imread(tmp_path / "goals.png").std() > 0.1

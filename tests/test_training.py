@@ -79,6 +79,7 @@ def test_vmapped_seeds_start_like_single_runs_bit_by_bit(train):
     assert_same_bits(jax.tree.map(lambda leaf: leaf[1], together), alone)
 
 
+@pytest.mark.long
 def test_first_five_updates_of_vmapped_seeds_equal_single_runs():
     short = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=5)
     train = make_train(short, hand_made.environment())

@@ -195,6 +195,7 @@ def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run,
         assert np.abs(corner.mean((0, 1)) - image.mean((0, 1))).max() < 15
 
 
+@pytest.mark.long
 def test_a_video_of_a_run_refuses_what_it_cannot_draw(reach_run, tmp_path):
     subject = read_subject(reach_run.folder, reach_run.train.env)
     for changes, message in (({"episodes": 0}, "episodes = 0"), ({"corruption": -0.1}, "corruption = -0.1"), ({"seed": -1}, "seed = -1")):

@@ -71,13 +71,16 @@ def best_goals(context: Context) -> Table:
     Only goals that the episode reached can be chosen: with rewards so sparse the authors' code may choose one never reached, by the order of zeros.
     And equal returns have equal ranks, the number of episodes with a smaller return, so that nothing hangs on their order; then there is no need to
     sort, only to count hits by goal and delay. All that is stored is counted: the authors stop at 500 trajectories, as they work each reward out.
-    Where the episode began is not counted as reached: no transition led there. A row that ends cuts its last episode in two.
+    A goal that held where the episode began does not count: no transition led there. A row that ends cuts its last episode in two.
     """
     rows, achieved = context.rows, context.achievements
     num_rows, length, several = achieved.goals.shape
     num_goals = achieved.known.shape[0]
     led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # By a transition.
-    seen = her.occurrences(jnp.where(led_to[..., None], achieved.goals, -1), rows, num_goals)
+    begin = her.episode_starts(rows)
+    at_start = jax.tree.map(lambda leaf: leaf[jnp.arange(num_rows)[:, None], begin][:, :, None], rows.record)
+    again = context.reached(at_start, jnp.maximum(achieved.goals, 0))
+    seen = her.occurrences(jnp.where(led_to[..., None] & ~again, achieved.goals, -1), rows, num_goals)
     first, start = seen.size > 0, jnp.repeat(seen.start, several, axis=1)
     delay = jnp.where(first, seen.step - start, 0)  # Transitions until the goal was reached, from 1.
     hits = jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
@@ -92,9 +95,12 @@ def best_goals(context: Context) -> Table:
 
     best = first & (score == over_episodes(jax.ops.segment_max, score))
     goal = over_episodes(jax.ops.segment_min, jnp.where(best, seen.goal, num_goals))  # Then the first goal.
-    hit = over_episodes(jax.ops.segment_max, jnp.where(best & (seen.goal == goal), seen.step, -1))
-    goal, hit = goal[:, ::several], hit[:, ::several]  # An episode has all places of its steps, in order.
-    return Table(jnp.where(hit >= 0, goal, -1), hit, achieved.known)
+    goal = goal[:, ::several]  # An episode has all places of its steps, in order.
+    at_goal = context.reached(rows.record, jnp.minimum(goal, num_goals - 1)) & led_to & (goal < num_goals)
+    hit = jax.ops.segment_min(jnp.where(at_goal, jnp.arange(length), length).reshape(-1), episode[:: several], num_rows * length,
+                              indices_are_sorted=True)[episode[:: several]].reshape(goal.shape)
+    found = hit < length  # The environment may call a goal reached before the record is nearest to it.
+    return Table(jnp.where(found, goal, -1), jnp.where(found, hit, -1), achieved.known)
 
 
 def accepted(context: Context, table: Table) -> jax.Array:

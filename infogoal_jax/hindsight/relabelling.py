@@ -28,7 +28,8 @@ class Context(NamedTuple):
 
     rows: all that updates may be drawn from; written: bool [R], which of them hold something; positions() -> float32 [N, D]: where goals lie, in the
     world's units where the task knows them, else in the space of goal codes; value(observation [B, ...], goal int32 [B]) -> float32 [B]: of the
-    agent's policy, by the epoch's first parameters; discount: of a step; updates: int32, how many were made before this epoch.
+    agent's policy, by the epoch's first parameters; reached(record [...], goal int32 [...]) -> bool [...]: the environment's own judgement;
+    discount: of a step; updates: int32, how many were made before this epoch.
     """
 
     rows: Rows
@@ -36,6 +37,7 @@ class Context(NamedTuple):
     achievements: Achievements
     positions: Callable[[], jax.Array]
     value: Callable[[Any, jax.Array], jax.Array]
+    reached: Callable[[Any, jax.Array], jax.Array]
     discount: jax.Array
     updates: jax.Array
 

@@ -49,7 +49,7 @@ class Request(NamedTuple):
 
 
 class Example(NamedTuple):
-    """What a learner's networks are made for: goal_inputs [M, ...] of goals, features [F] of a state, and how many cells visits are counted in."""
+    """What a learner's networks are made for: goal_inputs [M, ...] of training goals, features [F] of a state, and how many cells visits count in."""
 
     goal_inputs: jax.Array
     features: jax.Array

@@ -88,15 +88,24 @@ def default_config(arguments: list[str]) -> TrainConfig:
     """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to resume."""
     from infogoal_jax.report.runs import read_run
 
+    if arguments and arguments[-1] == "--method":
+        raise UserError(f"method: give a name after --method. Known: {', '.join(presets.METHODS)}")
     resumed = flag(arguments, "resume")
     if resumed:
         config, method = read_run(Path(resumed)).config, flag(arguments, "method")
-        if method is not None and presets.method_named(method).learner != config.method:
+        if method is not None and not is_of_method(config, method):
             raise UserError(f"method = {method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
         return config
     task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
     named = (flag(arguments, part) for part in ("algorithm", "relabelling", "exploration"))
     return presets.load(task, flag(arguments, "method") or "infogoal", *named)
+
+
+def is_of_method(config: TrainConfig, method: str) -> bool:
+    """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been added to it."""
+    named = presets.method_named(method)
+    parts = ((named.learner, config.method), (named.relabelling, config.relabelling))
+    return all(asked in (None, own) for asked, own in parts) and named.exploration in ("none", config.exploration)
 
 
 def without_flag(arguments: list[str], name: str) -> list[str]:

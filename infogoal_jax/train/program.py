@@ -214,7 +214,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
-        params["goal"], learner_state = learner.init(keys[0], Example(env.goals.inputs, features, env.num_cells), hyper)
+        params["goal"], learner_state = learner.init(keys[0], Example(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper)
         code = conditioned(learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:
@@ -294,7 +294,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             code = conditioned(learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features)
             return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
 
-        return Context(rows, written, achievements, positions, value, hyper.discount, number * config.updates_per_epoch)
+        return Context(rows, written, achievements, positions, value, env.reached, hyper.discount, number * config.updates_per_epoch)
 
     def epoch(state: TrainState, number, hyper, env):
         collected = {}
