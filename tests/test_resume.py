@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from killed_run import chunk_config
 
+from infogoal_jax.config import to_json
 from infogoal_jax.errors import UserError
 from infogoal_jax.train import checkpoint, files, host
 
@@ -183,3 +184,13 @@ except UserError as error:
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "could not be written" in printed and "--resume" in printed
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"] and (tmp_path / "checkpoint").read_bytes() == b"old"
+
+
+def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):
+    """A field that it does not have cannot be given the same value."""
+    config = json.loads(to_json(hand_made.config()))
+    description = {"seeds": [0], "data": "rooms", "config": config, "epoch": 1}
+    earlier = description | {"config": {name: value for name, value in config.items() if name != "exploration"}}
+    checkpoint.save(tmp_path / "checkpoint", earlier, {"weight": np.zeros(2)})
+    with pytest.raises(UserError, match="earlier version, which has no exploration.*start a new run"):
+        host.resume_from(tmp_path / "checkpoint", None, description)
