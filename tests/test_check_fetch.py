@@ -166,6 +166,7 @@ def test_errors_are_measured_in_millimetres_and_outcomes_counted():
     assert everything.equal_rewards == pytest.approx(5 / 6)
 
 
+@pytest.mark.long
 def test_a_recording_of_our_own_environment_is_met_exactly(tmp_path, capsys):
     """A recording made of a replay: from the command line its distances are zero, and its rewards those of the goals in it."""
     env, arrays = load("fetch_reach"), sound()

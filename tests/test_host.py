@@ -64,6 +64,7 @@ def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_pa
     np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, tmp_path):
     """A chunk after the first takes the states from where the first left them."""
     train_on_two_devices(tmp_path / "run", 2, 1)

@@ -131,6 +131,7 @@ def test_training_looks_at_training_backgrounds_alone_and_only_when_it_corrupts(
     assert not np.array_equal(trained(0.0).epochs["agent/loss"], trained(0.4).epochs["agent/loss"])
 
 
+@pytest.mark.long
 def test_fetch_reach_trains_with_its_own_physics(reach_run):
     """The preset, made small: two seeds of the real task, with its low level and images."""
     config = reach_run.train.config
