@@ -81,24 +81,25 @@ def best_goals(context: Context) -> Table:
     at_start = jax.tree.map(lambda leaf: leaf[jnp.arange(num_rows)[:, None], begin][:, :, None], rows.record)
     again = context.reached(at_start, jnp.maximum(achieved.goals, 0))
     seen = her.occurrences(jnp.where(led_to[..., None] & ~again, achieved.goals, -1), rows, num_goals)
-    first, start = seen.size > 0, jnp.repeat(seen.start, several, axis=1)
+    first, start = seen.size > 0, jnp.repeat(begin, several, axis=1)
     delay = jnp.where(first, seen.step - start, 0)  # Transitions until the goal was reached, from 1.
     hits = jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
     num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
     rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]  # Episodes that were slower, or never got there.
 
     score = jnp.where(first, rank * length - delay, -length)  # Of equal ranks the greater return, which came sooner.
-    episode = (jnp.arange(num_rows)[:, None] * length + start).reshape(-1)
+    number = jnp.arange(num_rows)[:, None] * length + begin
 
     def over_episodes(reduce, values):
-        return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(first.shape)
+        """Of values [R, (T + 1) K], K for each step, those of an episode reduced to one, which stands at every place of the episode."""
+        episode = jnp.repeat(number, values.shape[1] // length, axis=1).reshape(-1)
+        return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(values.shape)
 
     best = first & (score == over_episodes(jax.ops.segment_max, score))
     goal = over_episodes(jax.ops.segment_min, jnp.where(best, seen.goal, num_goals))  # Then the first goal.
     goal = goal[:, ::several]  # An episode has all places of its steps, in order.
     at_goal = context.reached(rows.record, jnp.minimum(goal, num_goals - 1)) & led_to & (goal < num_goals)
-    hit = jax.ops.segment_min(jnp.where(at_goal, jnp.arange(length), length).reshape(-1), episode[:: several], num_rows * length,
-                              indices_are_sorted=True)[episode[:: several]].reshape(goal.shape)
+    hit = over_episodes(jax.ops.segment_min, jnp.where(at_goal, jnp.arange(length), length))
     found = hit < length  # The environment may call a goal reached before the record is nearest to it.
     return Table(jnp.where(found, goal, -1), jnp.where(found, hit, -1), achieved.known)
 

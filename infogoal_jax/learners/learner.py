@@ -85,6 +85,11 @@ class Visited:
     mask: jax.Array
 
 
+def no_loss(params: Any, state: Any, batch: LearnerBatch, hyper: Any, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], Any]:
+    """Nothing but the agent's loss trains the goal encoder."""
+    return jnp.zeros(()), {}, state
+
+
 def no_reward(state: Any, encode: Encode, visited: Visited) -> tuple[jax.Array, Any]:
     """No intrinsic reward."""
     return jnp.zeros(visited.mask.shape), state

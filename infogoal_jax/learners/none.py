@@ -2,11 +2,9 @@
 
 import dataclasses
 
-import jax.numpy as jnp
-
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import GoalCode, Learner
+from infogoal_jax.learners.learner import GoalCode, Learner, no_loss
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +31,4 @@ def make(config: NoneConfig) -> Learner:
     def encode(params, goal_inputs):
         return GoalCode(encoder.apply(params, goal_inputs))
 
-    def loss(params, state, batch, hyper, key):
-        return jnp.zeros(()), {}, state
-
-    return Learner(init=lambda key, example, hyper: (encoder.init(key, example.goal_inputs[:1]), ()), encode=encode, loss=loss)
+    return Learner(init=lambda key, example, hyper: (encoder.init(key, example.goal_inputs[:1]), ()), encode=encode, loss=no_loss)

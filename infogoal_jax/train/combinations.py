@@ -14,8 +14,7 @@ from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import require
-from infogoal_jax.learners import none
-from infogoal_jax.learners.learner import Learner, no_reward
+from infogoal_jax.learners.learner import Learner, no_loss, no_reward
 from infogoal_jax.train.hierarchy import Steered
 
 STEERING = ("hrac",)
@@ -76,7 +75,7 @@ def make_learner(config: TrainConfig) -> Learner:
 
 def has_own_loss(learner: Learner) -> bool:
     """Whether the goal encoder is trained by anything but the agent's loss."""
-    return getattr(learner.loss, "__module__", "") != none.__name__
+    return learner.loss is not no_loss
 
 
 def has_reward(learner: Learner) -> bool:
