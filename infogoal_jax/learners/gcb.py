@@ -2,7 +2,9 @@
 
 A paired code phi(s, g) is as far from another as their rewards differ, plus as far as the pairs that follow lie apart. It is then split in two,
 psi(g) - psi(s), and that difference is the goal's code for the policy: what is left to do. Where rewards are sparse most target distances are 0, and
-the paired codes may collapse into one: watch the metric `code_spread`.
+the paired codes may collapse into one: watch the metric `code_spread`. As in the authors' code, a decoder that reads the reward out of the paired codes
+keeps them apart, and some transitions are seen under a goal achieved later, so that codes are learned for more goals than are commanded. The agent
+learns from its transitions as they are, unless it is relabelled too.
 
 Two things differ from the authors' code. There the encoders of this method are its own; here the state encoder belongs to the agent, whose loss alone
 trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors take phi(g, g) from the
@@ -20,7 +22,7 @@ import optax
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +39,10 @@ class GCBConfig:
     """Widths of the layers that join state and goal to the paired code, and of those of psi(s)."""
     reward_weight: float = 1.0
     """Weight c_r of the gap between rewards in the target distance; 1 in the authors' code."""
+    reward_hidden: int = 512
+    """Width of the decoder of rewards [authors' code]; 0: none."""
+    hindsight_share: float = 0.3
+    """Share of the transitions that the losses see under a goal achieved later; the authors add 4 such to every 10."""
     policy_input: Literal["difference", "goal"] = "difference"
     """What the policy is given: `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
 
@@ -46,6 +52,8 @@ class GCBConfig:
         for name, widths in (("hidden", "128 128 128"), ("paired_hidden", "128 128")):
             require(all(width > 0 for width in getattr(self, name)), f"learner.{name}", getattr(self, name),
                     f"give widths greater than 0, for example {widths}")
+        require(self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder")
+        require(0 <= self.hindsight_share <= 1, "learner.hindsight_share", self.hindsight_share, "give a share from 0 to 1")
         require(self.reward_weight > 0, "learner.reward_weight", self.reward_weight, "give a number greater than 0: 0 makes all pairs alike")
         require(self.policy_input in ("difference", "goal"), "learner.policy_input", self.policy_input, "give difference or goal")
 
@@ -66,6 +74,17 @@ class PairedEncoder(nn.Module):
         goal = networks.GoalLayers(self.hidden, self.out, self.standardise)(goal_inputs)
         state = nn.Dense(self.out)(features)
         return networks.MLP(self.paired_hidden, self.out)(jnp.concatenate([state, jnp.broadcast_to(goal, state.shape)], axis=-1))
+
+
+class RewardDecoder(nn.Module):
+    """The reward of a transition, [B], out of its two paired codes [B, d] each."""
+
+    hidden: int
+
+    @nn.compact
+    def __call__(self, codes, next_codes):
+        joined = nn.LayerNorm()(nn.Dense(self.hidden)(jnp.concatenate([codes, next_codes], axis=-1)))
+        return nn.Dense(1)(nn.relu(joined))[..., 0]
 
 
 def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax.Array, partner: jax.Array, reward_weight: float) -> jax.Array:
@@ -103,14 +122,18 @@ def make(config: GCBConfig) -> Learner:
     encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
     state_head = networks.MLP(config.paired_hidden, config.latent_size)
     paired = PairedEncoder(config.hidden, config.paired_hidden, config.latent_size, config.standardise_images)
+    decoder = RewardDecoder(config.reward_hidden)
 
     def init(key, example, hyper):
-        keys = jax.random.split(key, 3)
+        keys = jax.random.split(key, 4)
         goal_inputs, features = example.goal_inputs[:1], example.features[None]
         params = {
             "encoder": encoder.init(keys[0], goal_inputs), "state_head": state_head.init(keys[1], features),
             "paired": paired.init(keys[2], features, goal_inputs),
         }
+        if config.reward_hidden:
+            code = jnp.zeros((1, config.latent_size))
+            params["reward_decoder"] = decoder.init(keys[3], code, code)
         return params, ()
 
     def encode(params, goal_inputs):
@@ -122,7 +145,7 @@ def make(config: GCBConfig) -> Learner:
         return GoalCode(code.mean - state_head.apply(params["state_head"], features))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """L_phi of each transition with another of the batch, plus L_psi. Rewards and discounts are those that the agent learns from, of n steps."""
+        """L_phi of each transition with another of the batch, plus L_psi, plus the square error of the decoded rewards. Steps are the agent's, n at once."""
         transitions = batch.transitions
         features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
         codes, next_codes = paired.apply(params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired))
@@ -131,6 +154,12 @@ def make(config: GCBConfig) -> Learner:
         paired_error = paired_loss(codes, target, partner)
         psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes)
         metrics = {"paired_loss": paired_error, "psi_loss": psi_error, "target": target.mean(), "code_spread": code_spread(codes)}
-        return paired_error + psi_error, metrics, state
+        total = paired_error + psi_error
+        if config.reward_hidden:
+            decoded = decoder.apply(params["reward_decoder"], codes, next_codes)
+            metrics["reward_error"] = ((decoded - jax.lax.stop_gradient(transitions.reward)) ** 2).mean()
+            total += metrics["reward_error"]
+        return total, metrics, state
 
-    return Learner(init, encode, loss, condition=condition if config.policy_input == "difference" else None)
+    condition_on = condition if config.policy_input == "difference" else None
+    return Learner(init, encode, loss, Request(hindsight_share=config.hindsight_share), condition=condition_on)

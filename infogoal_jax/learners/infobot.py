@@ -1,6 +1,6 @@
 """InfoBot (Goyal et al. 2019): a goal code that costs the policy something for every bit that it uses of the goal.
 
-The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is held constant. An intrinsic reward leads to states that were seldom
+The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is constant after a warm-up. An intrinsic reward leads to states that were seldom
 visited, the more so the more the code tells of the goal. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone;
 `state_conditioned` is the original form p(z | s, g).
 """
@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
+from infogoal_jax.errors import require
 from infogoal_jax.learners import none
 from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
@@ -21,18 +22,27 @@ SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic rewa
 
 @dataclasses.dataclass(frozen=True)
 class InfoBotConfig(none.NoneConfig):
-    """Sizes and switches of InfoBot. Its beta is a hyperparameter, `fixed_beta`: constant from the first update on."""
+    """Sizes and switches of InfoBot. Its beta is a hyperparameter, `fixed_beta`."""
 
     state_conditioned: bool = False
     """Let the code depend on the state too, p(z | s, g) of the original; the comparisons of InfoGoal's paper encode the goal alone."""
+    warm_up: int = 2000
+    """Updates over which beta rises from 0 [M]: before a reward was found the code is worth nothing, and the KL would close it for good."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        super().check(config)
+        require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
 
 
 @flax.struct.dataclass
 class InfoBotState:
-    """counts: float32 [num_cells], visits to each cell; scale: running mean of the KL of desired goals, which normalises the intrinsic reward."""
+    """counts: float32 [num_cells], visits to each cell; scale: running mean of the KL of desired goals, which normalises the intrinsic reward;
+    updates: int32, so far."""
 
     counts: jax.Array
     scale: jax.Array
+    updates: jax.Array
 
 
 def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Array:
@@ -54,7 +64,7 @@ def make(config: InfoBotConfig) -> Learner:
             params["joint"] = joint_encoder.init(joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size)))
         else:
             scale = kl_to_standard_normal(encode(params, first)).mean()  # Near that of any goal, so that the mean need not run in from afar.
-        return params, InfoBotState(counts=jnp.zeros(example.num_cells), scale=scale)
+        return params, InfoBotState(jnp.zeros(example.num_cells), scale, jnp.zeros((), jnp.int32))
 
     def encode(params, goal_inputs):
         """phi(g); of the state-conditioned form its half that sees the goal, which has no noise yet."""
@@ -71,10 +81,9 @@ def make(config: InfoBotConfig) -> Learner:
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
-        metrics = {  # The KL in nats, as InfoGoal reports it.
-            "kl": kl, "beta": jnp.asarray(hyper.fixed_beta, jnp.float32), "visited_cells": (state.counts > 0).sum(),
-        }
-        return hyper.fixed_beta * kl / jnp.log(2.0), metrics, state
+        beta = hyper.fixed_beta * jnp.minimum(1.0, (state.updates + 1) / max(1, config.warm_up))
+        metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}  # The KL in nats, as InfoGoal reports it.
+        return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
         """KL(phi(g) || N(0, I)), over its running mean, over sqrt(c(s)), c(s) = 1 + the visits counted so far where each step led.

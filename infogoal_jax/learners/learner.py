@@ -8,7 +8,6 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.pairs import GoalPairs
 
@@ -38,6 +37,7 @@ class Request(NamedTuple):
 
     num_pairs: of goals achieved within `window` steps of each other, each with `num_negatives`; anchored: whether a negative is compared with the
     pair's anchor, or with a goal of its own; dissimilar: whether negatives are taken from G_neg, or are any known goals. num_goals: known goals.
+    hindsight_share: of the transitions, which are seen under a goal achieved later in their episode; the agent learns from them as they are.
     """
 
     num_pairs: int = 0
@@ -46,6 +46,7 @@ class Request(NamedTuple):
     anchored: bool = True
     dissimilar: bool = True
     num_goals: int = 0
+    hindsight_share: float = 0.0
 
 
 class Example(NamedTuple):
@@ -56,11 +57,25 @@ class Example(NamedTuple):
     num_cells: int
 
 
+class Steps(NamedTuple):
+    """B transitions of n steps, under the goals `LearnerBatch.desired`.
+
+    features [B, F] of the states that they start from, with the state encoder's gradient, and next_features, without, of those that they lead to;
+    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination.
+    """
+
+    features: jax.Array
+    next_features: jax.Array
+    reward: jax.Array
+    discount: jax.Array
+
+
 class LearnerBatch(NamedTuple):
     """What a learner's loss may look at.
 
     encode: by the goal encoder that is trained; inputs_of: goals [...] to what the encoder sees of them; pairs: as requested, or None;
-    goals: int32 [num_goals], known goals; desired: int32 [B], the goals of the transitions, which are those of the agent's batch.
+    goals: int32 [num_goals], known goals; desired: int32 [B], the goals of the transitions, which are those of the agent's batch, but for the share
+    of them that was asked for in hindsight.
     """
 
     encode: Encode
@@ -68,7 +83,7 @@ class LearnerBatch(NamedTuple):
     pairs: GoalPairs | None
     goals: jax.Array
     desired: jax.Array
-    transitions: AgentBatch
+    transitions: Steps
 
 
 @flax.struct.dataclass

@@ -24,6 +24,7 @@ from infogoal_jax.agents.agent import Agent, Exploration
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
+from infogoal_jax.hindsight import her
 from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
 from infogoal_jax.learners.learner import Encode, Example, GoalCode, Learner, conditioned, encode_all, encode_commanded, in_place
 from infogoal_jax.replay import Rows
@@ -38,12 +39,16 @@ INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
 
 class Parts(NamedTuple):
-    """The parts that a configuration names, put together only here."""
+    """The parts that a configuration names, put together only here.
+
+    hindsight: what relabels the agent's transitions; retelling: what relabels those that the learner's loss sees, if it asks for that.
+    """
 
     method: str
     learner: Learner
     agent: Agent
     hindsight: Hindsight | None
+    retelling: Hindsight | None
     explorer: Explorer | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
@@ -129,11 +134,14 @@ def check_names(config: TrainConfig) -> None:
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
     method, algorithm, relabelling = learners.entry(config.method), agents.entry(config.algorithm), hindsight.entry(config.relabelling)
+    learner = method.make(config.learner)
+    share = learner.request.hindsight_share
     return Parts(
         method=config.method,
-        learner=method.make(config.learner),
+        learner=learner,
         agent=algorithm.make(config.agent, env),
         hindsight=relabelling.make(config.hindsight),
+        retelling=her.make(her.HERConfig(future_share=share)) if share else None,
         explorer=exploration.entry(config.exploration).make(config.explorer),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
@@ -269,17 +277,19 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         achieved_count = replay.running_count(achieved)
         known = jnp.ones_like(usable) if config.known_goals == "all" else usable & state.seen
         codes = encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None
-        table = bonus = None
-        if parts.hindsight is not None:
+        bonus, tables = None, [None, None]
+        if parts.hindsight is not None or parts.retelling is not None:
             achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
-            table = parts.hindsight.prepare(hindsight_context(state, number, hyper, env, buffer, written, achievements, codes))
+            context = hindsight_context(state, number, hyper, env, buffer, written, achievements, codes)
+            tables = [part and part.prepare(context) for part in (parts.hindsight, parts.retelling)]
         if parts.explorer is not None:
             features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
             bonus, explored = parts.explorer.survey(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
             state = state.replace(explorer=explored)
         return Experience(
             buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
-            known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes, hindsight=table, bonus=bonus,
+            known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes,
+            hindsight=tables[0], retelling=tables[1], bonus=bonus,
         ), state
 
     def hindsight_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements, codes: GoalCode | None) -> Context:

@@ -14,7 +14,7 @@ from infogoal_jax import replay
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.goals import corrupt, draw_backgrounds
-from infogoal_jax.learners.learner import GoalCode, LearnerBatch, View, Visited, conditioned, encode_commanded, encode_goals
+from infogoal_jax.learners.learner import GoalCode, LearnerBatch, Steps, View, Visited, conditioned, encode_commanded, encode_goals
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Rows, Transitions
 
@@ -28,7 +28,8 @@ class Experience:
     buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
-    hindsight: the table that a relabelling made for the epoch; bonus: float32 [K, A] of each observation and action; None without such a part.
+    hindsight: the table that a relabelling made for the epoch, retelling: that of the learner's own; bonus: float32 [K, A] of each observation and
+    action; None without such a part.
     """
 
     buffer: Rows
@@ -40,6 +41,7 @@ class Experience:
     dissimilarity: jax.Array
     codes: GoalCode | None
     hindsight: Any = None
+    retelling: Any = None
     bonus: jax.Array | None = None
 
 
@@ -50,6 +52,7 @@ class Sample:
     transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], the known goals that were
     achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known ones, as many as the learner asks for.
     bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B]; None without an explorer.
+    retold: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what the agent sees.
     """
 
     transitions: Transitions
@@ -59,6 +62,7 @@ class Sample:
     goals: jax.Array | None = None
     bonus: jax.Array | None = None
     move: tuple | None = None
+    retold: "Sample | None" = None
 
 
 def training_view(parts, env, augmented: bool) -> View | None:
@@ -117,6 +121,9 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(pairs=sample_pairs(request, env, experience, pair_key))
     if request.num_goals:
         drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (request.num_goals,)))
+    if parts.retelling is not None:
+        other = parts.retelling.relabel(jax.random.fold_in(key, 4), experience.retelling, row, step, drawn.transitions.goal)
+        drawn = drawn.replace(retold=judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached)))
     if parts.explorer is not None:
         taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
         place = row[:, None], taken
@@ -154,10 +161,19 @@ def returns(parts, params, learner_state, env, hyper, experience: Experience, dr
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     if drawn.bonus is not None:
         step_reward += hyper.bonus_weight * drawn.bonus
-    discounts = hyper.discount ** jnp.arange(batch.mask.shape[1])
     taken = batch.mask.sum()
     metrics = {"external_reward": (external * batch.mask).sum() / taken, "intrinsic_reward": (intrinsic * batch.mask).sum() / taken}
-    return (step_reward * batch.mask * discounts).sum(1), learner_state, metrics
+    return discounted(step_reward, batch, hyper), learner_state, metrics
+
+
+def discounted(step_reward: jax.Array, batch: Transitions, hyper) -> jax.Array:
+    """Discounted sum of the rewards [B, n] of each transition's steps, float32 [B]."""
+    return (step_reward * batch.mask * hyper.discount ** jnp.arange(batch.mask.shape[1])).sum(1)
+
+
+def discount_after(batch: Transitions, hyper) -> jax.Array:
+    """Discount of what follows each transition, float32 [B]: 0 after termination."""
+    return hyper.discount ** batch.mask.sum(1) * ~batch.terminated
 
 
 def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
@@ -195,10 +211,19 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
         target_features=target_features,
         target_code=target_code.sample(keys[2]),
         reward=reward,
-        discount=hyper.discount ** batch.mask.sum(1) * ~batch.terminated,
+        discount=discount_after(batch, hyper),
         action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
     )
+
+
+def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
+    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps retold, with the environment's reward alone."""
+    if drawn.retold is None:
+        return drawn.transitions.goal, Steps(codes.features, codes.next_features, codes.reward, codes.discount)
+    batch = drawn.retold.transitions
+    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.batch_size)(batch.next_observation))
+    return batch.goal, Steps(codes.features, following, discounted(drawn.retold.external, batch, hyper), discount_after(batch, hyper))
 
 
 def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
@@ -224,7 +249,7 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         params = restore(vector)
         encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, training_view(parts, env, augmented=True), view_key)
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
-        seen = LearnerBatch(encode, env.goals.inputs_of, pairs, drawn.goals, batch.goal, codes)
+        seen = LearnerBatch(encode, env.goals.inputs_of, pairs, drawn.goals, *steps_to_learn_from(parts, params, env, hyper, drawn, codes))
         learner_loss, learner_metrics, after = learner.loss(params["goal"], learner_state, seen, hyper, loss_key)
         agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper, agent_key)
         total, states = agent_loss + hyper.learner_weight * learner_loss, {"learner": after}

@@ -1,0 +1,101 @@
+"""How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result is reported on.
+
+    python benchmarks/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae her ...] [--trials 24] [--seeds 3]
+
+Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other objects are given the names of
+objects that the task does not have, and are the validation goals. Fetch is tuned on the validation goals of the shipped bank. FOLDER/TASK/METHOD is
+the folder of a search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several processes.
+FOLDER/tuning.md is the table of all that is there.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from methods_study import NAMES
+
+from infogoal_jax import presets
+from infogoal_jax.data.house import build_house
+from infogoal_jax.data.splits import AUTHORS_SPLIT
+
+HOUSE = 100
+VALIDATION = {
+    "crystal_hot_sauce": "pringles_bbq", "paper_plate": "red_cup", "mahatma_rice": "bumblebee_albacore",
+    "honey_bunches_of_oats_with_almonds": "hunts_sauce", "softsoap_clear": "progresso_new_england_clam_chowder", "hersheys_bar": "red_bull",
+    "nature_valley_sweet_and_salty_nut_almond": "expo_marker_red", "advil_liqui_gels": "crest_complete_minty_fresh", "listerine_green": "softsoap_white",
+}
+"""Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split of the authors."""
+
+FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "fixed_beta"]}
+"""What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are one number."""
+
+
+def tuning_house(folder: Path) -> list[str]:
+    """Build the house for tuning and its split, unless they are there. Returns the flags that train on it."""
+    dataset, split = folder / "house", folder / "split.json"
+    if not split.exists():
+        build_house(dataset, seed=HOUSE)
+        for path in (dataset / "all_instance_id_map.txt", dataset / "instance_id_map.txt"):
+            identifier = dict(line.split() for line in path.read_text().splitlines())
+            for old, new in VALIDATION.items():
+                identifier[old], identifier[new] = identifier[new], identifier[old]
+            path.write_text("".join(f"{name} {number}\n" for name, number in identifier.items()))
+        for path in dataset.glob("*/present_instance_names.txt"):
+            path.write_text("".join(f"{VALIDATION.get(name, name)}\n" for name in path.read_text().split()))
+        uses = dict.fromkeys(AUTHORS_SPLIT.train, "train") | dict.fromkeys(VALIDATION, "validation")
+        room = {name: AUTHORS_SPLIT.room_names[AUTHORS_SPLIT.rooms[name]] for name in uses}
+        objects = {VALIDATION.get(name, name): {"room": room[name], "use": use} for name, use in uses.items()}
+        split.write_text(json.dumps({"objects": objects}, indent=1) + "\n")
+    return ["--env.dataset", str(dataset), "--env.split", str(split)]
+
+
+def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
+    """One search by the command line, into FOLDER/TASK/METHOD."""
+    out = folder / task / method
+    if (out / "best.json").exists() and json.loads((out / "best.json").read_text())["finished"]:
+        return
+    data = tuning_house(folder) if task == "object_search" else []
+    command = ["tune", task, "--method", method, "--trials", str(trials), "--seeds", str(seeds), "--out", str(out), *data]
+    command += ["--fields", *FIELDS[method]] if method in FIELDS else []
+    subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
+
+
+def report(folder: Path) -> str:
+    """The searches as Markdown: for each task and method the preset's score, the best one's, and its values."""
+    lines = []
+    for task in presets.TASKS:
+        found = {method: folder / task / method / "best.json" for method in NAMES if (folder / task / method / "best.json").exists()}
+        if not found:
+            continue
+        lines += [f"### {task}", "", "| method | preset of that time | best | trial | its values |", "|---|---|---|---|---|"]
+        for method, path in found.items():
+            best = json.loads(path.read_text())
+            trials = [json.loads(line) for line in (path.parent / "trials.jsonl").read_text().splitlines()]
+            values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
+            lines.append(f"| {NAMES[method]} | {trials[0]['score']:.2f} | {best['score']:.2f} | {best['trial']} of {len(trials)} | {values} |")
+        about = json.loads((path.parent / "config.json").read_text())
+        lines += ["", f"Success on {best['goals']} goals after {best['epoch']} epochs, mean of the seeds {', '.join(map(str, trials[0]['seeds']))}. "
+                  f"{about['data']}", ""]
+    return "\n".join(lines)
+
+
+def main():
+    """Search what is not there yet, then write the table of all that is."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=presets.TASKS)
+    parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
+    parser.add_argument("--trials", type=int, default=24)
+    parser.add_argument("--seeds", type=int, default=3)
+    arguments = parser.parse_args()
+    for task in arguments.tasks:
+        for method in arguments.methods:
+            search(task, method, arguments.trials, arguments.seeds, arguments.out)
+    (arguments.out / "tuning.md").write_text(report(arguments.out))
+    print(report(arguments.out))
+
+
+if __name__ == "__main__":
+    main()
