@@ -1,7 +1,7 @@
 """InfoBot (Goyal et al. 2019): a goal code that costs the policy something for every bit that it uses of the goal.
 
-The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is constant after a warm-up. An intrinsic reward leads to states that were seldom
-visited, the more so the more the code tells of the goal. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone;
+The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is constant after a warm-up. An intrinsic reward leads to states that
+were seldom visited, the more so the more the code tells of the goal. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone;
 `state_conditioned` is the original form p(z | s, g).
 """
 
