@@ -10,17 +10,10 @@ import optax
 import pytest
 
 from infogoal_jax import Hyperparameters, UserError, make_train, networks
-from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.learners import gcb
-from infogoal_jax.learners.learner import GoalCode, conditioned
+from infogoal_jax.learners.learner import GoalCode, Steps, conditioned
 
 FIXTURE = np.load(Path(__file__).parent / "fixtures" / "gcb.npz", allow_pickle=False)
-
-
-def transitions(features, reward, discount, next_features) -> AgentBatch:
-    """Transitions of which only this is known: all that GCB may look at."""
-    others = dict.fromkeys(AgentBatch.__dataclass_fields__)
-    return AgentBatch(**(others | {"features": features, "reward": reward, "discount": discount, "next_features": next_features}))
 
 
 def assert_relatively_close(found, recorded):
@@ -103,12 +96,13 @@ state and an end under another goal, where the first state earns more. All eight
 
 def learner_and_params(**changes):
     """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next features and rewards."""
-    learner = gcb.make(gcb.GCBConfig(hidden=(64, 64), paired_hidden=(64, 64), latent_size=8, reward_weight=2.0, **changes))
+    settings = {"hidden": (64, 64), "paired_hidden": (64, 64), "latent_size": 8, "reward_weight": 2.0}
+    learner = gcb.make(gcb.GCBConfig(**(settings | changes)))
     params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), Hyperparameters())
 
     def loss(params, features, next_features, rewards, key):
         codes = learner.encode(params, INPUTS)
-        seen = transitions(features, rewards, DISCOUNTS, next_features)
+        seen = Steps(features, next_features, rewards, DISCOUNTS)
         batch = hand_made.learner_batch(codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen)
         value, metrics, after = learner.loss(params, state, batch, Hyperparameters(), key)
         assert after == state
@@ -156,6 +150,13 @@ def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
     difference = learner.condition(trained, learner.encode(trained, INPUTS[GOALS]), FEATURES[STATES]).mean
     assert np.square(difference - codes).mean() < 0.1 * np.square(codes).mean()
     assert metrics["paired_loss"][-1] < 0.01 * metrics["paired_loss"][0] and metrics["code_spread"][-1] > 0.05
+    assert metrics["reward_error"][-1] < 1e-2 < metrics["reward_error"][0]  # The reward can be read out of the codes.
+
+
+def test_without_a_decoder_nothing_of_it_is_left():
+    _, params, loss = learner_and_params(reward_hidden=0)
+    _, metrics = loss(params, FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, jax.random.key(3))
+    assert "reward_decoder" not in params and "reward_error" not in metrics
 
 
 def test_the_policy_is_given_what_is_left_to_do():
@@ -176,7 +177,8 @@ def test_the_policy_can_be_given_the_goal_alone():
 
 
 def test_wrong_settings_are_refused():
-    for field, value in (("latent_size", 0), ("paired_hidden", (128, 0)), ("reward_weight", 0.0), ("policy_input", "sum")):
+    for field, value in (("latent_size", 0), ("paired_hidden", (128, 0)), ("reward_weight", 0.0), ("policy_input", "sum"),
+                         ("reward_hidden", -1), ("hindsight_share", 1.5)):
         with pytest.raises(UserError, match=field):
             hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
 

@@ -1,6 +1,7 @@
 """Relabelling in hindsight: goals are achieved later in the same episode, and rewards follow from them, whichever method chooses them."""
 
 from collections import Counter
+from types import SimpleNamespace
 
 import hand_made
 import jax
@@ -14,7 +15,9 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hindsight.cher import CHERConfig
 from infogoal_jax.hindsight.ghrl import GHRLConfig
 from infogoal_jax.hindsight.her import HERConfig
+from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.replay import Rows
+from infogoal_jax.train import update
 
 DRAWS = 4000
 ALWAYS = [("her", HERConfig(future_share=1.0)), ("her", HERConfig(future_share=1.0, strategy="prefix")), ("cher", CHERConfig(future_share=1.0)),
@@ -121,6 +124,39 @@ def test_shares_that_cannot_be(config):
     """Shares beyond 1, or below 0, name their field."""
     with pytest.raises(UserError, match=r"hindsight\.(future|random)_share"):
         config.check(None)
+
+
+def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
+    """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them; the agent's draws stay."""
+    env, drawn = hand_made.environment(), {}
+    for share in (0.0, 1.0):
+        config = hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=1, learner=GCBConfig(hindsight_share=share))
+        train = make_train(config, env)
+        state = jax.jit(lambda key, train=train: train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)[0])(
+            jax.random.key(0))
+        experience, state = train.experience_of(state, 0, train.config.hyper, env)
+        drawn[share] = update.sample(train.parts, env, experience, jax.random.key(1))
+    plain, told = drawn[0.0], drawn[1.0].retold
+    assert plain.retold is None
+    jax.tree.map(np.testing.assert_array_equal, plain.transitions, drawn[1.0].transitions)
+    batch = told.transitions
+    for name in ("observation", "action"):
+        np.testing.assert_array_equal(getattr(batch, name), getattr(plain.transitions, name))
+    changed = np.asarray(batch.goal != plain.transitions.goal)
+    assert changed.mean() > 0.3 and batch.terminated.sum() > plain.transitions.terminated.sum()
+    np.testing.assert_array_equal(batch.terminated, (told.external * batch.mask).any(1))
+
+    features = jnp.ones((len(batch.goal), 4))
+    codes = SimpleNamespace(features=features, next_features=2 * features, reward=None, discount=None)
+    goal, steps = update.steps_to_learn_from(train.parts, state.params, env, train.config.hyper, drawn[1.0], codes)
+    np.testing.assert_array_equal(goal, batch.goal)
+    taken = np.asarray(batch.mask.sum(1))
+    reward = np.where(batch.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
+    np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
+    np.testing.assert_allclose(steps.discount, np.where(batch.terminated, 0.0, 0.98**taken), rtol=1e-5)
+    seen = update.encode_states(train.parts, state.params, env, 1)(batch.next_observation)
+    np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
+    assert steps.features is features
 
 
 @pytest.mark.parametrize(("method", "changes"), [

@@ -7,7 +7,7 @@ import numpy as np
 import optax
 import pytest
 
-from infogoal_jax import make_train
+from infogoal_jax import UserError, make_train
 from infogoal_jax.config import Hyperparameters
 from infogoal_jax.learners import infobot
 from infogoal_jax.learners.information import kl_to_standard_normal
@@ -24,8 +24,8 @@ class Transitions:
 
 
 def start(**changes):
-    """A small learner with its parameters and state, and inputs of eight goals."""
-    learner = infobot.make(infobot.InfoBotConfig(hidden=(32,), latent_size=8, **changes))
+    """A small learner with its parameters and state, and inputs of eight goals; beta does not warm up."""
+    learner = infobot.make(infobot.InfoBotConfig(**({"hidden": (32,), "latent_size": 8, "warm_up": 0} | changes)))
     inputs = jax.random.normal(jax.random.key(0), (GOALS, 16))
     return learner, *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), Hyperparameters()), inputs
 
@@ -48,7 +48,22 @@ def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditione
     loss, metrics, after = learner.loss(params, state, batch, Hyperparameters(fixed_beta=0.03), jax.random.key(3))
     np.testing.assert_allclose(loss, 0.03 * kl / np.log(2), rtol=1e-4)
     np.testing.assert_allclose([metrics["kl"], metrics["beta"], metrics["visited_cells"]], [kl, 0.03, 2], rtol=1e-4)
-    assert after is state
+    assert after == state.replace(updates=after.updates) and after.updates == 1
+
+
+def test_beta_rises_to_its_value_over_the_warm_up():
+    learner, params, state, inputs = start(warm_up=4)
+    batch, betas = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=jnp.array([0, 3])), []
+    for _ in range(6):
+        loss, metrics, state = learner.loss(params, state, batch, Hyperparameters(fixed_beta=0.4), jax.random.key(0))
+        np.testing.assert_allclose(loss, metrics["beta"] * metrics["kl"] / np.log(2), rtol=1e-5)
+        betas.append(metrics["beta"])
+    np.testing.assert_allclose(betas, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
+
+
+def test_a_warm_up_that_cannot_be_is_refused():
+    with pytest.raises(UserError, match="learner.warm_up = -1"):
+        hand_made.config("infobot", learner=infobot.InfoBotConfig(warm_up=-1))
 
 
 def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
@@ -185,7 +200,8 @@ def test_gradient_is_zero_and_finite_at_the_standard_normal():
 
 
 def test_a_run_is_finite_and_counts_every_collected_step():
-    train = make_train(hand_made.config("infobot", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
+    config = hand_made.config("infobot", num_epochs=1, epochs_per_evaluation=1, learner=infobot.InfoBotConfig(warm_up=0))
+    train = make_train(config, hand_made.environment())
     result = jax.jit(train)(jax.random.key(0), Hyperparameters(intrinsic_weight=1.0))
     for name, values in (result.metrics | result.epochs).items():
         assert np.isfinite(values).all(), name

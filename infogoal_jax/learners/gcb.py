@@ -2,9 +2,9 @@
 
 A paired code phi(s, g) is as far from another as their rewards differ, plus as far as the pairs that follow lie apart. It is then split in two,
 psi(g) - psi(s), and that difference is the goal's code for the policy: what is left to do. Where rewards are sparse most target distances are 0, and
-the paired codes may collapse into one: watch the metric `code_spread`. As in the authors' code, a decoder that reads the reward out of the paired
-codes keeps them apart, and some transitions are seen under a goal achieved later, so that codes are learned for more goals than are commanded. The
-agent learns from its transitions as they are, unless it is relabelled too.
+the paired codes may collapse into one: watch the metric `code_spread`. As in the authors' code, a decoder that reads rewards out of the paired codes
+keeps what tells them apart, and some transitions are seen under a goal achieved later, so that codes are learned for more goals than are commanded.
+The agent learns from its transitions as they are, unless it is relabelled too.
 
 Two things differ from the authors' code. There the encoders of this method are its own; here the state encoder belongs to the agent, whose loss alone
 trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors take phi(g, g) from the
