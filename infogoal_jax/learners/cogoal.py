@@ -11,12 +11,13 @@ import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.learners import none
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
 from infogoal_jax.learners.learner import Learner, LearnerBatch, Request
 
 
 @dataclasses.dataclass(frozen=True)
-class CoGoalConfig(none.NoneConfig):
+class CoGoalConfig(GoalEncoderConfig):
     """Sizes of the plain goal encoder, and of the contrastive loss on its codes."""
 
     window: int = 4

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners import vae
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
 
 USAGE_RATE = 0.01  # Rate of the running share of segments that each code vector stands for.
@@ -22,15 +23,9 @@ INITIAL_NOISE = 0.01  # Of the first code vectors, in standard deviations of the
 
 
 @dataclasses.dataclass(frozen=True)
-class DGRLConfig:
+class DGRLConfig(GoalEncoderConfig):
     """Sizes of encoder, decoder and codebook; the encoder is that of the other methods."""
 
-    latent_size: int = 32
-    """Size of the goal code."""
-    hidden: tuple[int, ...] = (128, 128, 128)
-    """Widths of the goal encoder's layers; the decoder has them in reverse."""
-    standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
     num_goals: int = 64
     """Known goals, desired and achieved ones, that are reconstructed in an update."""
     factors: int = 8
@@ -46,9 +41,9 @@ class DGRLConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("latent_size", "num_goals", "factors", "codes"):
+        super().check(config)
+        for name in ("num_goals", "factors", "codes"):
             require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
         require(self.latent_size % self.factors == 0, "learner.factors", self.factors, f"must divide learner.latent_size, {self.latent_size}")
         for name in ("commitment", "revival"):
             require(getattr(self, name) >= 0, f"learner.{name}", getattr(self, name), "give 0 or more")

@@ -22,19 +22,14 @@ import optax
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
 
 
 @dataclasses.dataclass(frozen=True)
-class GCBConfig:
+class GCBConfig(GoalEncoderConfig):
     """Sizes and switches of GCB; the goal encoder's are those of every method."""
 
-    latent_size: int = 32
-    """Size d of the goal code, and of the paired code."""
-    hidden: tuple[int, ...] = (128, 128, 128)
-    """Widths of the goal encoder's layers, and of those that the paired code sees the goal through."""
-    standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
     paired_hidden: tuple[int, ...] = (128, 128)
     """Widths of the layers that join state and goal to the paired code, and of those of psi(s)."""
     reward_weight: float = 1.0
@@ -48,10 +43,9 @@ class GCBConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
-        for name, widths in (("hidden", "128 128 128"), ("paired_hidden", "128 128")):
-            require(all(width > 0 for width in getattr(self, name)), f"learner.{name}", getattr(self, name),
-                    f"give widths greater than 0, for example {widths}")
+        super().check(config)
+        require(all(width > 0 for width in self.paired_hidden), "learner.paired_hidden", self.paired_hidden,
+                "give widths greater than 0, for example 128 128")
         require(self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder")
         require(0 <= self.hindsight_share <= 1, "learner.hindsight_share", self.hindsight_share, "give a share from 0 to 1")
         require(self.reward_weight > 0, "learner.reward_weight", self.reward_weight, "give a number greater than 0: 0 makes all pairs alike")

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners import none
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
 
@@ -21,7 +21,7 @@ SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic rewa
 
 
 @dataclasses.dataclass(frozen=True)
-class InfoBotConfig(none.NoneConfig):
+class InfoBotConfig(GoalEncoderConfig):
     """Sizes and switches of InfoBot. Its beta is a hyperparameter, `fixed_beta`."""
 
     state_conditioned: bool = False

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners import information
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Request, Visited
 
@@ -22,15 +23,9 @@ SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic rewa
 
 
 @dataclasses.dataclass(frozen=True)
-class InfoGoalConfig:
-    """Switches and sizes of InfoGoal."""
+class InfoGoalConfig(GoalEncoderConfig):
+    """Switches and sizes of InfoGoal. The scale of its beta holds for codes of 32 numbers only."""
 
-    latent_size: int = 32
-    """Latent dimension d [A]. The scale of beta holds for 32 only."""
-    hidden: tuple[int, ...] = (128, 128, 128)
-    """Widths of the goal encoder's layers [A]."""
-    standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
     window: int = 4
     """Steps within which two achieved goals count as similar [M]; the authors' 10 spans two rooms of a small house."""
     num_pairs: int = 256
@@ -48,9 +43,9 @@ class InfoGoalConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("latent_size", "num_pairs", "num_negatives"):
+        super().check(config)
+        for name in ("num_pairs", "num_negatives"):
             require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
         require(0 <= self.window <= config.env.episode_length, "learner.window", self.window,
                 f"must lie between 0 and the episode length, {config.env.episode_length}")
         require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.learners import none
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import Learner
 
 
 @dataclasses.dataclass(frozen=True)
-class RADConfig(none.NoneConfig):
+class RADConfig(GoalEncoderConfig):
     """Sizes of the plain goal encoder, and how far its inputs are varied."""
 
     shift: int = 4

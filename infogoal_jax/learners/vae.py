@@ -11,20 +11,15 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
 
 
 @dataclasses.dataclass(frozen=True)
-class VAEConfig:
+class VAEConfig(GoalEncoderConfig):
     """Sizes of encoder and decoder, and the weights of the bound; the encoder is that of the other methods."""
 
-    latent_size: int = 32
-    """Latent dimension d."""
-    hidden: tuple[int, ...] = (128, 128, 128)
-    """Widths of the goal encoder's layers; the decoder has them in reverse."""
-    standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
     num_goals: int = 64
     """Known goals, desired and achieved ones, that are reconstructed in an update."""
     vae_beta: float = 1.0
@@ -38,9 +33,8 @@ class VAEConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("latent_size", "num_goals"):
-            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        super().check(config)
+        require(self.num_goals > 0, "learner.num_goals", self.num_goals, "give a whole number greater than 0")
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
         require(self.vae_beta >= 0, "learner.vae_beta", self.vae_beta, "give 0 or more; 1 is the evidence lower bound")
         require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")

@@ -127,7 +127,7 @@ def check_names(config: TrainConfig) -> None:
     for named, registered, field in (("method", learners, "learner"), ("algorithm", agents, "agent"), ("relabelling", hindsight, "hindsight"),
                                      ("exploration", exploration, "explorer")):
         needed, given = registered.entry(getattr(config, named)).config, getattr(config, field)
-        require(isinstance(given, needed), field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {needed.__name__}; "
+        require(type(given) is needed, field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {needed.__name__}; "
                 f"make the configuration with presets.load, and resume with the same --{named}")
 
 

@@ -1,0 +1,22 @@
+"""What every learner's goal encoder is made of: the same for all, so that methods differ in nothing but what they are about."""
+
+import dataclasses
+
+from infogoal_jax.errors import require
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalEncoderConfig:
+    """Sizes of the goal encoder."""
+
+    latent_size: int = 32
+    """Size d of the goal code [A]."""
+    hidden: tuple[int, ...] = (128, 128, 128)
+    """Widths of the goal encoder's layers [A]; a decoder has them in reverse."""
+    standardise_images: bool = False
+    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
+        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
