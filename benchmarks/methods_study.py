@@ -7,8 +7,8 @@ that runs may come from several machines and several processes; FOLDER/study.md 
 (the preset's), no random actions.
 
 As in the paper, numbers are those after the agent has converged on the training goals: of the first evaluation by which the mean success on
-training goals was 0.99 or more twice in a row, or the last; a second table has the last parameters. Methods are the presets': InfoGoal's were tuned
-(docs), the others share the bare agent's settings where nothing else is said.
+training goals was 0.99 or more twice in a row, or the last; a second table has the last parameters. Methods are the presets'; docs/methods.md says
+how they were tuned.
 """
 
 import argparse

@@ -10,8 +10,10 @@ FOLDER/tuning.md is the table of all that is there.
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from methods_study import NAMES
@@ -36,9 +38,10 @@ FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_wei
 
 
 def tuning_house(folder: Path) -> list[str]:
-    """Build the house for tuning and its split, unless they are there. Returns the flags that train on it."""
-    dataset, split = folder / "house", folder / "split.json"
-    if not split.exists():
+    """Build the house for tuning and its split, unless it is there. Returns the flags that train on it."""
+    if not (folder / "house").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        dataset = Path(tempfile.mkdtemp(dir=folder))
         build_house(dataset, seed=HOUSE)
         for path in (dataset / "all_instance_id_map.txt", dataset / "instance_id_map.txt"):
             identifier = dict(line.split() for line in path.read_text().splitlines())
@@ -50,14 +53,18 @@ def tuning_house(folder: Path) -> list[str]:
         uses = dict.fromkeys(AUTHORS_SPLIT.train, "train") | dict.fromkeys(VALIDATION, "validation")
         room = {name: AUTHORS_SPLIT.room_names[AUTHORS_SPLIT.rooms[name]] for name in uses}
         objects = {VALIDATION.get(name, name): {"room": room[name], "use": use} for name, use in uses.items()}
-        split.write_text(json.dumps({"objects": objects}, indent=1) + "\n")
-    return ["--env.dataset", str(dataset), "--env.split", str(split)]
+        (dataset / "split.json").write_text(json.dumps({"objects": objects}, indent=1) + "\n")
+        try:
+            dataset.rename(folder / "house")
+        except OSError:  # Another process was faster, and its house is the same.
+            shutil.rmtree(dataset)
+    return ["--env.dataset", str(folder / "house"), "--env.split", str(folder / "house" / "split.json")]
 
 
 def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
-    """One search by the command line, into FOLDER/TASK/METHOD."""
+    """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder to search again."""
     out = folder / task / method
-    if (out / "best.json").exists() and json.loads((out / "best.json").read_text())["finished"]:
+    if (out / "best.json").exists():
         return
     data = tuning_house(folder) if task == "object_search" else []
     command = ["tune", task, "--method", method, "--trials", str(trials), "--seeds", str(seeds), "--out", str(out), *data]
@@ -67,21 +74,21 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
 
 
 def report(folder: Path) -> str:
-    """The searches as Markdown: for each task and method the preset's score, the best one's, and its values."""
+    """The searches as Markdown: for each task and method the preset's score, the best one's and its values, and how far the search came."""
     lines = []
     for task in presets.TASKS:
-        found = {method: folder / task / method / "best.json" for method in NAMES if (folder / task / method / "best.json").exists()}
+        found = {method: folder / task / method for method in NAMES if (folder / task / method / "best.json").exists()}
         if not found:
             continue
-        lines += [f"### {task}", "", "| method | preset of that time | best | trial | its values |", "|---|---|---|---|---|"]
+        lines += [f"### {task}", "", "| method | preset of that time | best | trial | its values | epochs |", "|---|---|---|---|---|---|"]
         for method, path in found.items():
-            best = json.loads(path.read_text())
-            trials = [json.loads(line) for line in (path.parent / "trials.jsonl").read_text().splitlines()]
+            best, about = (json.loads((path / name).read_text()) for name in ("best.json", "config.json"))
             values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
-            lines.append(f"| {NAMES[method]} | {trials[0]['score']:.2f} | {best['score']:.2f} | {best['trial']} of {len(trials)} | {values} |")
-        about = json.loads((path.parent / "config.json").read_text())
-        lines += ["", f"Success on {best['goals']} goals after {best['epoch']} epochs, mean of the seeds {', '.join(map(str, trials[0]['seeds']))}. "
-                  f"{about['data']}", ""]
+            epochs = f"{best['epoch']} of {about['config']['num_epochs']}"
+            scores = f"{best['score_of_preset']:.2f} | {best['score']:.2f} | {best['trial']} of {about['trials']}"
+            lines.append(f"| {NAMES[method]} | {scores} | {values} | {epochs} |")
+        seeds = ", ".join(map(str, about["seeds"]))
+        lines += ["", f"Success on {best['goals']} goals at the last of these epochs; seeds {seeds}. {about['data']}", ""]
     return "\n".join(lines)
 
 

@@ -65,14 +65,15 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
 """Fields of each learner."""
 
 FOUND: dict[tuple[str, str], dict[str, float]] = {
-    **{(task, "cogoal"): {"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341}
-       for task in ("object_search", "fetch_reach")},
-    **{("fetch_reach", method): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286} for method in ("vae", "dgrl", "her")},
+    ("object_search", "cogoal"): {"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341},
+    ("fetch_reach", "her"): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286},
+    **{("fetch_reach", method): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164}
+       for method in ("vae", "dgrl")},
     **{("fetch_reach", method): {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287} for method in ("cher", "ghrl")},
     ("fetch_reach", "rad"): {"learning_rate": 2.614e-3, "discount": 0.9654, "target_rate": 0.05371},
     ("fetch_reach", "none"): {"learning_rate": 1.92e-4, "discount": 0.9487, "target_rate": 0.03488},
 }
-"""What `infogoal tune` found to be clearly better on validation goals than the values below (docs/results/tuning)."""
+"""What `infogoal tune` found to be better than the values below, by the rule of docs/methods.md (docs/results/tuning)."""
 
 HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("object_search", EVERY): {"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},
@@ -85,7 +86,7 @@ HYPERPARAMETERS: dict[tuple[str, str], dict[str, float]] = {
     ("embodied_qa", "infogoal"): {"intrinsic_weight": 1.0, "conservative_weight": 0.01},
     **{(task, "infobot"): {"intrinsic_weight": 1.0, "fixed_beta": 3e-5} for task in TASKS},  # The authors' 0.01 is beside rewards of 10, squared.
     **{(task, "gcb"): {"learner_weight": 0.1} for task in TASKS} | {("object_search", "gcb"): {"learner_weight": 0.03}},
-    ("object_search", "vae"): {"learner_weight": 0.1}, **{("fetch_reach", method): {"learner_weight": 5.164} for method in ("vae", "dgrl")},
+    ("object_search", "vae"): {"learner_weight": 0.1},
 }
 """What was tuned away from the defaults of `Hyperparameters` [M]: object search on houses, Fetch on goal sets, of other seeds than those that results
 are shown on."""
@@ -133,6 +134,12 @@ def name_of(config: TrainConfig) -> str:
     return "+".join(parts) or "none"
 
 
+def method_of(task: str, learner: str, relabelling: str, exploration: str) -> str:
+    """The name of the method that these parts make on a task; of a combination without one, that of its learner."""
+    parts = Method(learner, None if relabelling == RELABELLINGS.get(task, "none") else relabelling, exploration)
+    return next((name for name, known in METHODS.items() if known == parts), learner)
+
+
 def fields_of(table: dict[tuple[str, str], dict[str, Any]], task: str, method: str) -> dict[str, Any]:
     """What a table holds for every method of a task, and over it what it holds for this one."""
     return table.get((task, EVERY), {}) | table.get((task, method), {})
@@ -150,6 +157,7 @@ def load(task: str, method: str = "infogoal", algorithm: str | None = None, rela
             f"there is no agent for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(ALGORITHMS)}")
     algorithm, explorer = algorithm or ALGORITHMS[task], exploration or parts.exploration
     relabelling = relabelling or parts.relabelling or RELABELLINGS.get(task, "none")
+    method = method_of(task, parts.learner, relabelling, explorer)
     settings = {
         "task": task, "method": parts.learner, "algorithm": algorithm, "relabelling": relabelling, "exploration": explorer, "env": env,
         "learner": learners.entry(parts.learner).config(**fields_of(LEARNERS, task, parts.learner)),

@@ -4,12 +4,12 @@ A paired code phi(s, g) is as far from another as their rewards differ, plus as 
 psi(g) - psi(s), and that difference is the goal's code for the policy: what is left to do. Where rewards are sparse most target distances are 0, and
 the paired codes may collapse into one: watch the metric `code_spread`. As in the authors' code, a decoder that reads rewards out of the paired codes
 keeps what tells them apart, and some transitions are seen under a goal achieved later, so that codes are learned for more goals than are commanded.
-The agent learns from its transitions as they are, unless it is relabelled too.
 
-Two things differ from the authors' code. There the encoders of this method are its own; here the state encoder belongs to the agent, whose loss alone
-trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors take phi(g, g) from the
-target of psi, so that nothing is left to do at the goal; here a goal may be a text or a picture of an object while a state is a view from the robot:
-there is no pair (g, g), and the target of psi is phi(s, g) itself.
+Three things differ from the authors' code. There the agent learns from the transitions under later goals too; here it does if `--relabelling her`
+asks for that, and methods are compared by what they make of goals. There the encoders of this method are its own; here the state encoder belongs to
+the agent, whose loss alone trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors
+take phi(g, g) from the target of psi, so that nothing is left to do at the goal; here a goal may be a text or a picture of an object while a state is
+a view from the robot: there is no pair (g, g), and the target of psi is phi(s, g) itself.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ class GCBConfig(GoalEncoderConfig):
     paired_hidden: tuple[int, ...] = (128, 128)
     """Widths of the layers that join state and goal to the paired code, and of those of psi(s)."""
     reward_weight: float = 1.0
-    """Weight c_r of the gap between rewards in the target distance; 1 in the authors' code."""
+    """Weight c_r of the gap between rewards in the target distance; 1 or 10 in the authors' code."""
     reward_hidden: int = 512
     """Width of the decoder of rewards [authors' code]; 0: none."""
     hindsight_share: float = 0.3

@@ -61,7 +61,7 @@ class Steps(NamedTuple):
     """B transitions of n steps, under the goals `LearnerBatch.desired`.
 
     features [B, F] of the states that they start from, with the state encoder's gradient, and next_features, without, of those that they lead to;
-    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination.
+    reward: float32 [B], discounted sum of the environment's over the steps; discount: float32 [B] of what follows them, 0 after termination.
     """
 
     features: jax.Array

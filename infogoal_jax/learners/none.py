@@ -12,7 +12,7 @@ class NoneConfig(GoalEncoderConfig):
     """Sizes of the plain goal encoder."""
 
 
-def make(config: NoneConfig) -> Learner:
+def make(config: GoalEncoderConfig) -> Learner:
     """The learner that learns nothing by itself."""
     encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
 

@@ -277,11 +277,12 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         achieved_count = replay.running_count(achieved)
         known = jnp.ones_like(usable) if config.known_goals == "all" else usable & state.seen
         codes = encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None
-        bonus, tables = None, [None, None]
+        bonus = table = retelling = None
         if parts.hindsight is not None or parts.retelling is not None:
             achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
             context = hindsight_context(state, number, hyper, env, buffer, written, achievements, codes)
-            tables = [part and part.prepare(context) for part in (parts.hindsight, parts.retelling)]
+            table = None if parts.hindsight is None else parts.hindsight.prepare(context)
+            retelling = None if parts.retelling is None else parts.retelling.prepare(context)
         if parts.explorer is not None:
             features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
             bonus, explored = parts.explorer.survey(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
@@ -289,7 +290,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         return Experience(
             buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
             known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes,
-            hindsight=tables[0], retelling=tables[1], bonus=bonus,
+            hindsight=table, retelling=retelling, bonus=bonus,
         ), state
 
     def hindsight_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements, codes: GoalCode | None) -> Context:

@@ -46,6 +46,17 @@ class Experience:
 
 
 @flax.struct.dataclass
+class Retold:
+    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their rewards, as changes."""
+
+    goal: jax.Array
+    next_observation: jax.Array
+    mask: jax.Array
+    terminated: jax.Array
+    external: jax.Array
+
+
+@flax.struct.dataclass
 class Sample:
     """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside of the loop over updates.
 
@@ -62,7 +73,7 @@ class Sample:
     goals: jax.Array | None = None
     bonus: jax.Array | None = None
     move: tuple | None = None
-    retold: "Sample | None" = None
+    retold: Retold | None = None
 
 
 def training_view(parts, env, augmented: bool) -> View | None:
@@ -123,7 +134,9 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (request.num_goals,)))
     if parts.retelling is not None:
         other = parts.retelling.relabel(jax.random.fold_in(key, 4), experience.retelling, row, step, drawn.transitions.goal)
-        drawn = drawn.replace(retold=judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached)))
+        told = judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached))
+        kept = {name: getattr(told.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")}
+        drawn = drawn.replace(retold=Retold(**kept, external=told.external))
     if parts.explorer is not None:
         taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
         place = row[:, None], taken
@@ -166,12 +179,12 @@ def returns(parts, params, learner_state, env, hyper, experience: Experience, dr
     return discounted(step_reward, batch, hyper), learner_state, metrics
 
 
-def discounted(step_reward: jax.Array, batch: Transitions, hyper) -> jax.Array:
+def discounted(step_reward: jax.Array, batch: Transitions | Retold, hyper) -> jax.Array:
     """Discounted sum of the rewards [B, n] of each transition's steps, float32 [B]."""
     return (step_reward * batch.mask * hyper.discount ** jnp.arange(batch.mask.shape[1])).sum(1)
 
 
-def discount_after(batch: Transitions, hyper) -> jax.Array:
+def discount_after(batch: Transitions | Retold, hyper) -> jax.Array:
     """Discount of what follows each transition, float32 [B]: 0 after termination."""
     return hyper.discount ** batch.mask.sum(1) * ~batch.terminated
 
@@ -218,12 +231,13 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
 
 
 def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
-    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps retold, with the environment's reward alone."""
+    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps retold; with the environment's reward alone."""
     if drawn.retold is None:
-        return drawn.transitions.goal, Steps(codes.features, codes.next_features, codes.reward, codes.discount)
-    batch = drawn.retold.transitions
-    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.batch_size)(batch.next_observation))
-    return batch.goal, Steps(codes.features, following, discounted(drawn.retold.external, batch, hyper), discount_after(batch, hyper))
+        reward = discounted(drawn.external, drawn.transitions, hyper)
+        return drawn.transitions.goal, Steps(codes.features, codes.next_features, reward, codes.discount)
+    told = drawn.retold
+    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.batch_size)(told.next_observation))
+    return told.goal, Steps(codes.features, following, discounted(told.external, told, hyper), discount_after(told, hyper))
 
 
 def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
