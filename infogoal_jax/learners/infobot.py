@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
-from infogoal_jax.learners.information import kl_to_standard_normal
+from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
 
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward, as InfoGoal's.
@@ -81,7 +81,7 @@ def make(config: InfoBotConfig) -> Learner:
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
-        beta = hyper.fixed_beta * jnp.minimum(1.0, (state.updates + 1) / max(1, config.warm_up))
+        beta = hyper.fixed_beta * warmed_up(state.updates, config.warm_up)
         metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}  # The KL in nats, as InfoGoal reports it.
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 

@@ -21,6 +21,11 @@ def kl_to_standard_normal(code: GoalCode) -> jax.Array:
     return 0.5 * (code.mean**2 + code.std**2 - 1.0 - 2.0 * jnp.log(code.std)).sum(-1)
 
 
+def warmed_up(updates: jax.Array, warm_up: int) -> jax.Array:
+    """How far the weight of a KL has risen from 0 to 1 after this many updates, a scalar: linearly over the first `warm_up` of them."""
+    return jnp.minimum(1.0, (updates + 1) / max(1, warm_up))
+
+
 def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
     """Mean under weights that may all be 0 (then 0)."""
     return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
-from infogoal_jax.learners.information import kl_to_standard_normal
+from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
 
 
@@ -79,7 +79,7 @@ def make(config: VAEConfig) -> Learner:
         code = encode(params, inputs)  # Not `batch.encode`, which may see the goals varied: the target is the very input that is encoded.
         error = squared_error(params["decoder"], config.hidden, code.sample(key), inputs, config.standardise_images)
         surprise, kl = negative_log_likelihood(error, inputs, config.vector_std).mean(), kl_to_standard_normal(code).mean()
-        size, weight = inputs[0].size, config.vae_beta * jnp.minimum(1.0, (state + 1) / max(1, config.warm_up))
+        size, weight = inputs[0].size, config.vae_beta * warmed_up(state, config.warm_up)
         metrics = {"elbo": -(surprise + kl), "reconstruction_error": error.mean() / size, "kl": kl}
         return (surprise + weight * kl) / size, metrics, state + 1
 

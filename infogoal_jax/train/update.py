@@ -47,7 +47,10 @@ class Experience:
 
 @flax.struct.dataclass
 class Retold:
-    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their rewards, as changes."""
+    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their rewards, as changes.
+
+    goal, next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
+    """
 
     goal: jax.Array
     next_observation: jax.Array
