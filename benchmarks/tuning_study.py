@@ -1,11 +1,12 @@
 """How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result is reported on.
 
-    python benchmarks/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae her ...] [--trials 16] [--seeds 2]
+    python benchmarks/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae her ...] [--trials 16] [--seeds 2] [--final]
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other objects are given the names of
 objects that the task does not have, and are the validation goals. Fetch is tuned on the validation goals of the shipped bank. FOLDER/TASK/METHOD is
 the folder of a search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several processes.
-FOLDER/tuning.md is the table of all that is there.
+With --final the preset and the three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/tuning.md is the
+table of all that is there.
 """
 
 import argparse
@@ -73,6 +74,14 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
     subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
 
 
+def final(task: str, method: str, folder: Path) -> None:
+    """The final of a search that is there, into FOLDER/TASK/METHOD/final."""
+    out = folder / task / method / "final"
+    if not (out / "best.json").exists():
+        command = ["tune", task, "--final", str(out.parent), "--out", str(out)]
+        subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
+
+
 def report(folder: Path) -> str:
     """The searches as Markdown: for each task and method the preset's score, the best one's and its values, and how far the search came."""
     lines = []
@@ -100,10 +109,13 @@ def main():
     parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
     parser.add_argument("--trials", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--final", action="store_true", help="run the best of each search again, with more and other seeds")
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for method in arguments.methods:
             search(task, method, arguments.trials, arguments.seeds, arguments.out)
+            if arguments.final:
+                final(task, method, arguments.out)
     (arguments.out / "tuning.md").write_text(report(arguments.out))
     print(report(arguments.out))
 

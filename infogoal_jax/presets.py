@@ -66,12 +66,20 @@ LEARNERS: dict[tuple[str, str], dict[str, Any]] = {
 
 FOUND: dict[tuple[str, str], dict[str, float]] = {
     ("object_search", "cogoal"): {"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341},
-    ("fetch_reach", "her"): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286},
-    **{("fetch_reach", method): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164}
-       for method in ("vae", "dgrl")},
-    **{("fetch_reach", method): {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287} for method in ("cher", "ghrl")},
+    ("fetch_reach", "infogoal"): {
+        "learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164, "intrinsic_weight": 3.768,
+    },
+    ("fetch_reach", "infobot"): {
+        "learning_rate": 7.555e-4, "discount": 0.9493, "target_rate": 0.01356, "intrinsic_weight": 0.4549, "fixed_beta": 1.064e-6,
+    },
+    **{("fetch_reach", method): {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287, "learner_weight": 1.817}
+       for method in ("cogoal", "vae")},
+    ("fetch_reach", "dgrl"): {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164},
+    ("fetch_reach", "gcb"): {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858, "learner_weight": 1.453e-3},
     ("fetch_reach", "rad"): {"learning_rate": 2.614e-3, "discount": 0.9654, "target_rate": 0.05371},
-    ("fetch_reach", "none"): {"learning_rate": 1.92e-4, "discount": 0.9487, "target_rate": 0.03488},
+    **{("fetch_reach", method): {"learning_rate": 1.859e-4, "discount": 0.9061, "target_rate": 0.07689} for method in ("her", "cher")},
+    ("fetch_reach", "ghrl"): {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287},
+    ("fetch_reach", "none"): {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858},
 }
 """What `infogoal tune` found to be better than the values below, by the rule of docs/methods.md (docs/results/tuning)."""
 

@@ -165,6 +165,55 @@ def test_the_best_trial():
     assert made(config, [[0.0, 0.2], [0.0, 0.7]], diverged=[1]).best.number == 0
 
 
+def test_finalists_are_the_preset_and_the_best_others_of_different_values():
+    found = made(small(), [[0.1], [0.3], [0.9], [0.5], [0.9]], diverged=[1])
+    trials = [dataclasses.replace(trial, values=found.trials[2].values) if trial.number == 4 else trial for trial in found.trials]
+    finalists = search.finalists(trials, 3)
+    assert [trial.number for trial in finalists] == [0, 2, 3]  # 4 has the values of 2.
+    assert all(trial.success == [] and trial.values == found.trials[trial.number].values for trial in finalists)
+    assert [trial.number for trial in search.finalists(trials, 4)] == [0, 2, 3, 1]  # What diverged comes last.
+    for count, message in ((1, "finalists = 1: give at least 2"), (5, "finalists = 5: the search has 4 different settings")):
+        with pytest.raises(UserError, match=message):
+            search.finalists(trials, count)
+
+
+def test_a_final_runs_trials_of_a_search_again(result, env):
+    """With the seeds of the search it is the search; with others it is not."""
+    found, _ = result
+    again = tune(found.config, search.finalists(found.trials, 2), found.seeds, jax.random.key(1), env=env)
+    assert [trial.number for trial in again.trials] == [trial.number for trial in found.trials] and again.fields == found.fields
+    np.testing.assert_allclose([trial.loss for trial in again.trials], [trial.loss for trial in found.trials], rtol=1e-4)
+    alone = tune(found.config, search.finalists(found.trials, 2), [1002], jax.random.key(1), env=env)
+    assert not np.isclose(alone.trials[1].loss[-1][0], found.trials[1].loss[-1]).any()
+
+
+def test_the_command_for_a_final(env, tmp_path, monkeypatch, capsys):
+    """It takes configuration and trials from the search's folder, and seeds that the search did not have."""
+    found = made(small("vae"), [[0.1], [0.3], [0.9], [0.5], [0.7], [0.2]])
+    found = dataclasses.replace(found, description=host.describe(found.config, env, found.seeds))
+    tuning.save(found, tmp_path / "search")
+    assert tuning.read(tmp_path / "search")[1] == found.trials
+    asked = []
+
+    def interrupted(config, trials, seeds, key, fields, watch):
+        asked.append((config, [trial.number for trial in trials], list(seeds)))
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(search, "tune", interrupted)
+    command = ["tune", "object_search", "--final", "search", "--out", "final"]
+    assert main(command) == 130 and main([*command, "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
+    assert asked[0] == (found.config, [0, 2, 4, 3], list(range(1001, 1009))) and asked[1][1:] == ([0, 2], [1500])
+    for more, message in [(["--first-seed", "1000"], "first_seed = 1000: the search had the seeds [1000]"), (["--fields", "discount"], "fields = "),
+                          (["--method", "her"], "method = 'her': search is of method 'vae'"), (["--trials", "9"], "finalists = 9")]:
+        assert main([*command, *more]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+    (tmp_path / "search" / "trials.jsonl").write_text('{"trial": 0}\n')
+    assert main(command) == 2 and "is damaged" in capsys.readouterr().err
+    assert main(["tune", "object_search", "--final", "nowhere"]) == 2 and "'nowhere'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("task", "method", "changes"), [
     ("object_search", "her", {"num_epochs": 40, "stop_encoder_gradient": False}),
     ("object_manipulation", "infogoal", {"algorithm": "dqn", "relabelling": "her"}),

@@ -17,8 +17,10 @@ from rich.table import Table
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.runs import Run, read_run
 from infogoal_jax.train import files
-from infogoal_jax.train.tune import SPACE, TuneResult
+from infogoal_jax.train.tune import SPACE, Trial, TuneResult
 
 SHOWN = 5
 """Trials in the table, besides the preset."""
@@ -45,6 +47,18 @@ def save(result: TuneResult, folder: Path) -> None:
                 "best.json": json.dumps(chosen, indent=2)}
     for name, text in contents.items():
         files.write_atomically(folder / name, lambda file, text=text: file.write(f"{text}\n".encode()))
+
+
+def read(folder: Path) -> tuple[Run, list[Trial]]:
+    """What a search was of, and its trials. Raises `UserError` if FOLDER holds none, or one that cannot be read."""
+    path, run = folder / "trials.jsonl", read_run(folder)
+    try:
+        lines = [json.loads(line) for line in path.read_text().splitlines()]
+        return run, [Trial(line["trial"], line["values"], line["success"], line["loss"], line["diverged"]) for line in lines]
+    except FileNotFoundError as error:
+        raise UserError(f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of an `infogoal tune`") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: is damaged ({error}); search again, or bring back a copy of the file") from error
 
 
 def command_of(result: TuneResult) -> str:

@@ -85,20 +85,34 @@ def flag(arguments: list[str], name: str) -> str | None:
 
 
 def default_config(arguments: list[str]) -> TrainConfig:
-    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to resume."""
+    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to go on from.
+
+    Such a run is the one to resume, or the search that a final is of.
+    """
     from infogoal_jax.report.runs import read_run
 
     if arguments and arguments[-1] == "--method":
         raise UserError(f"method: give a name after --method. Known: {', '.join(presets.METHODS)}")
-    resumed = flag(arguments, "resume")
-    if resumed:
-        config, method = read_run(Path(resumed)).config, flag(arguments, "method")
+    before, task, method = flag(arguments, "resume") or flag(arguments, "final"), task_named(arguments), flag(arguments, "method")
+    if before:
+        config = read_run(Path(before)).config
+        if task not in (None, config.task):
+            raise UserError(f"task = {task!r}: {before} is of task {config.task!r}")
         if method is not None and not is_of_method(config, method):
-            raise UserError(f"method = {method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
+            raise UserError(f"method = {method!r}: {before} is of method {presets.name_of(config)!r}; leave the flag out")
         return config
-    task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
     named = (flag(arguments, part) for part in ("algorithm", "relabelling", "exploration"))
-    return presets.load(task, flag(arguments, "method") or "infogoal", *named)
+    return presets.load(task or "object_search", method or "infogoal", *named)
+
+
+def task_named(arguments: list[str]) -> str | None:
+    """The task, which stands before all flags; None if it is left out."""
+    return arguments[0] if arguments and not arguments[0].startswith("-") else None
+
+
+def without_task_and_method(arguments: list[str]) -> list[str]:
+    """What is left for the fields of a configuration. A method may be a relabelling or an explorer; the preset has its parts."""
+    return without_flag(arguments[task_named(arguments) is not None:], "method")
 
 
 def is_of_method(config: TrainConfig, method: str) -> bool:
@@ -121,12 +135,7 @@ def without_flag(arguments: list[str], name: str) -> list[str]:
 def train(arguments: list[str]) -> int:
     """`infogoal train TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with a checkpoint)."""
     default = default_config(arguments)
-    if arguments and not arguments[0].startswith("-"):
-        if arguments[0] != default.task:
-            raise UserError(f"task = {arguments[0]!r}: the run to resume is of task {default.task!r}")
-        arguments = arguments[1:]
-    arguments = without_flag(arguments, "method")  # A method may be a relabelling or an explorer; the preset has its parts.
-    command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=arguments, default=TrainCommand(config=default))
+    command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=without_task_and_method(arguments), default=TrainCommand(config=default))
     if command.seeds <= 0:
         raise UserError(f"seeds = {command.seeds}: give at least 1")
     use_compilation_cache()
@@ -165,41 +174,49 @@ class TuneCommand:
 
     config: Annotated[TrainConfig, tyro.conf.arg(name="")]
     trials: int = 16
-    """Settings that are tried; the first is the preset."""
+    """Settings that are tried; the first is the preset. Of a final 4, unless given."""
     seeds: int = 2
-    """Seeds of each setting."""
+    """Seeds of each setting. Of a final 8, unless given."""
     first_seed: int = 1000
-    """Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ..."""
+    """Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ... Of a final the one after the search's last."""
     space_seed: int = 0
     """Seed of the draws from the space; methods that are to be compared have the same."""
     fields: tuple[str, ...] = ()
     """Hyperparameters to search, such as learning_rate discount; empty: all that matter to the method."""
+    final: str = ""
+    """Folder of a search whose preset and best trials are run again, with other seeds: the best of many owes something to luck."""
     out: str = ""
     """Folder of the search; empty: a new one under runs/."""
 
 
 def tune(arguments: list[str]) -> int:
     """`infogoal tune TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then)."""
+    from infogoal_jax.report import tuning
     from infogoal_jax.train import tune as search
 
-    default = search.same_budget(default_config(arguments))
-    named = bool(arguments) and not arguments[0].startswith("-")
-    arguments = without_flag(arguments[named:], "method")
-    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=arguments, default=TuneCommand(config=default))
-    config = command.config
+    default, before = TuneCommand(config=default_config(arguments)), flag(arguments, "final")
+    if before:
+        searched, drawn = tuning.read(Path(before))
+        default = dataclasses.replace(default, trials=4, seeds=8, first_seed=max(searched.seeds) + 1)
+    else:
+        default = dataclasses.replace(default, config=search.same_budget(default.config))
+    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=without_task_and_method(arguments), default=default)
+    config, seeds = command.config, range(command.first_seed, command.first_seed + command.seeds)
+    if before and command.fields:
+        raise UserError(f"fields = {command.fields}: a final has the fields of its search; leave the flag out")
+    if before and set(seeds) & set(searched.seeds):
+        raise UserError(f"first_seed = {command.first_seed}: the search had the seeds {searched.seeds}; give others")
     folder = Path(command.out or f"runs/{config.task}-{presets.name_of(config)}-tuning-{time.strftime('%Y%m%d-%H%M%S')}")
     if any((folder / name).exists() for name in ("config.json", "trials.jsonl", "checkpoint")):
         raise UserError(f"out = {str(folder)!r}: holds a search or a run already; give another folder")
     use_compilation_cache()
     import jax
 
-    from infogoal_jax.report import tuning
-
-    seeds = range(command.first_seed, command.first_seed + command.seeds)
+    trials = search.finalists(drawn, command.trials) if before else command.trials
     fields = tuple(field.replace("-", "_") for field in command.fields)
     try:
         with tuning.watching(config, command.trials, command.seeds, folder) as watch:
-            result = search.tune(config, command.trials, seeds, jax.random.key(command.space_seed), fields, watch=watch)
+            result = search.tune(config, trials, seeds, jax.random.key(command.space_seed), fields, watch=watch)
     except KeyboardInterrupt:
         print(f"Stopped. The scores until then, if there are any, are in {folder}")
         return 130

@@ -2,6 +2,8 @@
 
 Every method is searched alike: the same number of trials, seeds and updates, the same ranges, and the same draws for the fields that methods share.
 Trial 0 is the preset. Scores are successes on validation goals, or on training goals where a task has none; goals of the test are not even evaluated.
+
+The best of many trials owes something to luck. A final has fewer of them, with more and other seeds: `finalists`, given to `tune` as its trials.
 """
 
 import dataclasses
@@ -68,7 +70,7 @@ SPACE = {
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """One setting. values: of the fields searched; success, loss: [evaluations so far][seeds], of the scored goals and of the agent at that time;
+    """One setting. number: in the search that drew it; values: of the fields searched; success, loss: [evaluations so far][seeds], of the scored goals and of the agent at that time;
     diverged: seeds whose loss or gradient stopped being finite."""
 
     number: int
@@ -176,6 +178,17 @@ def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials:
     return [{field: float(getattr(preset, field)) for field in fields}, *drawn]
 
 
+def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
+    """The preset and the best others of a search, `count` in all, to be run again; of equal settings one. Raises `UserError` if there are fewer."""
+    require(count > 1, "finalists", count, "give at least 2: the preset, and others")
+    chosen = [trials[0]]
+    for trial in sorted(trials, key=lambda trial: trial.order, reverse=True):
+        if len(chosen) < count and all(trial.values != other.values for other in chosen):
+            chosen.append(trial)
+    require(len(chosen) == count, "finalists", count, f"the search has {len(chosen)} different settings")
+    return [Trial(trial.number, trial.values, [], [], []) for trial in chosen]
+
+
 def batched_hyper(preset: Hyperparameters, values: list[dict[str, float]], seeds: int) -> Hyperparameters:
     """Hyperparameters of every lane, float32 [trials * seeds], trial by trial."""
     settings = [dataclasses.asdict(preset) | value for value in values]
@@ -207,14 +220,16 @@ def lanes_at_once(train: Train, count: int, mesh: jax.sharding.Mesh) -> int:
         raise UserError(f"trials x {error}") from error
 
 
-def tune(config: TrainConfig, trials: int, seeds: Sequence[int], key: jax.Array, fields: Sequence[str] = (), env: Any = None,
+def tune(config: TrainConfig, trials: int | Sequence[Trial], seeds: Sequence[int], key: jax.Array, fields: Sequence[str] = (), env: Any = None,
          watch: Callable[[TuneResult], None] = lambda result: None) -> TuneResult:
-    """Train `trials` settings with each of these seeds side by side. Raises `UserError` before anything is compiled.
+    """Train settings with each of these seeds side by side. Raises `UserError` before anything is compiled.
 
-    key: of the draws; fields: those to search, empty for all that matter to the method; env: one already loaded; watch: called after each evaluation.
+    trials: how many settings to draw, or `finalists`; key: of the draws; fields: those to search, empty for all that matter to the method;
+    env: one already loaded; watch: called after each evaluation.
     """
+    fields = fields if isinstance(trials, int) else tuple(trials[0].values)
     check_fields(fields)
-    check_seeds(seeds, trials)
+    check_seeds(seeds, trials if isinstance(trials, int) else len(trials))
     check_combination(config, env)
     started = time.perf_counter()
     env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
@@ -223,26 +238,29 @@ def tune(config: TrainConfig, trials: int, seeds: Sequence[int], key: jax.Array,
     for field in fields:
         require(field in matter, "fields", field, f"changes nothing about {presets.name_of(config)} on {config.task}. What does: {', '.join(matter)}")
     fields = tuple(fields) or tuple(name for name in matter if SPACE[name].always)
-    values, count = draw(key, config.hyper, fields, trials), trials * len(seeds)
+    if isinstance(trials, int):
+        trials = [Trial(number, values, [], [], []) for number, values in enumerate(draw(key, config.hyper, fields, trials))]
+    count = len(trials) * len(seeds)
     mesh = host.seed_mesh(count)
     at_once = lanes_at_once(train, count, mesh)
     by_lane, everywhere = (jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ()))
-    keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * trials, jnp.uint32))
-    starts = jax.device_put((keys, batched_hyper(config.hyper, values, len(seeds))), by_lane)
+    keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
+    starts = jax.device_put((keys, batched_hyper(config.hyper, [trial.values for trial in trials], len(seeds))), by_lane)
     shared, numbers = jax.device_put(train.env, everywhere), jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     initial, chunk = lane_programs(train, group)
     lanes = jax.jit(host.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane)(starts, shared)
     compiled = jax.jit(host.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile()
-    result = TuneResult(config, group, fields, list(seeds), [], [Trial(number, value, [], [], []) for number, value in enumerate(values)],
-                        time.perf_counter() - started, 0.0, host.describe(config, train.env, list(seeds)))
+    result = TuneResult(config, group, fields, list(seeds), [], list(trials), time.perf_counter() - started, 0.0,
+                        host.describe(config, train.env, list(seeds)))
     for evaluation in range(config.num_evaluations):
         started = time.perf_counter()
         done = evaluation * config.epochs_per_evaluation
         lanes, seen = compiled(lanes, numbers + done, shared)
-        seen = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(trials, len(seeds)).tolist(), jax.device_get(seen))
+        seen = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(len(trials), len(seeds)).tolist(), jax.device_get(seen))
         result = dataclasses.replace(
             result, epochs=[*result.epochs, done + len(numbers)], run_seconds=result.run_seconds + time.perf_counter() - started,
-            trials=[continued(trial, result.seeds, *(seen[name][trial.number] for name in ("success", "loss", "finite"))) for trial in result.trials],
+            trials=[continued(trial, result.seeds, *(seen[name][place] for name in ("success", "loss", "finite")))
+                    for place, trial in enumerate(result.trials)],
         )
         watch(result)
     return result
