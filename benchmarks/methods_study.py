@@ -1,6 +1,6 @@
 """Table I of the paper: every method on its tasks, five seeds each, beside the paper's numbers.
 
-    python benchmarks/methods_study.py --out FOLDER [--tasks object_search fetch_reach ...] [--methods vae her ...] [--seeds 5]
+    python benchmarks/methods_study.py --out FOLDER [--tasks object_search fetch_reach ...] [--methods vae her ...] [--seeds 5] [--with-her]
 
 Every run stays in FOLDER/TASK/METHOD with the curve of every seed; result.json beside it holds times and machine. What is there is not run again, so
 that runs may come from several machines and several processes; FOLDER/study.md is the table of all that is there: 5 or 10 starts for each goal
@@ -8,7 +8,7 @@ that runs may come from several machines and several processes; FOLDER/study.md 
 
 As in the paper, numbers are those after the agent has converged on the training goals: of the first evaluation by which the mean success on
 training goals was 0.99 or more twice in a row, or the last; a second table has the last parameters. Methods are the presets'; docs/methods.md says
-how they were tuned.
+how they were tuned. With --with-her learners are given HER besides, which the paper does not do, into FOLDER/TASK/METHOD+her.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import study
 
-from infogoal_jax import presets
+from infogoal_jax import learners, presets
 from infogoal_jax.report import tables
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 
@@ -25,6 +25,7 @@ NAMES = {
     "infogoal": "InfoGoal", "infobot": "InfoBot", "cogoal": "COGOAL", "gcb": "GCB", "vae": "VAE", "dgrl": "DGRL", "rad": "RAD",
     "none": "DQN / HRAC / CQL", "her": "HER", "cher": "CHER", "ghrl": "GHRL",
 }
+WITH_HER = {f"{method}+her": f"{title} + HER" for method, title in NAMES.items() if method in learners.registry and method != "none"}
 KINDS = {"train_goal": "training", "test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
 TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "fetch_pick_and_place", "embodied_qa")
 PAPER = {
@@ -55,26 +56,31 @@ def reported(kind: str, method: str, task: str) -> str:
     return f"{found[task]:.2f}" if task in found else ""
 
 
-def task_table(folder: Path, task: str, choose: Callable[[dict], int]) -> list[str]:
-    """Rows of Markdown for one task: a row for each finished method, at the evaluation that `choose` picks."""
-    runs = {method: tables.read(folder / task / method, "evaluations") for method in NAMES if (folder / task / method / "result.json").exists()}
+def finished(folder: Path, task: str, names: dict[str, str]) -> list[str]:
+    """Those of the methods whose runs are there."""
+    return [method for method in names if (folder / task / method / "result.json").exists()]
+
+
+def task_table(folder: Path, task: str, names: dict[str, str], choose: Callable[[dict], int], base: str = "none") -> list[str]:
+    """Rows of Markdown for one task: a row for each finished method, at the evaluation that `choose` picks, compared with the method `base`."""
+    runs = {method: tables.read(folder / task / method, "evaluations") for method in finished(folder, task, names)}
     places = {method: choose(table.values) for method, table in runs.items()}
     kinds = {kind: title for kind, title in KINDS.items() if any(f"{kind}/success_rate" in table.values for table in runs.values())}
     columns = ["method", "epochs"]
     for kind, title in kinds.items():
         columns += [title] + (["paper"] if kind in PAPER else [])
-    columns.append("test, less the bare agent's")
+    columns.append(f"test, less {'the bare agent' if base == 'none' else names[base]}'s")
     lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
 
     def scores(method: str, kind: str):
         return runs[method].values[f"{kind}/success_rate"][:, places[method]]
 
     for method, table in runs.items():
-        cells = [NAMES[method], str(int(table.epochs[places[method]]))]
+        cells = [names[method], str(int(table.epochs[places[method]]))]
         for kind in kinds:
             cells += [mean_interval(scores(method, kind)).show(2)] + ([reported(kind, method, task)] if kind in PAPER else [])
-        compared = method != "none" and "none" in runs
-        cells.append(paired_difference(scores(method, "test_goal"), scores("none", "test_goal")).show(2) if compared else "")
+        compared = method != base and base in runs
+        cells.append(paired_difference(scores(method, "test_goal"), scores(base, "test_goal")).show(2) if compared else "")
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
@@ -84,12 +90,17 @@ def report(folder: Path) -> str:
     lines = ["Success rate; mean ± 95 % interval (Student t) over seeds, and of the paired difference. Corrupted goals: a background of weight 0.4.",
              ""]
     for task in TASKS:
-        finished = [method for method in NAMES if (folder / task / method / "result.json").exists()]
-        if not finished:
+        if not finished(folder, task, NAMES | WITH_HER):
             continue
-        lines += [f"### {task}", "", "After the agent has converged on the training goals:", "", *task_table(folder, task, study.converged), ""]
-        lines += ["Last parameters:", "", *task_table(folder, task, lambda values: -1), ""]
-        lines += [study.describe_run(folder / task / method, f"{task}, {NAMES[method]}", presets.METHODS[method].learner) for method in finished]
+        lines += [f"### {task}", "", "After the agent has converged on the training goals:", "", *task_table(folder, task, NAMES, study.converged), ""]
+        lines += ["Last parameters:", "", *task_table(folder, task, NAMES, lambda values: -1), ""]
+        if finished(folder, task, WITH_HER):
+            names = {"her": NAMES["her"]} | WITH_HER
+            lines += ["Learners with HER, after the agent has converged on the training goals:", "",
+                      *task_table(folder, task, names, study.converged, base="her"), ""]
+        for method in finished(folder, task, NAMES | WITH_HER):
+            learner = presets.METHODS[method.removesuffix("+her")].learner
+            lines.append(study.describe_run(folder / task / method, f"{task}, {(NAMES | WITH_HER)[method]}", learner))
         lines.append("")
     return "\n".join(lines)
 
@@ -101,10 +112,14 @@ def main():
     parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=TASKS)
     parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--with-her", action="store_true", help="give the learners HER besides")
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for method in arguments.methods:
-            study.train(presets.load(task, method), arguments.seeds, arguments.out / task / method)
+            name = f"{method}+her" if arguments.with_her else method
+            if name in NAMES | WITH_HER:
+                config = presets.load(task, method, relabelling="her" if arguments.with_her else None)
+                study.train(config, arguments.seeds, arguments.out / task / name)
     (arguments.out / "study.md").write_text(report(arguments.out))
     print(report(arguments.out))
 

@@ -83,22 +83,30 @@ def final(task: str, method: str, folder: Path) -> None:
 
 
 def report(folder: Path) -> str:
-    """The searches as Markdown: for each task and method the preset's score, the best one's and its values, and how far the search came."""
+    """The searches as Markdown: for each task and method the preset's score, the best one's and its values, and how far the search came; then finals."""
     lines = []
     for task in presets.TASKS:
         found = {method: folder / task / method for method in NAMES if (folder / task / method / "best.json").exists()}
         if not found:
             continue
-        lines += [f"### {task}", "", "| method | preset of that time | best | trial | its values | epochs |", "|---|---|---|---|---|---|"]
-        for method, path in found.items():
-            best, about = (json.loads((path / name).read_text()) for name in ("best.json", "config.json"))
-            values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
-            epochs = f"{best['epoch']} of {about['config']['num_epochs']}"
-            scores = f"{best['score_of_preset']:.2f} | {best['score']:.2f} | {best['trial']} of {about['trials']}"
-            lines.append(f"| {NAMES[method]} | {scores} | {values} | {epochs} |")
-        seeds = ", ".join(map(str, about["seeds"]))
-        lines += ["", f"Success on {best['goals']} goals at the last of these epochs; seeds {seeds}. {about['data']}", ""]
+        lines += [f"### {task}", "", *table(found)]
+        finals = {method: path / "final" for method, path in found.items() if (path / "final" / "best.json").exists()}
+        if finals:
+            lines += ["Finals, of the preset and the best of each search:", "", *table(finals)]
     return "\n".join(lines)
+
+
+def table(found: dict[str, Path]) -> list[str]:
+    """Rows of Markdown for these searches or finals, by method, and what they were made on."""
+    lines = ["| method | preset of that time | best | trial | its values | epochs |", "|---|---|---|---|---|---|"]
+    for method, path in found.items():
+        best, about = (json.loads((path / name).read_text()) for name in ("best.json", "config.json"))
+        values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
+        epochs = f"{best['epoch']} of {about['config']['num_epochs']}"
+        scores = f"{best['score_of_preset']:.2f} | {best['score']:.2f} | {best['trial']}"
+        lines.append(f"| {NAMES[method]} | {scores} | {values} | {epochs} |")
+    lanes = f"{about['trials']} trials, of which 0 is the preset, with the seeds {', '.join(map(str, about['seeds']))}"
+    return [*lines, "", f"Success on {best['goals']} goals at the last of these epochs; {lanes}; {about['device']}. {about['data']}", ""]
 
 
 def main():
