@@ -92,7 +92,8 @@ def report(folder: Path) -> str:
     for task in TASKS:
         if not finished(folder, task, NAMES | WITH_HER):
             continue
-        lines += [f"### {task}", "", "After the agent has converged on the training goals:", "", *task_table(folder, task, NAMES, study.converged), ""]
+        lines += [f"### {task}", "", "After the agent has converged on the training goals:", ""]
+        lines += [*task_table(folder, task, NAMES, study.converged), ""]
         lines += ["Last parameters:", "", *task_table(folder, task, NAMES, lambda values: -1), ""]
         if finished(folder, task, WITH_HER):
             names = {"her": NAMES["her"]} | WITH_HER

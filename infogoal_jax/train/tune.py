@@ -70,8 +70,8 @@ SPACE = {
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """One setting. number: in the search that drew it; values: of the fields searched; success, loss: [evaluations so far][seeds], of the scored goals and of the agent at that time;
-    diverged: seeds whose loss or gradient stopped being finite."""
+    """One setting. number: in the search that drew it; values: of the fields searched; success, loss: [evaluations so far][seeds], of the scored
+    goals and of the agent at that time; diverged: seeds whose loss or gradient stopped being finite."""
 
     number: int
     values: dict[str, float]
