@@ -83,7 +83,7 @@ def final(task: str, method: str, folder: Path) -> None:
 
 
 def report(folder: Path) -> str:
-    """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values, and how far the search came."""
+    """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values, and how far they came."""
     lines = []
     for task in presets.TASKS:
         found = {method: folder / task / method for method in NAMES if (folder / task / method / "best.json").exists()}
