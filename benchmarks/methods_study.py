@@ -92,9 +92,10 @@ def report(folder: Path) -> str:
     for task in TASKS:
         if not finished(folder, task, NAMES | WITH_HER):
             continue
-        lines += [f"### {task}", "", "After the agent has converged on the training goals:", ""]
-        lines += [*task_table(folder, task, NAMES, study.converged), ""]
-        lines += ["Last parameters:", "", *task_table(folder, task, NAMES, lambda values: -1), ""]
+        lines += [f"### {task}", ""]
+        if finished(folder, task, NAMES):
+            lines += ["After the agent has converged on the training goals:", "", *task_table(folder, task, NAMES, study.converged), ""]
+            lines += ["Last parameters:", "", *task_table(folder, task, NAMES, lambda values: -1), ""]
         if finished(folder, task, WITH_HER):
             names = {"her": NAMES["her"]} | WITH_HER
             lines += ["Learners with HER, after the agent has converged on the training goals:", "",
@@ -111,16 +112,17 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=TASKS)
-    parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
+    parser.add_argument("--methods", nargs="*", choices=list(NAMES), help="all, unless given; with --with-her learners alone")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--with-her", action="store_true", help="give the learners HER besides")
     arguments = parser.parse_args()
+    known = [name.removesuffix("+her") for name in WITH_HER] if arguments.with_her else list(NAMES)
+    if without := set(arguments.methods or ()) - set(known):
+        parser.error(f"--with-her is for learners: {', '.join(known)}; not for {', '.join(sorted(without))}")
     for task in arguments.tasks:
-        for method in arguments.methods:
-            name = f"{method}+her" if arguments.with_her else method
-            if name in NAMES | WITH_HER:
-                config = presets.load(task, method, relabelling="her" if arguments.with_her else None)
-                study.train(config, arguments.seeds, arguments.out / task / name)
+        for method in arguments.methods or known:
+            config = presets.load(task, method, relabelling="her" if arguments.with_her else None)
+            study.train(config, arguments.seeds, arguments.out / task / (f"{method}+her" if arguments.with_her else method))
     (arguments.out / "study.md").write_text(report(arguments.out))
     print(report(arguments.out))
 

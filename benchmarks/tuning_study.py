@@ -75,10 +75,10 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
 
 
 def final(task: str, method: str, folder: Path) -> None:
-    """The final of a search that is there, into FOLDER/TASK/METHOD/final."""
+    """The final of a search that is there, into FOLDER/TASK/METHOD/final. One that was stopped stays as it is: delete its folder to run it again."""
     out = folder / task / method / "final"
     if not (out / "best.json").exists():
-        command = ["tune", task, "--final", str(out.parent), "--out", str(out)]
+        command = ["final", str(out.parent), "--out", str(out)]
         subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
 
 
@@ -99,14 +99,20 @@ def report(folder: Path) -> str:
 def table(found: dict[str, Path]) -> list[str]:
     """Rows of Markdown for these searches or finals, by method, and what they were made on."""
     lines = ["| method | preset of that time | best | trial | its values | epochs |", "|---|---|---|---|---|---|"]
+    footers = {}
     for method, path in found.items():
         best, about = (json.loads((path / name).read_text()) for name in ("best.json", "config.json"))
         values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
         epochs = f"{best['epoch']} of {about['config']['num_epochs']}"
         scores = f"{best['score_of_preset']:.2f} | {best['score']:.2f} | {best['trial']}"
         lines.append(f"| {NAMES[method]} | {scores} | {values} | {epochs} |")
-    lanes = f"{about['trials']} trials, of which 0 is the preset, with the seeds {', '.join(map(str, about['seeds']))}"
-    return [*lines, "", f"Success on {best['goals']} goals at the last of these epochs; {lanes}; {about['device']}. {about['data']}", ""]
+        lanes = f"{about['trials']} trials, of which 0 is the preset, with the seeds {', '.join(map(str, about['seeds']))}"
+        footer = f"Success on {best['goals']} goals at the last of these epochs; {lanes}; {about['device']}. {about['data']}"
+        footers.setdefault(footer, []).append(NAMES[method])
+    lines.append("")
+    for footer, methods in footers.items():
+        lines += [footer if len(footers) == 1 else f"{', '.join(methods)}: {footer}", ""]
+    return lines
 
 
 def main():

@@ -26,7 +26,7 @@ COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the f
     "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
     "pretrain object_manipulation": JointPretrainConfig(), "methods": command_line.MethodsCommand,
     "compare": run_commands.CompareCommand,
-    "tune": command_line.TuneCommand(config=presets.load("object_search")),
+    "tune": command_line.TuneCommand(config=presets.load("object_search")), "final": command_line.FinalCommand,
 }
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

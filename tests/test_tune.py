@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import hand_made
 import jax
@@ -172,46 +173,68 @@ def test_finalists_are_the_preset_and_the_best_others_of_different_values():
     assert [trial.number for trial in finalists] == [0, 2, 3]  # 4 has the values of 2.
     assert all(trial.success == [] and trial.values == found.trials[trial.number].values for trial in finalists)
     assert [trial.number for trial in search.finalists(trials, 4)] == [0, 2, 3, 1]  # What diverged comes last.
-    for count, message in ((1, "finalists = 1: give at least 2"), (5, "finalists = 5: the search has 4 different settings")):
+    for count, message in ((1, "trials = 1: a final has at least 2"), (5, "trials = 5: the search has 4 different settings")):
         with pytest.raises(UserError, match=message):
             search.finalists(trials, count)
 
 
 def test_a_final_runs_trials_of_a_search_again(result, env):
-    """With the seeds of the search it is the search; with others it is not."""
+    """With the seeds of the search each is what it was there, wherever it stands; with others it is not."""
     found, _ = result
-    again = tune(found.config, search.finalists(found.trials, 2), found.seeds, jax.random.key(1), env=env)
-    assert [trial.number for trial in again.trials] == [trial.number for trial in found.trials] and again.fields == found.fields
-    np.testing.assert_allclose([trial.loss for trial in again.trials], [trial.loss for trial in found.trials], rtol=1e-4)
-    alone = tune(found.config, search.finalists(found.trials, 2), [1002], jax.random.key(1), env=env)
-    assert not np.isclose(alone.trials[1].loss[-1][0], found.trials[1].loss[-1]).any()
+    finalists = [search.Trial(5, found.trials[1].values, [], [], []), search.Trial(0, found.trials[0].values, [], [], [])]
+    again = search.final(found.config, finalists, found.seeds, env=env)
+    assert [trial.number for trial in again.trials] == [5, 0] and again.fields == found.fields and again.epochs == found.epochs
+    np.testing.assert_allclose([trial.loss for trial in again.trials], [found.trials[number].loss for number in (1, 0)], rtol=1e-4)
+    others = search.final(found.config, finalists[:1], [1002], env=env)
+    assert not np.isclose(others.trials[0].loss[-1][0], found.trials[1].loss[-1]).any()
 
 
-def test_the_command_for_a_final(env, tmp_path, monkeypatch, capsys):
-    """It takes configuration and trials from the search's folder, and seeds that the search did not have."""
-    found = made(small("vae"), [[0.1], [0.3], [0.9], [0.5], [0.7], [0.2]])
+@pytest.fixture
+def searched(env, tmp_path, monkeypatch):
+    """A search of six trials on disk, in the folder `search`, and what `infogoal final` would run: (configuration, trials, seeds) a call."""
+    found, asked = made(small("vae"), [[0.0, 0.1], [0.0, 0.3], [0.0, 0.9], [0.0, 0.5], [0.0, 0.7], [0.0, 0.2]]), []
     found = dataclasses.replace(found, description=host.describe(found.config, env, found.seeds))
     tuning.save(found, tmp_path / "search")
-    assert tuning.read(tmp_path / "search")[1] == found.trials
-    asked = []
 
-    def interrupted(config, trials, seeds, key, fields, watch):
+    def interrupted(config, trials, seeds, watch):
         asked.append((config, [trial.number for trial in trials], list(seeds)))
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(search, "tune", interrupted)
-    command = ["tune", "object_search", "--final", "search", "--out", "final"]
-    assert main(command) == 130 and main([*command, "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
-    assert asked[0] == (found.config, [0, 2, 4, 3], list(range(1001, 1009))) and asked[1][1:] == ([0, 2], [1500])
-    for more, message in [(["--first-seed", "1000"], "first_seed = 1000: the search had the seeds [1000]"), (["--fields", "discount"], "fields = "),
-                          (["--method", "her"], "method = 'her': search is of method 'vae'"), (["--trials", "9"], "finalists = 9")]:
-        assert main([*command, *more]) == 2
-        assert message in " ".join(capsys.readouterr().err.split())
-    (tmp_path / "search" / "trials.jsonl").write_text('{"trial": 0}\n')
-    assert main(command) == 2 and "is damaged" in capsys.readouterr().err
-    assert main(["tune", "object_search", "--final", "nowhere"]) == 2 and "'nowhere'" in capsys.readouterr().err
+    monkeypatch.setattr(search, "final", interrupted)
+    return found, asked
+
+
+def test_the_command_for_a_final(searched):
+    """Configuration and trials are the search's, seeds are others."""
+    found, asked = searched
+    assert tuning.read(Path("search"))[1] == found.trials
+    assert main(["final", "search"]) == 130 and main(["final", "search", "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
+    assert asked == [(found.config, [0, 2, 4, 3], list(range(1001, 1009))), (found.config, [0, 2], [1500])]
+
+
+@pytest.mark.parametrize(("flags", "message"), [
+    (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"), (["search", "--trials", "9"], "trials = 9"),
+    (["nowhere"], "search = 'nowhere': holds no trials.jsonl"), (["search", "--out", "search"], "out = 'search': holds a search"),
+])
+def test_what_cannot_be_a_final(flags, message, searched, capsys):
+    assert main(["final", *flags]) == 2 and not searched[1]
+    assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    (lambda lines: [], "is damaged"), (lambda lines: lines[1:], "is damaged (it should have the trials 0, 1, 2"),
+    (lambda lines: [line | {"values": None} for line in lines], "is damaged"), (lambda lines: [{"trial": 0}], "is damaged"),
+    (lambda lines: [lines[0] | {"values": {"discount": 0.9}}, *lines[1:]], "different fields"),
+    (lambda lines: [line | {"success": line["success"][:1]} for line in lines], "was stopped after 1 of 2 evaluations"),
+    (lambda lines: [line | {"success": []} for line in lines], "was stopped after 0 of 2 evaluations"),
+])
+def test_a_search_that_is_damaged_or_unfinished_has_no_final(changes, message, searched, capsys):
+    path = Path("search/trials.jsonl")
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in changes([json.loads(line) for line in path.read_text().splitlines()])))
+    assert main(["final", "search"]) == 2 and not searched[1]
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize(("task", "method", "changes"), [

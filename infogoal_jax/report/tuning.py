@@ -50,15 +50,26 @@ def save(result: TuneResult, folder: Path) -> None:
 
 
 def read(folder: Path) -> tuple[Run, list[Trial]]:
-    """What a search was of, and its trials. Raises `UserError` if FOLDER holds none, or one that cannot be read."""
-    path, run = folder / "trials.jsonl", read_run(folder)
+    """What a finished search was of, and its trials. Raises `UserError` if FOLDER holds none, or one that cannot be read."""
+    path = folder / "trials.jsonl"
+    if not path.is_file():
+        raise UserError(f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal tune`")
+    run = read_run(folder)
     try:
         lines = [json.loads(line) for line in path.read_text().splitlines()]
-        return run, [Trial(line["trial"], line["values"], line["success"], line["loss"], line["diverged"]) for line in lines]
-    except FileNotFoundError as error:
-        raise UserError(f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of an `infogoal tune`") from error
+        trials = [Trial(line["trial"], dict(line["values"]), line["success"], line["loss"], line["diverged"]) for line in lines]
+        if not trials or [trial.number for trial in trials] != list(range(len(trials))) or not run.seeds:
+            raise ValueError("it should have the trials 0, 1, 2, ... and seeds; of a final there is no final")
+        if any(trial.values.keys() != trials[0].values.keys() for trial in trials):
+            raise ValueError("its trials have different fields")
+        done = min(len(trial.success) for trial in trials)
+    except OSError as error:
+        raise UserError(f"{path}: could not be read ({error.strerror})") from error
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: is damaged ({error}); search again, or bring back a copy of the file") from error
+    if done < run.config.num_evaluations:
+        raise UserError(f"search = {str(folder)!r}: was stopped after {done} of {run.config.num_evaluations} evaluations; search again to the end")
+    return run, trials
 
 
 def command_of(result: TuneResult) -> str:

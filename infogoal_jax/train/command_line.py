@@ -1,4 +1,4 @@
-"""The command `infogoal`: train, tune, methods, pretrain; those that look at runs stand in run_commands.py, those about data in data_commands.py.
+"""The command `infogoal`: train, tune, final, methods, pretrain; those about runs stand in run_commands.py, those about data in data_commands.py.
 
 A command is a dataclass; its fields are the flags (tyro).
 """
@@ -6,8 +6,9 @@ A command is a dataclass; its fields are the flags (tyro).
 import dataclasses
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -29,6 +30,7 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
   infogoal methods                               what each method is, and which tasks and agents it goes together with
   infogoal methods fetch_push her                whether one combination works and why not; --algorithm, --relabelling, --exploration
   infogoal tune object_search --method vae       look for hyperparameters on validation goals; --trials 16 --seeds 2, all in one program
+  infogoal final SEARCH                          run the best of such a search again with other seeds; --trials 4 --seeds 8
   infogoal pretrain fetch_push --seeds 4         train the low level that drives the robot to target states, keep the best of four seeds
   infogoal evaluate RUN                          evaluate a run's last parameters again, with other starts or another epsilon
   infogoal evaluate RUN --corruption 0.4         the same with backgrounds of another weight over the images of corrupted goals
@@ -85,34 +87,20 @@ def flag(arguments: list[str], name: str) -> str | None:
 
 
 def default_config(arguments: list[str]) -> TrainConfig:
-    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to go on from.
-
-    Such a run is the one to resume, or the search that a final is of.
-    """
+    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to resume."""
     from infogoal_jax.report.runs import read_run
 
     if arguments and arguments[-1] == "--method":
         raise UserError(f"method: give a name after --method. Known: {', '.join(presets.METHODS)}")
-    before, task, method = flag(arguments, "resume") or flag(arguments, "final"), task_named(arguments), flag(arguments, "method")
-    if before:
-        config = read_run(Path(before)).config
-        if task not in (None, config.task):
-            raise UserError(f"task = {task!r}: {before} is of task {config.task!r}")
+    resumed = flag(arguments, "resume")
+    if resumed:
+        config, method = read_run(Path(resumed)).config, flag(arguments, "method")
         if method is not None and not is_of_method(config, method):
-            raise UserError(f"method = {method!r}: {before} is of method {presets.name_of(config)!r}; leave the flag out")
+            raise UserError(f"method = {method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
         return config
+    task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
     named = (flag(arguments, part) for part in ("algorithm", "relabelling", "exploration"))
-    return presets.load(task or "object_search", method or "infogoal", *named)
-
-
-def task_named(arguments: list[str]) -> str | None:
-    """The task, which stands before all flags; None if it is left out."""
-    return arguments[0] if arguments and not arguments[0].startswith("-") else None
-
-
-def without_task_and_method(arguments: list[str]) -> list[str]:
-    """What is left for the fields of a configuration. A method may be a relabelling or an explorer; the preset has its parts."""
-    return without_flag(arguments[task_named(arguments) is not None:], "method")
+    return presets.load(task, flag(arguments, "method") or "infogoal", *named)
 
 
 def is_of_method(config: TrainConfig, method: str) -> bool:
@@ -135,7 +123,12 @@ def without_flag(arguments: list[str], name: str) -> list[str]:
 def train(arguments: list[str]) -> int:
     """`infogoal train TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with a checkpoint)."""
     default = default_config(arguments)
-    command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=without_task_and_method(arguments), default=TrainCommand(config=default))
+    if arguments and not arguments[0].startswith("-"):
+        if arguments[0] != default.task:
+            raise UserError(f"task = {arguments[0]!r}: the run to resume is of task {default.task!r}")
+        arguments = arguments[1:]
+    arguments = without_flag(arguments, "method")  # A method may be a relabelling or an explorer; the preset has its parts.
+    command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=arguments, default=TrainCommand(config=default))
     if command.seeds <= 0:
         raise UserError(f"seeds = {command.seeds}: give at least 1")
     use_compilation_cache()
@@ -174,49 +167,85 @@ class TuneCommand:
 
     config: Annotated[TrainConfig, tyro.conf.arg(name="")]
     trials: int = 16
-    """Settings that are tried; the first is the preset. Of a final 4, unless given."""
+    """Settings that are tried; the first is the preset."""
     seeds: int = 2
-    """Seeds of each setting. Of a final 8, unless given."""
+    """Seeds of each setting."""
     first_seed: int = 1000
-    """Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ... Of a final the one after the search's last."""
+    """Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ..."""
     space_seed: int = 0
     """Seed of the draws from the space; methods that are to be compared have the same."""
     fields: tuple[str, ...] = ()
     """Hyperparameters to search, such as learning_rate discount; empty: all that matter to the method."""
-    final: str = ""
-    """Folder of a search whose preset and best trials are run again, with other seeds: the best of many owes something to luck."""
     out: str = ""
     """Folder of the search; empty: a new one under runs/."""
 
 
 def tune(arguments: list[str]) -> int:
     """`infogoal tune TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then)."""
-    from infogoal_jax.report import tuning
     from infogoal_jax.train import tune as search
 
-    default, before = TuneCommand(config=default_config(arguments)), flag(arguments, "final")
-    if before:
-        searched, drawn = tuning.read(Path(before))
-        default = dataclasses.replace(default, trials=4, seeds=8, first_seed=max(searched.seeds) + 1)
-    else:
-        default = dataclasses.replace(default, config=search.same_budget(default.config))
-    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=without_task_and_method(arguments), default=default)
-    config, seeds = command.config, range(command.first_seed, command.first_seed + command.seeds)
-    if before and command.fields:
-        raise UserError(f"fields = {command.fields}: a final has the fields of its search; leave the flag out")
-    if before and set(seeds) & set(searched.seeds):
-        raise UserError(f"first_seed = {command.first_seed}: the search had the seeds {searched.seeds}; give others")
-    folder = Path(command.out or f"runs/{config.task}-{presets.name_of(config)}-tuning-{time.strftime('%Y%m%d-%H%M%S')}")
-    if any((folder / name).exists() for name in ("config.json", "trials.jsonl", "checkpoint")):
-        raise UserError(f"out = {str(folder)!r}: holds a search or a run already; give another folder")
+    default = search.same_budget(default_config(arguments))
+    named = bool(arguments) and not arguments[0].startswith("-")
+    arguments = without_flag(arguments[named:], "method")
+    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=arguments, default=TuneCommand(config=default))
+    seeds = range(command.first_seed, command.first_seed + command.seeds)
+    fields = tuple(field.replace("-", "_") for field in command.fields)
     use_compilation_cache()
     import jax
 
-    trials = search.finalists(drawn, command.trials) if before else command.trials
-    fields = tuple(field.replace("-", "_") for field in command.fields)
+    key = jax.random.key(command.space_seed)
+    return watch_search(command.config, command.trials, command.seeds, command.out or new_folder(command.config, "tuning"),
+                        lambda watch: search.tune(command.config, command.trials, seeds, key, fields, watch=watch))
+
+
+@dataclasses.dataclass(frozen=True)
+class FinalCommand:
+    """Run the preset and the best trials of a search again, with other seeds: the best of many owes something to luck."""
+
+    search: tyro.conf.Positional[str]
+    """Folder of an `infogoal tune` that came to its end. Its task, method and configuration are those of the final."""
+    trials: int = 4
+    """How many, the preset among them."""
+    seeds: int = 8
+    """Seeds of each."""
+    first_seed: int | None = None
+    """Number of the first seed; none: the one after the search's last."""
+    out: str = ""
+    """Folder of the final; empty: a new one under runs/."""
+
+
+def final(arguments: list[str]) -> int:
+    """`infogoal final SEARCH`: 0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then)."""
+    command = tyro.cli(FinalCommand, prog="infogoal final", args=arguments)
+    from infogoal_jax.report import tuning
+    from infogoal_jax.train import tune as search
+
+    run, trials = tuning.read(Path(command.search))
+    finalists = search.finalists(trials, command.trials)
+    first = max(run.seeds) + 1 if command.first_seed is None else command.first_seed
+    seeds = range(first, first + command.seeds)
+    if set(seeds) & set(run.seeds):
+        raise UserError(f"first_seed = {first}: the search had the seeds {run.seeds}; give others, or leave the flag out")
+    use_compilation_cache()
+    return watch_search(run.config, command.trials, command.seeds, command.out or new_folder(run.config, "final"),
+                        lambda watch: search.final(run.config, finalists, seeds, watch=watch))
+
+
+def new_folder(config: TrainConfig, kind: str) -> str:
+    """A folder under runs/ that says what it holds, and since when."""
+    return f"runs/{config.task}-{presets.name_of(config)}-{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def watch_search(config: TrainConfig, trials: int, seeds: int, out: str, run: Callable[[Callable], Any]) -> int:
+    """Run a search or a final, given what watches it, into the folder `out`. Returns the exit status."""
+    from infogoal_jax.report import tuning
+
+    folder = Path(out)
+    if any((folder / name).exists() for name in ("config.json", "trials.jsonl", "checkpoint")):
+        raise UserError(f"out = {out!r}: holds a search or a run already; give another folder")
     try:
-        with tuning.watching(config, command.trials, command.seeds, folder) as watch:
-            result = search.tune(config, trials, seeds, jax.random.key(command.space_seed), fields, watch=watch)
+        with tuning.watching(config, trials, seeds, folder) as watch:
+            result = run(watch)
     except KeyboardInterrupt:
         print(f"Stopped. The scores until then, if there are any, are in {folder}")
         return 130
@@ -289,7 +318,7 @@ def data(arguments: list[str]) -> int:
     return dispatch(DATA_COMMANDS, arguments, "data ")
 
 
-COMMANDS = {"train": train, "tune": tune, "methods": methods, "pretrain": pretrain, "data": data, **RUN_COMMANDS}
+COMMANDS = {"train": train, "tune": tune, "final": final, "methods": methods, "pretrain": pretrain, "data": data, **RUN_COMMANDS}
 
 
 def dispatch(commands: dict, arguments: list[str], prefix: str = "") -> int:

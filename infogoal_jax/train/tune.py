@@ -3,7 +3,7 @@
 Every method is searched alike: the same number of trials, seeds and updates, the same ranges, and the same draws for the fields that methods share.
 Trial 0 is the preset. Scores are successes on validation goals, or on training goals where a task has none; goals of the test are not even evaluated.
 
-The best of many trials owes something to luck. A final has fewer of them, with more and other seeds: `finalists`, given to `tune` as its trials.
+The best of many trials owes something to luck: in a final the preset and the best of a search run again, fewer trials with more and other seeds.
 """
 
 import dataclasses
@@ -92,7 +92,7 @@ class Trial:
 
 @dataclasses.dataclass(frozen=True)
 class TuneResult:
-    """A search, finished or as far as it came. group: of the goals that scores are of, `validation` or `train`; epochs: of the evaluations so far."""
+    """A search or final, as far as it came. group: of the goals that scores are of, `validation` or `train`; epochs: of the evaluations so far."""
 
     config: TrainConfig
     group: str
@@ -180,12 +180,12 @@ def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials:
 
 def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
     """The preset and the best others of a search, `count` in all, to be run again; of equal settings one. Raises `UserError` if there are fewer."""
-    require(count > 1, "finalists", count, "give at least 2: the preset, and others")
+    require(count > 1, "trials", count, "a final has at least 2: the preset, and others")
     chosen = [trials[0]]
     for trial in sorted(trials, key=lambda trial: trial.order, reverse=True):
         if len(chosen) < count and all(trial.values != other.values for other in chosen):
             chosen.append(trial)
-    require(len(chosen) == count, "finalists", count, f"the search has {len(chosen)} different settings")
+    require(len(chosen) == count, "trials", count, f"the search has {len(chosen)} different settings; give no more")
     return [Trial(trial.number, trial.values, [], [], []) for trial in chosen]
 
 
@@ -220,27 +220,40 @@ def lanes_at_once(train: Train, count: int, mesh: jax.sharding.Mesh) -> int:
         raise UserError(f"trials x {error}") from error
 
 
-def tune(config: TrainConfig, trials: int | Sequence[Trial], seeds: Sequence[int], key: jax.Array, fields: Sequence[str] = (), env: Any = None,
+def tune(config: TrainConfig, trials: int, seeds: Sequence[int], key: jax.Array, fields: Sequence[str] = (), env: Any = None,
          watch: Callable[[TuneResult], None] = lambda result: None) -> TuneResult:
-    """Train settings with each of these seeds side by side. Raises `UserError` before anything is compiled.
+    """Draw `trials` settings and train each with each of these seeds. Raises `UserError` before anything is compiled.
 
-    trials: how many settings to draw, or `finalists`; key: of the draws; fields: those to search, empty for all that matter to the method;
-    env: one already loaded; watch: called after each evaluation.
+    key: of the draws; fields: those to search, empty for all that matter to the method; env: one already loaded; watch: called after each evaluation.
     """
-    fields = fields if isinstance(trials, int) else tuple(trials[0].values)
     check_fields(fields)
-    check_seeds(seeds, trials if isinstance(trials, int) else len(trials))
-    check_combination(config, env)
-    started = time.perf_counter()
-    env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
-    train = make_train(config, env)
+    train, group = scored_training(config, trials, seeds, env)
     matter = fields_that_matter(train)
     for field in fields:
         require(field in matter, "fields", field, f"changes nothing about {presets.name_of(config)} on {config.task}. What does: {', '.join(matter)}")
-    fields = tuple(fields) or tuple(name for name in matter if SPACE[name].always)
-    if isinstance(trials, int):
-        trials = [Trial(number, values, [], [], []) for number, values in enumerate(draw(key, config.hyper, fields, trials))]
-    count = len(trials) * len(seeds)
+    drawn = draw(key, config.hyper, tuple(fields) or tuple(name for name in matter if SPACE[name].always), trials)
+    return side_by_side(train, group, [Trial(number, values, [], [], []) for number, values in enumerate(drawn)], seeds, watch)
+
+
+def final(config: TrainConfig, trials: Sequence[Trial], seeds: Sequence[int], env: Any = None,
+          watch: Callable[[TuneResult], None] = lambda result: None) -> TuneResult:
+    """Train `finalists` of a search of this configuration with each of these seeds, which should be others. Otherwise as `tune`."""
+    check_fields(tuple(trials[0].values))
+    train, group = scored_training(config, len(trials), seeds, env)
+    return side_by_side(train, group, trials, seeds, watch)
+
+
+def scored_training(config: TrainConfig, trials: int, seeds: Sequence[int], env: Any) -> tuple[Train, str]:
+    """Training that evaluates nothing but the goals that trials are scored on, and their group. Raises `UserError` for what cannot be run."""
+    check_seeds(seeds, trials)
+    check_combination(config, env)
+    env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
+    return make_train(config, env), group
+
+
+def side_by_side(train: Train, group: str, trials: Sequence[Trial], seeds: Sequence[int], watch: Callable[[TuneResult], None]) -> TuneResult:
+    """Train each of these settings with each of these seeds, a lane each."""
+    started, config, count = time.perf_counter(), train.config, len(trials) * len(seeds)
     mesh = host.seed_mesh(count)
     at_once = lanes_at_once(train, count, mesh)
     by_lane, everywhere = (jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ()))
@@ -250,7 +263,7 @@ def tune(config: TrainConfig, trials: int | Sequence[Trial], seeds: Sequence[int
     initial, chunk = lane_programs(train, group)
     lanes = jax.jit(host.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane)(starts, shared)
     compiled = jax.jit(host.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile()
-    result = TuneResult(config, group, fields, list(seeds), [], list(trials), time.perf_counter() - started, 0.0,
+    result = TuneResult(config, group, tuple(trials[0].values), list(seeds), [], list(trials), time.perf_counter() - started, 0.0,
                         host.describe(config, train.env, list(seeds)))
     for evaluation in range(config.num_evaluations):
         started = time.perf_counter()
