@@ -1,10 +1,27 @@
 """What several test files share because it takes long to compile."""
 
+import gc
+from pathlib import Path
+
+import jax
 import pytest
 
 from infogoal_jax import presets
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.train import host
+
+MEMORY_MAPS = Path("/proc/self/maps")
+MANY_MAPS = 20_000
+"""On a CPU a program with the physics of Fetch lies in some 6,000 memory maps. Linux allows a process 65,530, and LLVM aborts it at the next."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_programs():
+    """Forget compiled programs between files when they are many; what is needed again is compiled again."""
+    yield
+    if MEMORY_MAPS.exists() and MEMORY_MAPS.read_bytes().count(b"\n") > MANY_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(scope="session")
