@@ -1,7 +1,7 @@
 """Constraint rows of one Fetch robot: the weld to the mocap body, joint limits and contacts, as MuJoCo defines them.
 
 Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint` builds the same rows for any
-model; here the model is known, so that the bodies of every row are static and its Jacobian is a sum over few joints.
+model; here the model is known, so that all rows are worked out side by side, and whatever is constant is an array made beforehand.
 """
 
 import dataclasses
@@ -11,14 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from infogoal_jax.envs.fetch.contacts import Contacts
-from infogoal_jax.envs.fetch.solver import Rows
+from infogoal_jax.envs.fetch import solver
+from infogoal_jax.envs.fetch.contacts import Contacts, tangents
+from infogoal_jax.envs.fetch.multibody import Axes
+from infogoal_jax.envs.fetch.vectors import Quaternion, Vector
+
+UNIT, NOTHING = Vector.of(np.eye(3, dtype=np.float32)), Vector.of(np.zeros((1, 3), np.float32))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
-    """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5 numbers); timestep in s;
-    safe: whether the time constant is kept at two timesteps or more, as MuJoCo does."""
+    """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5 numbers, the last two 0.5 and 2);
+    timestep in s; safe: whether the time constant is kept at two timesteps or more, as MuJoCo does."""
 
     reference: tuple[float, float]
     impedance: tuple[float, ...]
@@ -33,22 +37,29 @@ class Softness:
             time = max(time, 2 * self.timestep)
         return 1 / (largest * time * ratio) ** 2, 2 / (largest * time)
 
-    def at(self, distance: jax.Array) -> jax.Array:
-        """The impedance d(r) for violations [...] (m or rad)."""
-        smallest, largest, width, middle, power = (float(value) for value in self.impedance)
-        share = jnp.minimum(jnp.abs(distance) / width, 1.0)
-        below = share**power / middle ** (power - 1)
-        above = 1 - (1 - share) ** power / (1 - middle) ** (power - 1)
-        return smallest + jnp.where(share < middle, below, above) * (largest - smallest)
 
-    def rows(self, jacobian, velocity, violation, measure, inverse_weight, equality: bool, active=None) -> Rows:
-        """Rows with this softness. jacobian [R, nv], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by."""
-        stiffness, damping = self.stiffness_and_damping()
-        impedance = self.at(measure)
-        regularisation = jnp.maximum(inverse_weight * (1 - impedance) / impedance, 1e-15)
-        reference = -damping * (jacobian * velocity).sum(-1) - stiffness * impedance * violation
-        weight = 1 / regularisation if active is None else jnp.where(active, 1 / regularisation, 0.0)
-        return Rows(jacobian, jnp.broadcast_to(weight, violation.shape), reference, jnp.full(violation.shape, equality))
+class RowKinds:
+    """The constants of R rows: arrays float32 [R]."""
+
+    def __init__(self, *kinds: tuple[Softness, float]):
+        """kinds: softness and inverse weight of each row."""
+        assert all(tuple(softness.impedance[3:]) == (0.5, 2.0) for softness, _ in kinds)
+        self.stiffness, self.damping = np.float32([softness.stiffness_and_damping() for softness, _ in kinds]).T
+        self.smallest, self.largest, self.width = np.float32([softness.impedance[:3] for softness, _ in kinds]).T
+        self.inverse_weight = np.float32([weight for _, weight in kinds])
+
+    def impedance(self, violation: jax.Array) -> jax.Array:
+        """d(r) for violations [R] (m or rad)."""
+        share = jnp.minimum(jnp.abs(violation) / self.width, 1.0)
+        risen = jnp.where(share < 0.5, 2 * share**2, 1 - 2 * (1 - share) ** 2)
+        return self.smallest + risen * (self.largest - self.smallest)
+
+    def rows(self, jacobian: jax.Array, velocity: jax.Array, violation: jax.Array, measure: jax.Array, active: jax.Array) -> solver.ConstraintRows:
+        """Rows of these kinds. jacobian [nv, R], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by; active: bool [R]."""
+        impedance = self.impedance(measure)
+        regularisation = jnp.maximum(self.inverse_weight * (1 - impedance) / impedance, 1e-15)
+        reference = -self.damping * solver.times(jacobian.T, velocity) - self.stiffness * impedance * violation
+        return solver.ConstraintRows(jacobian, jnp.where(active, 1 / regularisation, 0.0), reference)
 
 
 def step_map(stiffness: float, damping: float, timestep: float) -> np.ndarray:
@@ -91,65 +102,71 @@ class ContactKind:
     inverse_weight: float
     softness: Softness
 
-
-def point_jacobian(data, centers: jax.Array, points: jax.Array) -> jax.Array:
-    """How points [n, 3] move with each joint, [n, nv, 3], if all joints moved them. centers [nv, 3]: where the joints' axes in `data.cdof` are
-    taken about."""
-    angular, linear = data.cdof[:, :3], data.cdof[:, 3:]
-    return linear + jnp.cross(angular, points[:, None, :] - centers)
-
-
-def contact_rows(data, centers: jax.Array, contacts: Contacts, kind: ContactKind) -> Rows:
-    """The pyramid of each contact point: normal +- friction x tangent for two tangents, and for the spin if the kind resists it."""
-    moves = point_jacobian(data, centers, contacts.position) * kind.dofs[:, None]  # [n, nv, 3]
-    along = jnp.einsum("nij,nvj->niv", contacts.frame, moves, precision=jax.lax.Precision.HIGHEST)  # [n, 3, nv]
-    sliding, torsional = kind.friction
-    edges = [sliding * along[:, 1], sliding * along[:, 2]]
-    if kind.torsion:
-        edges.append(torsional * (contacts.frame[:, :1] * data.cdof[:, :3]).sum(-1) * kind.dofs)
-    jacobian = jnp.stack([along[:, 0] + side * edge for edge in edges for side in (1, -1)], axis=1)  # [n, 4 or 6, nv]
-    violation = contacts.distance - kind.margin
-    repeated = jnp.repeat(violation, jacobian.shape[1])
-    weight = kind.inverse_weight * (1 + sliding**2) * 2 * sliding**2
-    flat = jacobian.reshape(-1, jacobian.shape[-1])
-    return kind.softness.rows(flat, data.qvel, repeated, repeated, weight, equality=False, active=repeated < 0)
+    @property
+    def row(self) -> tuple[Softness, float]:
+        """What each row of the pyramid is made of."""
+        sliding = self.friction[0]
+        return self.softness, self.inverse_weight * (1 + sliding**2) * 2 * sliding**2
 
 
-def limit_row(data, joint: int, span: np.ndarray, inverse_weight: float, softness: Softness) -> Rows:
-    """The limit of one joint (index into qpos and qvel) with lowest and highest position [2]."""
-    position = data.qpos[joint]
-    above, below = position - span[0], span[1] - position
-    violation = jnp.minimum(above, below)[None]
-    unit = np.eye(data.qvel.shape[0], dtype=np.float32)[joint]
-    jacobian = (unit * jnp.where(above < below, 1.0, -1.0))[None]
-    return softness.rows(jacobian, data.qvel, violation, violation, inverse_weight, equality=False, active=violation < 0)
+def work(axes: Axes, force: Vector, torque: Vector) -> jax.Array:
+    """How fast forces and torques about the origin (vectors of arrays [R]) work along each degree of freedom: Jacobian [nv, R]."""
+    return axes.linear[:, None].dot(force) + axes.angular[:, None].dot(torque)
 
 
-def weld_rows(data, centers, dofs, position, quaternion, target, target_quaternion, inverse_weight, softness: Softness) -> Rows:
-    """The weld of a point of the arm (position [3], quaternion [4]) to the mocap body's pose: three rows in m, three in half radians.
+class Weld:
+    """The weld of a point of the arm to the mocap body's pose: three rows in m, three in half radians."""
 
-    dofs: 0 or 1 [nv], the joints that move the point; inverse_weight: of translation and of rotation.
-    """
-    linear = -(point_jacobian(data, centers, position[None])[0] * dofs[:, None])  # Mocap minus arm; the mocap body has no joints.
-    # Orientation error conj(q) q_target, and its derivative 1/2 conj(q) (-w) q_target for a turn of the arm by w.
-    inverse = quaternion * np.array([1.0, -1.0, -1.0, -1.0], np.float32)
-    error = quaternion_product(inverse, target_quaternion)
-    turns = jnp.concatenate([jnp.zeros((data.cdof.shape[0], 1)), -data.cdof[:, :3] * dofs[:, None]], -1)
-    angular = 0.5 * quaternion_product(quaternion_product(inverse, turns), target_quaternion)[:, 1:]
-    jacobian = jnp.concatenate([linear.T, angular.T])
-    violation = jnp.concatenate([target - position, error[1:]])
-    weight = np.repeat(np.asarray(inverse_weight, np.float32), 3)
-    return softness.rows(jacobian, data.qvel, violation, jnp.sqrt((violation**2).sum()) * jnp.ones(6), weight, equality=True)
+    def __init__(self, dofs: np.ndarray, softness: Softness, inverse_weight: tuple[float, float]):
+        """dofs: 0 or 1 [nv], the joints that move the point; inverse_weight: of translation and of rotation."""
+        self.dofs = dofs[:, None]
+        self.kinds = [(softness, weight) for weight in inverse_weight for _ in range(3)]
 
-
-def quaternion_product(left: jax.Array, right: jax.Array) -> jax.Array:
-    """Hamilton's product of quaternions [..., 4] (w, x, y, z)."""
-    w, vector = left[..., :1], left[..., 1:]
-    other, direction = right[..., :1], right[..., 1:]
-    scalar = w * other - (vector * direction).sum(-1, keepdims=True)
-    return jnp.concatenate([scalar, w * direction + other * vector + jnp.cross(vector, direction)], -1)
+    def jacobian_and_violation(
+        self, axes: Axes, lever: Vector, quaternion: Quaternion, apart: Vector, target: Quaternion
+    ) -> tuple[jax.Array, jax.Array]:
+        """Jacobian [nv, 6] and violation [6] for a point at `lever` from the origin (m) and with this quaternion; apart: from it to the target (m)."""
+        # Mocap minus arm; the mocap body has no joints.
+        linear = work(axes, -UNIT, -lever.cross(UNIT))
+        # Orientation error conj(q) q_target, and its derivative 1/2 conj(q) (-w) q_target for a turn of the arm by w.
+        inverse = quaternion.conjugate()
+        error = inverse * target
+        derivative = (inverse * Quaternion(np.zeros(3, np.float32), -UNIT) * target).vector * 0.5
+        angular = work(axes, NOTHING, Vector.of(derivative.array.T))
+        return jnp.concatenate([linear, angular], axis=1) * self.dofs, jnp.concatenate([apart.array, error.vector.array])
 
 
-def stack(*parts: Rows) -> Rows:
-    """All rows of the parts, one after the other."""
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+class Limits:
+    """The limits of joints, a row for each, at whichever end is nearer."""
+
+    def __init__(self, joints: list[int], spans: list[np.ndarray], kinds: list[tuple[Softness, float]], nv: int):
+        """joints: their indices into position and velocity; spans: lowest and highest position [2] of each."""
+        self.joints, self.low, self.high = np.array(joints), *np.float32(spans).T
+        self.kinds, self.unit = kinds, np.eye(nv, dtype=np.float32)[:, joints]
+
+    def jacobian_and_violation(self, position: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Jacobian [nv, L] and violation [L], negative beyond the limit, at this position [nq]."""
+        above, below = position[self.joints] - self.low, self.high - position[self.joints]
+        return self.unit * jnp.where(above < below, 1.0, -1.0), jnp.minimum(above, below)
+
+
+class FrictionPyramids:
+    """The rows of contact points: normal +- friction x tangent for both tangents, and for the spin where the contact resists it."""
+
+    def __init__(self, kinds: list[ContactKind]):
+        """kinds: of each point."""
+        self.spinning = np.flatnonzero([kind.torsion for kind in kinds])
+        self.dofs = np.stack([kind.dofs for kind in kinds], axis=1)
+        self.margin = np.float32([kind.margin for kind in kinds])
+        self.sliding, self.torsional = np.float32([kind.friction for kind in kinds]).T
+        self.kinds = [kind.row for kind in kinds] * 4 + [kinds[point].row for point in self.spinning] * 2
+
+    def jacobian_and_violation(self, axes: Axes, origin: Vector, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
+        """Jacobian [nv, 4 n + 2 s] and violation of n points, of which s resist spinning."""
+        normal, lever, spinning = contacts.normal, contacts.position - origin, self.spinning
+        push, *slides = (work(axes, direction, lever.cross(direction)) * self.dofs for direction in (normal, *tangents(normal)))
+        edges = [push + side * self.sliding * slide for slide in slides for side in (1, -1)]
+        spin = work(axes, NOTHING, normal[spinning]) * (self.dofs * self.torsional)[:, spinning]
+        edges += [push[:, spinning] + spin, push[:, spinning] - spin]
+        violation = contacts.distance - self.margin
+        return jnp.concatenate(edges, axis=1), jnp.concatenate([violation] * 4 + [violation[spinning]] * 2)

@@ -1,9 +1,10 @@
 """Where bodies touch: contact points of the few pairs that matter in the Fetch tasks, cheap enough for thousands of robots.
 
-A contact is a point, a frame whose first row is the normal (from the first body to the second), and a distance, negative when the bodies overlap.
-Boxes meet face to face here, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box against box differ
-little where it
-matters (fingers, cube and table are seldom tilted), and its search over fifteen axes would cost more than all the rest.
+A contact is a point, a normal (from the first body to the second) and a distance, negative when the bodies overlap. Pairs of one kind are worked out
+side by side: each component of a vector here is an array [P] over pairs.
+
+Boxes meet face to face, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box against box differ little where
+it matters (fingers, cube and table are seldom tilted), and its search over fifteen axes would cost more than all the rest.
 """
 
 import flax.struct
@@ -11,165 +12,190 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.fetch.vectors import Rotation, Vector
+
 FAR = 1.0
 """Distance (m) of a point that touches nothing."""
-FACE_CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
-UPRIGHT = np.eye(3, dtype=np.float32)
+CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
+"""The corners of a face, along its two edges."""
 
 
 @flax.struct.dataclass
 class Contacts:
-    """n contact points: distance [n] (m), position [n, 3] (m, world), frame [n, 3, 3] (rows: normal, two tangents)."""
+    """n contact points: distance [n] (m), position (m, world) and normal, vectors of arrays [n]."""
 
     distance: jax.Array
-    position: jax.Array
-    frame: jax.Array
+    position: Vector
+    normal: Vector
 
 
 @flax.struct.dataclass
 class Box:
-    """center [3], rotation [3, 3] (columns: the box's axes), half edges [3]; m."""
+    """P boxes: center (m), rotation, and half edges along the box's axes (m), each of arrays [P]."""
 
-    center: jax.Array
-    rotation: jax.Array
-    half: jax.Array
+    center: Vector
+    rotation: Rotation
+    half: Vector
 
 
 @flax.struct.dataclass
 class Capsule:
-    """center [3], half axis [3] from the center to an end, radius []; m. A sphere has a half axis of zero."""
+    """P capsules: center, half axis from the center to an end, and radius, in m. A sphere has a half axis of zero."""
 
-    center: jax.Array
-    half: jax.Array
+    center: Vector
+    half: Vector
     radius: jax.Array
 
 
 def block(corners: np.ndarray) -> Box:
-    """The upright box between its lowest and its highest corner, [2, 3]."""
-    return Box(jnp.asarray(corners.mean(0)), jnp.asarray(UPRIGHT), jnp.asarray((corners[1] - corners[0]) / 2))
+    """The upright box between its lowest and its highest corner, [2, 3], as one of P = 1."""
+    upright = Rotation.of(np.eye(3, dtype=np.float32)[None])
+    return Box(Vector.of(corners.mean(0, keepdims=True)), upright, Vector.of((corners[1:] - corners[:1]) / 2))
 
 
-def separation(reference: Box, other: Box) -> jax.Array:
-    """How far the other box is from each pair of the reference box's faces, [3] (m): negative where they overlap along that axis."""
-    middle = reference.rotation.T @ (other.center - reference.center)
-    reach = (jnp.abs(reference.rotation.T @ other.rotation) * other.half).sum(-1)
-    return jnp.abs(middle) - reference.half - reach
+FLOOR = block(np.float32([[-100, -100, -20], [100, 100, 0]]))
 
 
-def box_on_box(first: Box, second: Box, handicap: jax.Array | float = 0.0) -> Contacts:
-    """Four contacts of two boxes, on the face of either that separates them most.
+def box_on_box(first: Box, second: Box, handicap: Vector) -> Contacts:
+    """Four contacts of each of P pairs of boxes, on the face of either box that separates the two most: arrays [4 P], the pairs' first contacts first.
 
-    handicap: [3], taken from the separation along the first box's axes, to keep some of its faces out.
+    handicap: taken from the separation (m) along the first box's axes, to keep some of its faces out (or, if negative, in).
     """
-    of_first, of_second = separation(first, second) - handicap, separation(second, first)
-    on_first = of_first.max() >= of_second.max()
-    reference = jax.tree.map(lambda one, other: jnp.where(on_first, one, other), first, second)
-    incident = jax.tree.map(lambda one, other: jnp.where(on_first, other, one), first, second)
-    axis = jnp.argmax(jnp.where(on_first, of_first, of_second))
-    found = face_contacts(reference, incident, axis)
-    normal = jnp.where(on_first, 1.0, -1.0) * found.frame[0, 0]
-    return found.replace(frame=jnp.broadcast_to(frame_of(normal), (4, 3, 3)))
+    of_first = separation(first, second) - handicap
+    of_second = separation(second, first)
+    on_first = largest(of_first) >= largest(of_second)
+    reference, incident = chosen(on_first, first, second), chosen(on_first, second, first)
+    found = face_contacts(reference, incident, chosen(on_first, of_first, of_second))
+    return found.replace(normal=found.normal * jnp.tile(jnp.where(on_first, 1.0, -1.0), 4))
 
 
-def box_on_table(table: Box, box: Box) -> Contacts:
-    """Four contacts of a box with the top, a side or an edge of the table, but never with its underside."""
-    below = box.center[2] < table.center[2]
-    return box_on_box(table, box, jnp.where(below, FAR, 0.0) * np.array([0.0, 0.0, 1.0], np.float32))
+def separation(reference: Box, other: Box) -> Vector:
+    """How far the other box is from each pair of the reference box's faces (m), by the box's axes: negative where they overlap along that axis."""
+    middle = reference.rotation.inverse(other.center - reference.center)
+    columns = (reference.rotation.inverse(axis) for axis in (other.rotation.x, other.rotation.y, other.rotation.z))
+    reach = [absolute(column) * half for column, half in zip(columns, (other.half.x, other.half.y, other.half.z), strict=True)]
+    return absolute(middle) - reference.half - (reach[0] + reach[1] + reach[2])
 
 
-def box_on_ground(table: Box, box: Box) -> Contacts:
-    """Four contacts of a box with the table or, when it has fallen off, with the floor at height 0."""
-    on_table = box_on_table(table, box)
-    floor = Box(jnp.array([0.0, 0.0, -10.0]), jnp.asarray(UPRIGHT), jnp.array([100.0, 100.0, 10.0]))
-    on_floor = face_contacts(floor, box, 2)
-    fallen = box.center[2] < 0.5 * table.half[2]
-    return jax.tree.map(lambda high, low: jnp.where(fallen, low, high), on_table, on_floor)
-
-
-def face_contacts(reference: Box, incident: Box, axis) -> Contacts:
-    """Four contacts of a box with one face of the reference box: the face along `axis` (0 to 2) that looks at it.
+def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contacts:
+    """Four contacts of each incident box with one face of its reference box: of those along the axis of largest separation, the one that looks at it.
 
     The corners of the incident box's facing side, moved onto the reference face where they stick out, are the points. A point that leaves the
     incident side by being moved does not touch. So a box rests as far as the table reaches, and tips over its edge.
     """
-    local = reference.rotation.T
-    turned = local @ incident.rotation
-    middle = local @ (incident.center - reference.center)
-    order = (axis + np.arange(3)) % 3  # The face's normal first, then the two axes that span it.
-    middle, turned, half = middle[order], turned[order], reference.half[order]
-    side = jnp.where(middle[0] < 0, -1.0, 1.0)
+    normal, (across, along), depth, (width, length) = face(reference, separations)
+    apart = incident.center - reference.center
+    side = jnp.where(normal.dot(apart) < 0, -1.0, 1.0)
+    facing, edges, thickness, spans = face(incident, absolute(incident.rotation.inverse(normal)))
+    outward = facing * -(side * jnp.sign(normal.dot(facing)))
+    middle = apart + outward * thickness
+    edges = [edge * half for edge, half in zip(edges, spans, strict=True)]
 
-    facing = jnp.argmax(jnp.abs(turned[0]))
-    others = (facing + np.arange(1, 3)) % 3
-    outward = -side * jnp.sign(turned[0, facing]) * turned[:, facing]
-    edges = turned[:, others] * incident.half[others]  # [3, 2]
-    center = middle + outward * incident.half[facing]
-    corners = center + FACE_CORNERS @ edges.T  # [4, 3]
-
-    moved = jnp.clip(corners[:, 1:], -half[1:], half[1:])
-    offset = moved - center[1:]
-    toward = jnp.where(jnp.abs(outward[0]) < 0.1, -0.1 * side, outward[0])
-    height = center[0] - (offset * outward[1:]).sum(-1) / toward
+    # From here on by the reference face's axes, with the four corners [4, P].
+    up, right, ahead = (axis.dot(middle) for axis in (normal, across, along))
+    tilt, lean, slope = (axis.dot(outward) for axis in (normal, across, along))
+    places = [[axis.dot(edge) for axis in (normal, across, along)] for edge in edges]
+    corner = [sum(sign[:, None] * place[axis] for sign, place in zip(CORNERS.T, places, strict=True)) for axis in (1, 2)]
+    moved = jnp.clip(right + corner[0], -width, width), jnp.clip(ahead + corner[1], -length, length)
+    offset = moved[0] - right, moved[1] - ahead
+    rise = -(offset[0] * lean + offset[1] * slope) / jnp.where(jnp.abs(tilt) < 0.1, -0.1 * side, tilt)
     # Where the moved points lie on the incident side, in half edges.
-    spread = jnp.concatenate([(height - center[0])[:, None], offset], -1) @ edges / incident.half[others] ** 2
-    within = (jnp.abs(spread) < 1.01).all(-1)
-    distance = jnp.where(within, side * height - half[0], FAR)
-    point = jnp.concatenate([(side * (half[0] + 0.5 * distance))[:, None], moved], -1)
-    axes = reference.rotation[:, order]  # Columns in the face's order.
-    normal = side * axes[:, 0]
-    return Contacts(distance, reference.center + point @ axes.T, jnp.broadcast_to(frame_of(normal), (4, 3, 3)))
+    spread = [(rise * place[0] + offset[0] * place[1] + offset[1] * place[2]) / span**2 for place, span in zip(places, spans, strict=True)]
+    within = (jnp.abs(spread[0]) < 1.01) & (jnp.abs(spread[1]) < 1.01)
+    distance = jnp.where(within, side * (up + rise) - depth, FAR)
+    normal = normal * side
+    position = reference.center + normal * (depth + 0.5 * distance) + across * moved[0] + along * moved[1]
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, distance.shape).reshape(-1), Contacts(distance, position, normal))
+
+
+def face(box: Box, scores: Vector) -> tuple[Vector, list[Vector], jax.Array, list[jax.Array]]:
+    """The box's axis of the highest score and the two after it in turn, and the half edges along them."""
+    axes, halves = (box.rotation.x, box.rotation.y, box.rotation.z), (box.half.x, box.half.y, box.half.z)
+    first = (scores.x >= scores.y) & (scores.x >= scores.z)
+    second = ~first & (scores.y >= scores.z)
+    turned = [(axes[turn:] + axes[:turn], halves[turn:] + halves[:turn]) for turn in range(3)]
+    (normal, *edges), (depth, *spans) = chosen(first, turned[0], chosen(second, turned[1], turned[2]))
+    return normal, edges, depth, spans
+
+
+def chosen(condition: jax.Array, first, second):
+    """The first tree where the condition [P] holds, else the second."""
+    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), first, second)
+
+
+def absolute(vector: Vector) -> Vector:
+    """The absolute values of the components."""
+    return jax.tree.map(jnp.abs, vector)
+
+
+def largest(vector: Vector) -> jax.Array:
+    """The largest of the components."""
+    return jnp.maximum(jnp.maximum(vector.x, vector.y), vector.z)
+
+
+def table_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
+    """The table for each of the boxes, and the handicap that lets a box meet its top, a side or an edge, but never its underside."""
+    below = jnp.where(boxes.center.z < table.center.z, FAR, 0.0)
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, below.shape), table), Vector(jnp.zeros_like(below), jnp.zeros_like(below), below)
+
+
+def ground_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
+    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor, which has an upper face only."""
+    above, handicap = table_under(table, boxes)
+    fallen = boxes.center.z < 0.5 * table.half.z
+    nothing = jnp.zeros_like(handicap.z)
+    return chosen(fallen, FLOOR, above), chosen(fallen, Vector(nothing, nothing, nothing - 1e3 * FAR), handicap)
 
 
 def capsule_on_capsule(first: Capsule, second: Capsule) -> Contacts:
-    """The contact of two capsules."""
+    """The contacts of P pairs of capsules."""
     offset = second.center - first.center
-    aa, bb, ab = (first.half**2).sum(), (second.half**2).sum(), (first.half * second.half).sum()
-    to_first, to_second = (offset * first.half).sum(), (offset * second.half).sum()
+    aa, bb, ab = first.half.dot(first.half), second.half.dot(second.half), first.half.dot(second.half)
+    to_first, to_second = offset.dot(first.half), offset.dot(second.half)
     along = jnp.clip((to_first * bb - to_second * ab) / jnp.maximum(aa * bb - ab * ab, 1e-12), -1.0, 1.0)
     other_along = jnp.clip((along * ab - to_second) / bb, -1.0, 1.0)
     along = jnp.clip((other_along * ab + to_first) / aa, -1.0, 1.0)
-    return between_spheres(first.center + along * first.half, first.radius, second.center + other_along * second.half, second.radius)
+    return between_spheres(first.center + first.half * along, first.radius, second.center + second.half * other_along, second.radius)
 
 
-def sphere_on_box(box: Box, center: jax.Array, radius: float) -> Contacts:
-    """The contact of a box with a sphere whose center lies outside of it."""
-    nearest = jnp.clip(box.rotation.T @ (center - box.center), -box.half, box.half)
-    return between_spheres(box.center + box.rotation @ nearest, 0.0, center, radius)
+def sphere_on_box(box: Box, center: Vector, radius: float) -> Contacts:
+    """The contacts of boxes with spheres whose centers lie outside of them."""
+    return between_spheres(nearest_in(box, center), 0.0, center, radius)
 
 
-def puck_on_ground(table: Box, center: jax.Array, rotation: jax.Array, radius: float, half_height: float) -> Contacts:
-    """Four contacts of a flat cylinder with the table or the floor: those of the square inscribed in its side."""
-    across = radius / np.sqrt(2)
-    return box_on_ground(table, Box(center, rotation, jnp.array([across, across, half_height])))
+def nearest_in(box: Box, point: Vector) -> Vector:
+    """The point of each box that lies nearest."""
+    inside = jax.tree.map(lambda value, half: jnp.clip(value, -half, half), box.rotation.inverse(point - box.center), box.half)
+    return box.center + box.rotation @ inside
 
 
-def box_on_puck(box: Box, center: jax.Array, rotation: jax.Array, radius: float, half_height: float) -> Contacts:
-    """The contact of a box with a flat cylinder: where the box comes nearest to its center, on the rim or on the lid."""
-    nearest = box.center + box.rotation @ jnp.clip(box.rotation.T @ (center - box.center), -box.half, box.half)
-    axis = rotation[:, 2]
+def box_on_puck(box: Box, center: Vector, axis: Vector, radius: float, half_height: float) -> Contacts:
+    """The contacts of boxes with a flat cylinder: where a box comes nearest to its center, on the rim or on the lid."""
+    nearest = nearest_in(box, center)
     between = center - nearest
-    high = (between * axis).sum()
-    outward = between - high * axis
-    length = jnp.sqrt((outward**2).sum() + 1e-12)
+    high = between.dot(axis)
+    outward = between - axis * high
+    length = jnp.sqrt(outward.dot(outward) + 1e-12)
     on_lid = jnp.abs(high) - half_height > length - radius
     distance = jnp.where(on_lid, jnp.abs(high) - half_height, length - radius)
-    normal = jnp.where(on_lid, jnp.sign(high) * axis, outward / length)
-    return Contacts(distance[None], (nearest + 0.5 * distance * normal)[None], frame_of(normal)[None])
+    normal = chosen(on_lid, axis * jnp.sign(high), outward * (1 / length))
+    return Contacts(distance, nearest + normal * (0.5 * distance), normal)
 
 
-def between_spheres(center: jax.Array, radius, other_center: jax.Array, other_radius) -> Contacts:
-    """The contact of two spheres."""
+def between_spheres(center: Vector, radius, other_center: Vector, other_radius) -> Contacts:
+    """The contacts of pairs of spheres."""
     between = other_center - center
-    length = jnp.sqrt((between**2).sum() + 1e-12)
-    normal = between / length
+    length = jnp.sqrt(between.dot(between) + 1e-12)
+    normal = between * (1 / length)
     distance = length - radius - other_radius
-    position = center + normal * (radius + 0.5 * distance)
-    return Contacts(distance[None], position[None], frame_of(normal)[None])
+    return Contacts(distance, center + normal * (radius + 0.5 * distance), normal)
 
 
-def frame_of(normal: jax.Array) -> jax.Array:
-    """A frame [3, 3] whose first row is the normal [3]; its tangents are MuJoCo's, on which the friction pyramid depends."""
-    side = jnp.where(jnp.abs(normal[1]) < 0.5, np.array([0.0, 1.0, 0.0], np.float32), np.array([0.0, 0.0, 1.0], np.float32))
-    first = side - normal * (normal * side).sum()
-    first = first / jnp.sqrt((first**2).sum())
-    return jnp.stack([normal, first, jnp.cross(normal, first)])
+def tangents(normal: Vector) -> tuple[Vector, Vector]:
+    """The two tangents of each contact: MuJoCo's, on which the friction pyramid depends."""
+    upright = jnp.abs(normal.y) < 0.5
+    along = jnp.where(upright, normal.y, normal.z)
+    first = Vector(-normal.x * along, jnp.where(upright, 1.0, 0.0) - normal.y * along, jnp.where(upright, 0.0, 1.0) - normal.z * along)
+    first = first * (1 / first.norm())
+    return first, normal.cross(first)
+

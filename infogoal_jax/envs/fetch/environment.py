@@ -135,8 +135,7 @@ class Fetch:
         moved = state.replace(
             motion=motion, observation=self._observation(motion, pose), gripper=pose.gripper, gripper_quaternion=pose.gripper_quaternion,
         )
-        leaves = jax.tree.leaves((motion, moved.observation))
-        finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in leaves]).all()
+        finite = jnp.isfinite(jnp.concatenate([motion.position, motion.velocity, motion.acceleration, moved.observation])).all()
         diverged = ~(finite & (jnp.abs(motion.position) < WORLD).all() & (jnp.abs(motion.velocity) < FASTEST).all())
         state = jax.tree.map(lambda old, new: jnp.where(diverged, old, new), state, moved)
         time = state.time + 1

@@ -84,6 +84,8 @@ ROBOT_PAIRS = (("head_pan", "upper_arm"), ("head_tilt", "upper_arm"), ("torso", 
 
 CUBE_HALF = np.array([0.025, 0.025, 0.025], np.float32)
 PUCK_RADIUS, PUCK_HALF_HEIGHT = 0.025, 0.02
+PUCK_BLOCK_HALF = np.array([PUCK_RADIUS / 2**0.5, PUCK_RADIUS / 2**0.5, PUCK_HALF_HEIGHT], np.float32)
+"""Half edges of the square block inscribed in the puck: its lower corners are the points that the puck stands on."""
 TABLE = np.array([[1.05, 0.4, 0.0], [1.55, 1.1, 0.4]], np.float32)
 LONG_TABLE = np.array([[0.69941906, 0.30018422, 0.0], [1.94941906, 1.20018422, 0.4]], np.float32)
 

@@ -1,26 +1,23 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-MJX computes the multibody dynamics (kinematics, inertia, bias forces); contacts and constraints of this one robot and their solver are ours
-(contacts.py, constraints.py, solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
+A physics step puts together the multibody dynamics (multibody.py), contacts (contacts.py), constraint rows (constraints.py) and their solver
+(solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
 """
 
-import contextlib
 import functools
-import io
-import threading
 
 import flax.struct
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
-with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that its other backend, Warp, is not installed.
-    from mujoco import mjx
-    from mujoco.mjx._src import scan
-
-from infogoal_jax.envs.fetch import constraints, contacts, model, solver
-from infogoal_jax.envs.fetch.constraints import ContactKind, Softness
+from infogoal_jax.envs.fetch import constraints, contacts, model, multibody, solver
+from infogoal_jax.envs.fetch.constraints import ContactKind, FrictionPyramids, Limits, RowKinds, Softness, Weld
+from infogoal_jax.envs.fetch.contacts import Box, Capsule, Contacts
+from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
 from infogoal_jax.envs.fetch.tasks import Task
+from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined
 
 GRIPPER_TURN = np.array([1.0, 0.0, 1.0, 0.0], np.float32)
 FINGER_GAIN = 30000.0
@@ -28,11 +25,13 @@ FINGER_GAIN = 30000.0
 
 @flax.struct.dataclass
 class Motion:
-    """position [nq], velocity [nv] and, to start the solver from, the last acceleration [nv]; units m, rad, s."""
+    """position [nq], velocity [nv] and, to start the solver from, the last acceleration [nv]; units m, rad, s. frames: where the robot's bodies are
+    at this position; `Physics.motion` works them out."""
 
     position: jax.Array
     velocity: jax.Array
     acceleration: jax.Array
+    frames: Frames
 
 
 @flax.struct.dataclass
@@ -50,53 +49,56 @@ class Pose:
     thing_turning: jax.Array
 
 
-_tracing = threading.RLock()
-
-
-@contextlib.contextmanager
-def shallow_fusions():
-    """Keep XLA:CPU from multiplying work along the kinematic tree, while MJX is traced inside this block.
-
-    XLA's CPU fusions compute a parent's transform anew for every level below it, so that the work doubles from joint to joint: 500 times slower for
-    this arm. A barrier behind each walk over the tree stops that. MJX has no hook for it, so its private function is replaced for the time of
-    tracing; tests/test_fetch_physics.py pins this to the installed version.
-    """
-    with _tracing:
-        walk = scan.body_tree
-
-        def body_tree(m, function, *rest, **options):
-            def barred(*arguments):
-                return jax.lax.optimization_barrier(function(*arguments))
-
-            return walk(m, barred, *rest, **options)
-
-        scan.body_tree = body_tree
-        try:
-            yield
-        finally:
-            scan.body_tree = walk
-
-
 class Physics:
     """The functions of one task in one setting. Everything it holds is constant and small, so it is compiled into the program."""
 
     def __init__(self, task: Task, setting: model.Setting):
         self.task, self.setting = task, setting
-        self.mujoco_model = model.load(task, setting)
-        self.model = mjx.put_model(self.mujoco_model)
+        self.mujoco_model = mj = model.load(task, setting)
         self.has_object = task.object_height is not None
-        self.joints = self.mujoco_model.nv - 6 * self.has_object  # The object's free joint comes after those of the robot.
+        self.multibody = Multibody(mj, self.has_object, task.start_grip)
+        self.joints = self.multibody.joints  # The object's free joint comes after those of the robot.
         self.one_hand = task.blocks_fingers and not setting.whole_body
         self.fingers = slice(self.joints - 2, self.joints)
-        mj, timestep = self.mujoco_model, setting.timestep
-        nv = mj.nv
-        self.gripper_site, self.grip_site = mj.site("gripper").id, mj.site("grip").id
-        self.wrist = mj.body("wrist_roll").id
-        self.damping = jnp.asarray(timestep * mj.dof_damping, jnp.float32)
-        self.roots = mj.body_rootid[mj.dof_bodyid]
+        self.wrist = self.joint_of("wrist_roll")
+        self.gripper_place, self.grip_place = (Vector.of(np.float32(mj.site(name).pos)) for name in ("gripper", "grip"))
+        self.damping = np.float32(setting.timestep * mj.dof_damping)
+        self.start_frames = self.frames_by_mujoco()
+        self.place_geoms()
+        self.make_constraints()
+
+    def joint_of(self, body: str) -> int:
+        """The joint that moves this body of the robot."""
+        return int(self.mujoco_model.body(body).jntadr[0])
+
+    def place_geoms(self) -> None:
+        """The shapes that can touch something, by the bodies that they belong to."""
+        mj = self.mujoco_model
+        right, left = (mj.geom(name) for name in model.FINGERS)
+        place, half = np.float32([right.pos, left.pos]), np.float32([right.size, left.size])
+        if self.one_hand:  # One block, as wide as both.
+            place, half = place.mean(0, keepdims=True), half[:1] + np.abs(place[:1] - place[1:]) / 2
+        self.hands = slice(self.wrist, self.wrist + 1) if self.one_hand else self.fingers
+        self.hand_place, self.hand_half = Vector.of(place), Vector.of(half)
+        palm = mj.geom("palm")
+        self.palm_place, self.palm_radius = Vector.of(np.float32(palm.pos)), float(palm.size[0])
+        self.table = contacts.block(model.table_of(self.task))
+        self.robot_pairs = model.ROBOT_PAIRS if self.setting.whole_body else ()
+        self.capsules = [[self.capsule(name) for name in names] for names in zip(*self.robot_pairs, strict=True)]
+
+    def capsule(self, name: str) -> tuple[int, Capsule]:
+        """A capsule of the robot: the joint that moves it, and where it lies on its body."""
+        geom = self.mujoco_model.geom(name)
+        axis = multibody.matrix_of(geom.quat)[:, 2] * geom.size[1]
+        joint = int(self.mujoco_model.body(geom.bodyid[0]).jntadr[0])
+        return joint, Capsule(Vector.of(np.float32(geom.pos)), Vector.of(np.float32(axis)), np.float32(geom.size[0]))
+
+    def make_constraints(self) -> None:
+        """The constants of all constraint rows, in the order in which `rows` lists them."""
+        mj, timestep = self.mujoco_model, self.setting.timestep
 
         def chain(body: int) -> np.ndarray:
-            mask = np.zeros(nv, np.float32)
+            mask = np.zeros(mj.nv, np.float32)
             while body:
                 first, count = mj.body_dofadr[body], mj.body_dofnum[body]
                 mask[first : first + count] = 1
@@ -110,34 +112,57 @@ class Physics:
             dofs = chain(mj.geom(second).bodyid[0]) - chain(mj.geom(first).bodyid[0])
             return ContactKind(dofs, pair.friction, pair.torsion, pair.margin, weight, Softness(pair.reference, pair.impedance, timestep))
 
-        self.arm_dofs = chain(self.wrist)
-        self.weld = Softness(tuple(mj.eq_solref[0]), tuple(mj.eq_solimp[0]), model.REFERENCE_TIMESTEP)
+        weld = Softness(tuple(mj.eq_solref[0]), tuple(mj.eq_solimp[0]), model.REFERENCE_TIMESTEP)
         if timestep != model.REFERENCE_TIMESTEP:
-            self.weld = constraints.lengthened(self.weld, timestep, model.CONTROL_STEP)
-        self.limits = []
-        for joint in range(mj.njnt):
-            if mj.jnt_limited[joint]:
-                softness = Softness(tuple(mj.jnt_solref[joint]), tuple(mj.jnt_solimp[joint]), timestep)
-                self.limits.append((joint, mj.jnt_range[joint], model.JOINT_INVERSE_WEIGHT[mj.joint(joint).name], softness))
-        self.table = contacts.block(model.table_of(task))
+            weld = constraints.lengthened(weld, timestep, model.CONTROL_STEP)
+        self.weld = Weld(chain(mj.body("wrist_roll").id), weld, model.INVERSE_WEIGHT["gripper"])
+        limited = np.flatnonzero(mj.jnt_limited)
+        self.limits = Limits(limited, mj.jnt_range[limited], [
+            (Softness(tuple(mj.jnt_solref[joint]), tuple(mj.jnt_solimp[joint]), timestep), model.JOINT_INVERSE_WEIGHT[mj.joint(joint).name])
+            for joint in limited
+        ], mj.nv)
         fingers = model.FINGERS[:1] if self.one_hand else model.FINGERS
-        self.finger_on_table = [kind(model.FINGER_AND_THING, "table", finger) for finger in fingers]
-        self.palm_on_table = kind(model.MESH_AND_TABLE, "table", "palm")
-        self.robot_on_robot = {pair: kind(model.ROBOT_AND_ROBOT, *pair) for pair in model.ROBOT_PAIRS} if setting.whole_body else {}
+        boxes = [kind(model.FINGER_AND_THING, "table", finger) for finger in fingers]
+        rounded = [kind(model.MESH_AND_TABLE, "table", "palm")] + [kind(model.ROBOT_AND_ROBOT, *pair) for pair in self.robot_pairs]
         if self.has_object:
-            self.thing_on_ground = kind(model.PUCK_AND_TABLE if task.puck else model.THING_AND_GROUND, "table", "object")
-            self.finger_on_thing = [kind(model.FINGER_AND_THING, finger, "object") for finger in fingers]
-        self.template = mjx.make_data(self.model)
+            on_fingers = [kind(model.FINGER_AND_THING, finger, "object") for finger in fingers]
+            on_ground = kind(model.PUCK_AND_TABLE if self.task.puck else model.THING_AND_GROUND, "table", "object")
+            boxes, rounded = ([*boxes, on_ground], on_fingers + rounded) if self.task.puck else ([*boxes, *on_fingers, on_ground], rounded)
+        self.pyramids = FrictionPyramids(boxes * 4 + rounded)
+        self.row_kinds = RowKinds(*self.weld.kinds, *self.limits.kinds, *self.pyramids.kinds)
+
+    def frames_by_mujoco(self) -> Frames:
+        """Where the robot's bodies are at the start of every episode, as constants."""
+        data = mujoco.MjData(self.mujoco_model)
+        data.qpos[:] = self.start_position()
+        mujoco.mj_kinematics(self.mujoco_model, data)
+        bodies = self.mujoco_model.jnt_bodyid[: self.joints]
+        return Frames(
+            Quaternion.of(np.float32(data.xquat[bodies])), Rotation.of(np.float32(data.xmat[bodies].reshape(-1, 3, 3))),
+            Vector.of(np.float32(data.xpos[bodies])),
+        )
+
+    def robot_start(self) -> np.ndarray:
+        """Positions and velocities of the robot's joints at the start of every episode, [2, joints]."""
+        trunk = model.TRUNK.values() if self.setting.whole_body else ()
+        return np.array([*trunk, *zip(*self.task.start, strict=True)][: self.joints]).T
+
+    def start_position(self) -> np.ndarray:
+        """The position [nq] at the start of every episode, before the object is placed."""
+        thing = [1.25, 0.53, self.task.start_height or self.task.object_height, 1, 0, 0, 0] if self.has_object else []
+        return np.concatenate([self.robot_start()[0], thing])
 
     def start(self) -> Motion:
         """Where every episode starts, before the object is placed."""
-        trunk = model.TRUNK.values() if self.setting.whole_body else ()
-        position, velocity = np.array([*trunk, *zip(*self.task.start, strict=True)][: self.joints]).T
-        if self.has_object:
-            position = np.concatenate([position, [1.25, 0.53, self.task.start_height or self.task.object_height, 1, 0, 0, 0]])
-            velocity = np.concatenate([velocity, np.zeros(6)])
+        velocity = np.concatenate([self.robot_start()[1], np.zeros(6 * self.has_object)])
         velocity = jnp.asarray(velocity, jnp.float32)
-        return Motion(jnp.asarray(position, jnp.float32), velocity, jnp.zeros_like(velocity))
+        frames = jax.tree.map(jnp.asarray, self.start_frames)
+        return Motion(jnp.asarray(self.start_position(), jnp.float32), velocity, jnp.zeros_like(velocity), frames)
+
+    def motion(self, position: jax.Array, velocity: jax.Array) -> Motion:
+        """The motion at any position [nq] and velocity [nv]."""
+        position, velocity = jnp.asarray(position, jnp.float32), jnp.asarray(velocity, jnp.float32)
+        return Motion(position, velocity, jnp.zeros_like(velocity), self.multibody.frames(position))
 
     def place_object(self, motion: Motion, place: jax.Array) -> Motion:
         """The motion with the object at rest at a place [2] (m) on the table, or at a position [3]."""
@@ -150,92 +175,91 @@ class Physics:
             return jnp.zeros(2), jnp.zeros(2)
         return motion.position[self.fingers], motion.velocity[self.fingers]
 
-    def kinematics(self, position: jax.Array, velocity: jax.Array) -> mjx.Data:
-        """Poses of all bodies, and the joints' axes."""
-        data = self.template.replace(qpos=position, qvel=velocity)
-        return mjx.com_pos(self.model, mjx.kinematics(self.model, data))
-
     def pose(self, motion: Motion, age: float) -> Pose:
-        """The pose `age` seconds ago (the reference reads its positions one substep late), with the velocities of now."""
-        with shallow_fusions():
-            data = self.kinematics(integrate(motion.position, motion.velocity, -age), motion.velocity)
-        centers = data.subtree_com[self.roots]
-        jacobian = constraints.point_jacobian(data, centers, data.site_xpos[self.grip_site][None])[0] * self.arm_dofs[:, None]
+        """The pose `age` seconds ago (the reference reads its positions one substep late), with the velocities of now.
+
+        It is worked out from where the bodies are now, their velocities and accelerations: within a micrometre for an age of 2 ms.
+        """
+        body = motion.frames
+        turning, moving, turn_rate, move_rate = self.multibody.body_rates(body, motion.velocity, self.wrist)
+
+        def point(place: Vector) -> tuple[Vector, Vector]:
+            now = body.position[self.wrist] + body.rotation[self.wrist] @ place
+            lever = now - self.multibody.origin
+            velocity = moving + turning.cross(lever)
+            acceleration = move_rate + turn_rate.cross(lever) + turning.cross(velocity)
+            return now - velocity * age + acceleration * (0.5 * age**2), velocity - acceleration * age
+
+        gripper, _ = point(self.gripper_place)
+        grip, grip_velocity = point(self.grip_place)
+        quaternion = body.quaternion[self.wrist]
+        quaternion = (quaternion.array - 0.5 * age * (Quaternion(0.0, turning) * quaternion).array) if age else quaternion.array
         zero = jnp.zeros(3)
         thing = (zero, jnp.eye(3), zero, zero)
         if self.has_object:
-            rotation = data.xmat[-1]
-            thing = (data.xpos[-1], rotation, motion.velocity[self.joints : self.joints + 3], rotation @ motion.velocity[self.joints + 3 :])
-        return Pose(
-            data.site_xpos[self.gripper_site], data.xquat[self.wrist], data.site_xpos[self.grip_site],
-            (jacobian * motion.velocity[:, None]).sum(0), *thing,
-        )
+            velocity = motion.velocity[self.joints :]
+            place = integrate(motion.position[self.joints :], velocity, -age) if age else motion.position[self.joints :]
+            rotation = Quaternion.of(place[3:]).rotation()
+            thing = (place[:3], rotation.array, velocity[:3], (rotation @ Vector.of(velocity[3:])).array)
+        return Pose(gripper.array, quaternion, grip.array, grip_velocity.array, *thing)
 
-    def dynamics(self, motion: Motion) -> tuple[mjx.Data, jax.Array, jax.Array]:
-        """Poses of all bodies, the inertia matrix [nv, nv], and the passive and bias forces [nv]."""
-        with shallow_fusions():
-            data = mjx.crb(self.model, self.kinematics(motion.position, motion.velocity))
-            data = mjx.passive(self.model, mjx.com_vel(self.model, data))
-            data = mjx.rne(self.model, data)
-        return data, data._impl.M, data.qfrc_passive - data.qfrc_bias
-
-    def rows(self, data: mjx.Data, target: jax.Array, target_quaternion: jax.Array) -> solver.Rows:
-        """All constraint rows at this position and velocity."""
-        centers = data.subtree_com[self.roots]
-        table = self.table
-        parts = [constraints.weld_rows(
-            data, centers, self.arm_dofs, data.site_xpos[self.gripper_site], data.xquat[self.wrist], target, target_quaternion,
-            model.INVERSE_WEIGHT["gripper"], self.weld,
-        )]
-        parts += [constraints.limit_row(data, *limit) for limit in self.limits]
-        for (fixed, moving), kind in self.robot_on_robot.items():
-            touch = contacts.capsule_on_capsule(self.capsule(data, fixed), self.capsule(data, moving))
-            parts.append(constraints.contact_rows(data, centers, touch, kind))
-        palm = self.mujoco_model.geom("palm")
-        touch = contacts.sphere_on_box(table, data.geom_xpos[palm.id], palm.size[0])
-        parts.append(constraints.contact_rows(data, centers, touch, self.palm_on_table))
-        fingers = self.hands(data)
-        for finger, kind in zip(fingers, self.finger_on_table, strict=True):
-            parts.append(constraints.contact_rows(data, centers, contacts.box_on_table(table, finger), kind))
+    def contacts(self, frames: Frames, thing: Box) -> Contacts:
+        """All contact points, in the order of `pyramids`. thing: the object, or None."""
+        at_wrist = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.palm_place
+        rotation = frames.rotation[self.hands]
+        fingers = Box(frames.position[self.hands] + rotation @ self.hand_place, rotation, self.hand_half)
+        pairs = [(*contacts.table_under(self.table, fingers), fingers)]
+        rounded = [contacts.sphere_on_box(self.table, at_wrist[None], self.palm_radius)]
         if self.has_object:
-            position, rotation = data.xpos[-1], data.xmat[-1]
+            beside = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(self.hand_half.x)), thing)
             if self.task.puck:
-                on_ground = contacts.puck_on_ground(table, position, rotation, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT)
-                on_fingers = [contacts.box_on_puck(finger, position, rotation, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT) for finger in fingers]
+                rounded.insert(0, contacts.box_on_puck(fingers, beside.center, beside.rotation.z, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT))
             else:
-                cube = contacts.Box(position, rotation, jnp.asarray(model.CUBE_HALF))
-                on_ground = contacts.box_on_ground(table, cube)
-                on_fingers = [contacts.box_on_box(finger, cube) for finger in fingers]
-            parts.append(constraints.contact_rows(data, centers, on_ground, self.thing_on_ground))
-            for touch, kind in zip(on_fingers, self.finger_on_thing, strict=True):
-                parts.append(constraints.contact_rows(data, centers, touch, kind))
-        return constraints.stack(*parts)
+                pairs.append((fingers, jax.tree.map(jnp.zeros_like, fingers.center), beside))
+            pairs.append((*contacts.ground_under(self.table, thing), thing))
+        if self.robot_pairs:
+            rounded.append(contacts.capsule_on_capsule(*(self.placed(frames, capsules) for capsules in self.capsules)))
+        first, handicap, second = (joined(*parts) for parts in zip(*pairs, strict=True))
+        return joined(contacts.box_on_box(first, second, handicap), *rounded)
 
-    def capsule(self, data: mjx.Data, name: str) -> contacts.Capsule:
-        """A capsule of the robot where it is now."""
-        geom = self.mujoco_model.geom(name)
-        return contacts.Capsule(data.geom_xpos[geom.id], data.geom_xmat[geom.id][:, 2] * geom.size[1], geom.size[0])
+    def placed(self, frames: Frames, capsules: list[tuple[int, Capsule]]) -> Capsule:
+        """Capsules of the robot where they are now, side by side."""
+        joints, shapes = np.array([joint for joint, _ in capsules]), jax.tree.map(lambda *leaves: np.stack(leaves), *[shape for _, shape in capsules])
+        rotation = frames.rotation[joints]
+        return Capsule(frames.position[joints] + rotation @ shapes.center, rotation @ shapes.half, shapes.radius)
 
-    def hands(self, data: mjx.Data) -> list[contacts.Box]:
-        """The two fingers where they are now, or the block of both."""
-        geoms = [self.mujoco_model.geom(name) for name in model.FINGERS]
-        boxes = [contacts.Box(data.geom_xpos[geom.id], data.geom_xmat[geom.id], jnp.asarray(geom.size, jnp.float32)) for geom in geoms]
-        if not self.one_hand:
-            return boxes
-        right, left = geoms
-        half = np.array(right.size) + np.abs(np.array(right.pos) - np.array(left.pos)) / 2
-        return [contacts.Box((boxes[0].center + boxes[1].center) / 2, boxes[0].rotation, jnp.asarray(half, jnp.float32))]
+    def thing_at(self, position: jax.Array) -> Box | None:
+        """The object at this position [nq], as one of P = 1: a cube, or the box whose lower corners are the points that a puck stands on."""
+        if not self.has_object:
+            return None
+        center, quaternion = Vector.of(position[None, self.joints : self.joints + 3]), Quaternion.of(position[None, self.joints + 3 :])
+        return Box(center, quaternion.rotation(), Vector.of(model.PUCK_BLOCK_HALF[None] if self.task.puck else model.CUBE_HALF[None]))
+
+    def rows(self, motion: Motion, axes: Axes, thing: Box | None, target: jax.Array, target_quaternion: jax.Array) -> solver.ConstraintRows:
+        """All constraint rows at this position and velocity."""
+        frames, origin = motion.frames, self.multibody.origin
+        gripper = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.gripper_place
+        welded = self.weld.jacobian_and_violation(
+            axes, gripper - origin, frames.quaternion[self.wrist], Vector.of(target) - gripper, Quaternion.of(target_quaternion)
+        )
+        limited = self.limits.jacobian_and_violation(motion.position)
+        touching = self.pyramids.jacobian_and_violation(axes, origin, self.contacts(frames, thing))
+        jacobian, violation = (jnp.concatenate(parts, axis=-1) for parts in zip(welded, limited, touching, strict=True))
+        equality = np.arange(len(violation)) < solver.EQUALITIES
+        measure = jnp.where(equality, jnp.sqrt((welded[1] ** 2).sum()), violation)  # A weld gives way by the length of all that it is off.
+        return self.row_kinds.rows(jacobian, motion.velocity, violation, measure, equality | (violation < 0))
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:
         """One physics step with the mocap body at the target pose and the fingers' servos at `grasp` [2] (m)."""
-        data, inertia, force = self.dynamics(motion)
-        rows = self.rows(data, target, target_quaternion)
+        thing = self.thing_at(motion.position)
+        axes, inertia, force = self.multibody.dynamics(motion.frames, thing, motion.position, motion.velocity)
+        rows = self.rows(motion, axes, thing, target, target_quaternion)
         if not self.task.blocks_fingers:
             force = force.at[self.fingers].add(FINGER_GAIN * (grasp - motion.position[self.fingers]))
-        acceleration, constraint_force = solver.solve(inertia, force, rows, motion.acceleration, self.task.solver_steps)
-        damped = solver.cholesky(inertia + jnp.diag(self.damping))
-        velocity = motion.velocity + self.setting.timestep * solver.cholesky_solve(damped, force + constraint_force)
-        return Motion(integrate(motion.position, velocity, self.setting.timestep), velocity, acceleration)
+        acceleration, smoothed = solver.solve(inertia, self.damping, force, rows, motion.acceleration, self.task.solver_steps)
+        velocity = motion.velocity + self.setting.timestep * smoothed
+        position = integrate(motion.position, velocity, self.setting.timestep)
+        return Motion(position, velocity, acceleration, self.multibody.frames(position))
 
     def control_step(self, motion: Motion, gripper: jax.Array, quaternion: jax.Array, action: jax.Array) -> Motion:
         """One step of 40 ms under an action [4] in [-1, 1]: the displacement in units of 5 cm from the gripper's pose, and the opening of the
@@ -245,9 +269,15 @@ class Physics:
         target_quaternion = target_quaternion / jnp.sqrt((target_quaternion**2).sum())
         grasp = jnp.clip(motion.position[self.fingers] + action[3], 0.0, 0.2)  # No servo drives fingers that are kept closed.
         motion = jax.lax.fori_loop(0, self.setting.substeps, lambda _, state: self.substep(state, target, target_quaternion, grasp), motion)
-        if self.task.blocks_fingers and not self.one_hand:
-            motion = motion.replace(position=motion.position.at[self.fingers].set(0.0))
-        return motion
+        return self.closed(motion) if self.task.blocks_fingers and not self.one_hand else motion
+
+    def closed(self, motion: Motion) -> Motion:
+        """The motion with both fingers where they are closed."""
+        opened = (self.multibody.axis * motion.position[: self.joints])[self.fingers]
+        frames, hands = motion.frames, self.fingers
+        moved = frames.rotation[hands] @ opened
+        position = jax.tree.map(lambda leaf, change: leaf.at[hands].add(-change), frames.position, moved)
+        return motion.replace(position=motion.position.at[hands].set(0.0), frames=frames.replace(position=position))
 
 
 def integrate(position: jax.Array, velocity: jax.Array, time: float) -> jax.Array:
@@ -255,11 +285,10 @@ def integrate(position: jax.Array, velocity: jax.Array, time: float) -> jax.Arra
     if position.shape == velocity.shape:
         return position + time * velocity
     straight = velocity.shape[0] - 3
-    turn = time * velocity[straight:]
-    angle = jnp.sqrt((turn**2).sum() + 1e-20)
-    half = jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) / angle * turn])
-    quaternion = constraints.quaternion_product(position[straight:], half)
-    return jnp.concatenate([position[:straight] + time * velocity[:straight], quaternion / jnp.sqrt((quaternion**2).sum())])
+    turn = Vector.of(time * velocity[straight:])
+    angle = jnp.sqrt(turn.dot(turn) + 1e-20)
+    turned = (Quaternion.of(position[straight:]) * Quaternion(jnp.cos(angle / 2), turn * (jnp.sin(angle / 2) / angle))).array
+    return jnp.concatenate([position[:straight] + time * velocity[:straight], turned / jnp.sqrt((turned**2).sum())])
 
 
 @functools.cache

@@ -1,0 +1,211 @@
+"""Rigid-body dynamics of one robot and its object: kinematics, inertia matrix and bias forces, for a tree that is known when it is traced.
+
+The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler). `mjx.kinematics`, `mjx.crb` and
+`mjx.rne` compute the same by a walk over the bodies, one level after the other; here all bodies are worked out side by side, and sums along the tree are
+products with constant matrices: a twentieth of the operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo.
+
+Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of several bodies may be added.
+"""
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined
+
+GRAVITY = 9.81
+"""Acceleration of a body in free fall, in m / s^2."""
+
+
+@flax.struct.dataclass
+class Frames:
+    """Where the robot's bodies are: quaternion, rotation and position (m), each of arrays [b], one body for each joint."""
+
+    quaternion: Quaternion
+    rotation: Rotation
+    position: Vector
+
+
+@flax.struct.dataclass
+class Axes:
+    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin moves by `linear`, arrays [nv]."""
+
+    angular: Vector
+    linear: Vector
+
+
+@flax.struct.dataclass
+class Inertia:
+    """Inertia of bodies about the origin: mass (kg), first moment (kg m) and second moments (kg m^2), arrays [b]."""
+
+    mass: jax.Array
+    moment: Vector
+    xx: jax.Array
+    yy: jax.Array
+    zz: jax.Array
+    xy: jax.Array
+    xz: jax.Array
+    yz: jax.Array
+
+    def momentum(self, turning: Vector, moving: Vector) -> tuple[Vector, Vector]:
+        """Angular and linear momentum of bodies that turn, and whose points at the origin move, like this."""
+        x, y, z = turning.x, turning.y, turning.z
+        spin = Vector(self.xx * x + self.xy * y + self.xz * z, self.xy * x + self.yy * y + self.yz * z, self.xz * x + self.yz * y + self.zz * z)
+        return spin + self.moment.cross(moving), moving * self.mass + turning.cross(self.moment)
+
+
+class Multibody:
+    """The constants of a model whose robot has one joint a body, and whose object, if any, is a free body and comes last."""
+
+    def __init__(self, model: mujoco.MjModel, has_object: bool, origin):
+        joints = model.njnt - has_object
+        bodies = model.jnt_bodyid[:joints]
+        assert model.nv == joints + 6 * has_object and len(set(bodies)) == joints
+        assert not model.jnt_pos[:joints].any() and (model.body_quat[bodies] == [1, 0, 0, 0]).all()
+        self.origin, self.joints, self.has_object = Vector.of(np.asarray(origin, np.float32)), joints, has_object
+        index = {int(body): joint for joint, body in enumerate(bodies)}
+        self.parents = np.array([index.get(int(model.body_parentid[body]), -1) for body in bodies])  # -1: the world.
+        self.lineage = np.eye(joints, dtype=np.float32)  # [i, j]: whether joint j moves the body of joint i.
+        for joint, parent in enumerate(self.parents):
+            self.lineage[joint] += self.lineage[parent] * (parent >= 0)
+        self.jumps = jumps_to_the_root(self.parents)
+        self.hinge = np.float32(model.jnt_type[:joints] == mujoco.mjtJoint.mjJNT_HINGE)
+        self.axis, self.rest = vectors(model.jnt_axis[:joints]), np.float32(model.qpos0[:joints])
+        self.offset, self.center = vectors(model.body_pos[bodies]), vectors(model.body_ipos[bodies])
+        self.mass = np.float32(model.body_mass[bodies])
+        turns = np.stack([matrix_of(quaternion) for quaternion in model.body_iquat[bodies]])
+        self.principal = [vectors(turns[..., axis] * np.sqrt(model.body_inertia[bodies, axis, None])) for axis in range(3)]
+        self.damping, self.armature = np.float32(model.dof_damping), np.float32(model.dof_armature)
+        self.stiffness, self.spring = np.float32(model.jnt_stiffness[:joints]), np.float32(model.qpos_spring[:joints])
+        if has_object:
+            thing = model.jnt_bodyid[-1]
+            assert (model.body_iquat[thing] == [1, 0, 0, 0]).all() and not model.body_ipos[thing].any()
+            self.thing_mass, self.thing_inertia = np.float32(model.body_mass[thing]), np.float32(model.body_inertia[thing])
+
+    def frames(self, position: jax.Array) -> Frames:
+        """Where the bodies are at this position [nq]."""
+        moved = position[: self.joints] - self.rest
+        half = 0.5 * moved * self.hinge
+        turn = Quaternion(jnp.cos(half), self.axis * jnp.sin(half))
+        # Every turn is put behind that of its parent, then both behind that of the parent's own, and so on: three products for seven joints.
+        # XLA's CPU fusions would compute each product anew for every number of the next; the barrier stops that.
+        for ancestor in self.jumps:
+            turn = once(joined(turn, STILL)[ancestor] * turn)
+        rotation = turn.rotation()
+        step = joined(rotation, UPRIGHT)[self.parents] @ self.offset + (rotation @ self.axis) * ((1 - self.hinge) * moved)
+        return Frames(turn, rotation, summed(self.lineage, step))
+
+    def axes(self, frames: Frames) -> Axes:
+        """How the robot moves with each of its joints."""
+        axis = frames.rotation @ self.axis
+        return Axes(axis * self.hinge, axis.cross(self.origin - frames.position) * self.hinge + axis * (1 - self.hinge))
+
+    def thing_axes(self, thing) -> Axes:
+        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its degrees of freedom: along the world's axes, about its own."""
+        turns = Vector.of(thing.rotation.array[0].T)
+        return Axes(joined(NONE, turns), joined(STRAIGHT, turns.cross(self.origin - thing.center)))
+
+    def inertia(self, frames: Frames) -> Inertia:
+        """Inertia of each of the robot's bodies."""
+        rotation = frames.rotation
+        lever = frames.position + rotation @ self.center - self.origin
+        moment = lever * self.mass
+        axes = [rotation @ axis for axis in self.principal]
+
+        def second(row: str, column: str) -> jax.Array:
+            """A second moment, but for what the distance from the origin adds along the diagonal."""
+            spread = sum(getattr(axis, row) * getattr(axis, column) for axis in axes)
+            return spread - getattr(moment, row) * getattr(lever, column)
+
+        far = moment.dot(lever)
+        return Inertia(
+            self.mass, moment, second("x", "x") + far, second("y", "y") + far, second("z", "z") + far, second("x", "y"), second("x", "z"), second("y", "z")
+        )
+
+    def inertia_matrix(self, inertia: Inertia, turn: Vector, move: Vector) -> jax.Array:
+        """The robot's part of the inertia matrix, [joints, joints]: turn and move are its axes."""
+        carried = summed(self.lineage.T, inertia).replace(mass=self.lineage.T @ self.mass)
+        spin, push = once(carried.momentum(turn, move))
+        products = spin[:, None].dot(turn[None]) + push[:, None].dot(move[None])
+        shared = np.maximum(self.lineage, self.lineage.T)
+        return jnp.where(self.lineage > 0, products, products.T) * shared + np.diag(self.armature[: self.joints])
+
+    def rates(self, turn: Vector, move: Vector, velocity: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
+        """How fast each body turns, how fast its point at the origin moves, and how fast these two change while the joints' velocities stay."""
+        turning, moving = summed(self.lineage, (turn * velocity, move * velocity))
+        changes = turning.cross(turn) * velocity, (turning.cross(move) + moving.cross(turn)) * velocity
+        return turning, moving, *summed(self.lineage, changes)
+
+    def body_rates(self, frames: Frames, velocity: jax.Array, body: int) -> list[Vector]:
+        """`rates` of one body, at this velocity [nv]."""
+        axes = self.axes(frames)
+        return [rate[body] for rate in self.rates(axes.angular, axes.linear, velocity[: self.joints])]
+
+    def bias(self, inertia: Inertia, turn: Vector, move: Vector, velocity: jax.Array) -> jax.Array:
+        """The forces [joints] that keep the robot at this velocity [joints], against gravity."""
+        turning, moving, turn_rate, move_rate = self.rates(turn, move, velocity)
+        torque, thrust = inertia.momentum(turn_rate, move_rate.replace(z=move_rate.z + GRAVITY))
+        spin, push = once(inertia.momentum(turning, moving))
+        torque, thrust = torque + turning.cross(spin) + moving.cross(push), thrust + turning.cross(push)
+        torque, thrust = summed(self.lineage.T, (torque, thrust))
+        return torque.dot(turn) + thrust.dot(move)
+
+    def dynamics(self, frames: Frames, thing, position: jax.Array, velocity: jax.Array) -> tuple[Axes, jax.Array, jax.Array]:
+        """Axes, inertia matrix [nv, nv], and passive less bias forces [nv], at this position [nq] and velocity [nv].
+
+        thing: the object, with `center` and `rotation` of arrays [1], or None.
+        """
+        n = self.joints
+        axes, bodies = once((self.axes(frames), self.inertia(frames)))
+        inertia = self.inertia_matrix(bodies, axes.angular, axes.linear)
+        force = self.stiffness * (self.spring - position[:n]) - self.bias(bodies, axes.angular, axes.linear, velocity[:n])
+        if self.has_object:
+            axes = joined(axes, self.thing_axes(thing))
+            whirl = Vector.of(velocity[n + 3 :])
+            gyration = Vector.of(self.thing_inertia * velocity[n + 3 :]).cross(whirl).array
+            fall = np.array([0, 0, -GRAVITY * self.thing_mass], np.float32)
+            force = jnp.concatenate([force, fall, gyration])
+            own = np.concatenate([np.zeros(n, np.float32), np.full(3, self.thing_mass), self.thing_inertia + self.armature[n + 3 :]])
+            inertia = jnp.pad(inertia, (0, 6)) + np.diag(own)
+        return axes, inertia, force - self.damping * velocity
+
+
+once = jax.lax.optimization_barrier
+"""What goes through here is computed once. XLA's CPU fusions would compute it anew for every number that it is needed for."""
+
+
+def summed(weights: np.ndarray, tree):
+    """Sums of the tree's arrays [n] under constant weights [m, n], all of them in one matrix product: arrays [m]."""
+    leaves, structure = jax.tree.flatten(tree)
+    sums = jnp.matmul(jnp.stack(leaves), weights.T, precision=jax.lax.Precision.HIGHEST)
+    return structure.unflatten(list(sums))
+
+
+def vectors(array: np.ndarray) -> Vector:
+    """Constant vectors [n, 3]."""
+    return Vector.of(np.float32(array))
+
+
+def jumps_to_the_root(parents: np.ndarray) -> list[np.ndarray]:
+    """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world: products along them reach from the root to every tip."""
+    size = len(parents)
+    ancestor = np.array([*np.where(parents < 0, size, parents), size])
+    jumps = []
+    while (ancestor < size).any():
+        jumps.append(ancestor[:size])
+        ancestor = ancestor[ancestor]
+    return jumps
+
+
+def matrix_of(quaternion: np.ndarray) -> np.ndarray:
+    """The rotation matrix [3, 3] of a constant quaternion [4]."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+STILL = Quaternion.of(np.float32([[1, 0, 0, 0]]))
+UPRIGHT = Rotation.of(np.eye(3, dtype=np.float32)[None])
+STRAIGHT, NONE = vectors(np.eye(3)), vectors(np.zeros((3, 3)))

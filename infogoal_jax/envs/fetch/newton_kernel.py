@@ -1,0 +1,2 @@
+def solve(inertia, damping, force, rows, start, steps):
+    return start, start
