@@ -1,6 +1,9 @@
-"""What several test files share because it takes long to compile."""
+"""What several test files share because it takes long to compile: programs on disk, a run with image goals, and the order of the files."""
 
 import gc
+import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import jax
@@ -12,7 +15,35 @@ from infogoal_jax.train import host
 
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 20_000
-"""On a CPU a program with the physics of Fetch lies in some 6,000 memory maps. Linux allows a process 65,530, and LLVM aborts it at the next."""
+"""A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the next."""
+LONGEST_FIRST = (
+    "resume", "training", "report", "frame_figures", "hindsight", "command_line", "notebook", "every_method", "host", "fetch_environment",
+    "reconstruction", "sse_db", "infogoal", "laboratory", "low_level", "tune", "hrac_program", "fetch_physics", "bridges", "shelf", "infobot",
+    "embodied_qa", "gcb", "cher", "image_goals", "fetch_parity",
+)
+"""Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about the same time."""
+ON_DISK = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
+
+
+def pytest_configure(config):
+    """Keep compiled programs in a folder that this session's processes share: the workers, and those that tests start; nobody's own cache is used.
+
+    The command line looks for them below XDG_CACHE_HOME, everything else at JAX_COMPILATION_CACHE_DIR: here both are the same folder.
+    """
+    if not hasattr(config, "workerinput"):
+        folder = Path(tempfile.mkdtemp(prefix="infogoal_tests_"))
+        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+        programs = folder / "infogoal" / "jax"
+        os.environ.update(ON_DISK | {"XDG_CACHE_HOME": str(folder), "JAX_COMPILATION_CACHE_DIR": str(programs)})
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", float(ON_DISK["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"]))
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", int(ON_DISK["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"]))
+
+
+def pytest_collection_modifyitems(items):
+    """Files in the order of `LONGEST_FIRST`, the others after them as they were."""
+    rank = {f"test_{name}.py": number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
 
 
 @pytest.fixture(autouse=True, scope="module")
