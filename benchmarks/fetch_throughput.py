@@ -16,7 +16,6 @@ import jax.numpy as jnp
 from machine import describe_machine
 
 from infogoal_jax import envs
-from infogoal_jax.envs.fetch import solver
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 
@@ -72,16 +71,21 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
 
         return timed(run, states.motion)[1] / repeats * 1e3
 
-    def constraint_rows(motion, target, quaternion):
-        data, inertia, force = physics.dynamics(motion)
-        return inertia, force, physics.rows(data, target, quaternion)
+    def dynamics(motion):
+        thing = physics.thing_at(motion.position)
+        return thing, physics.multibody.dynamics(motion.frames, thing, motion.position, motion.velocity)
+
+    def rows(motion, target, quaternion):
+        thing, (axes, inertia, force) = dynamics(motion)
+        return inertia, force, physics.rows(motion, axes, thing, target, quaternion)
 
     return {
-        "multibody dynamics (MJX)": looped(lambda motion, *_: physics.dynamics(motion)[1:]),
-        "and constraint rows": looped(constraint_rows),
-        "and solver: whole step": looped(lambda motion, target, quaternion: physics.substep(motion, target, quaternion, jnp.zeros(2))),
-        "one Cholesky solve": looped(lambda motion, *_: solver.cholesky_solve(
-            solver.cholesky(jnp.outer(motion.velocity, motion.velocity) + jnp.eye(motion.velocity.shape[0])), motion.velocity)),
+        "kinematics": looped(lambda motion, *_: physics.multibody.frames(motion.position)),
+        "inertia and forces": looped(lambda motion, *_: dynamics(motion)[1]),
+        "and constraint rows": looped(rows),
+        "and solver, and kinematics: whole step": looped(
+            lambda motion, target, quaternion: physics.substep(motion, target, quaternion, jnp.zeros(2)).replace(frames=None)
+        ),
     }
 
 

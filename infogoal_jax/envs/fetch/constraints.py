@@ -6,6 +6,7 @@ model; here the model is known, so that all rows are worked out side by side, an
 
 import dataclasses
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,11 +14,8 @@ from scipy import optimize
 
 from infogoal_jax.envs.fetch import solver
 from infogoal_jax.envs.fetch.contacts import Contacts, tangents
-from infogoal_jax.envs.fetch.multibody import Axes
-from infogoal_jax.envs.fetch.vectors import Quaternion, Vector
-
-UNIT, NOTHING = Vector.of(np.eye(3, dtype=np.float32)), Vector.of(np.zeros((1, 3), np.float32))
-
+from infogoal_jax.envs.fetch.multibody import Axes, once
+from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
@@ -109,9 +107,33 @@ class ContactKind:
         return self.softness, self.inverse_weight * (1 + sliding**2) * 2 * sliding**2
 
 
-def work(axes: Axes, force: Vector, torque: Vector) -> jax.Array:
-    """How fast forces and torques about the origin (vectors of arrays [R]) work along each degree of freedom: Jacobian [nv, R]."""
-    return axes.linear[:, None].dot(force) + axes.angular[:, None].dot(torque)
+@flax.struct.dataclass
+class Wrench:
+    """Forces and torques about the origin, vectors of arrays [R]: along what a constraint row acts."""
+
+    force: Vector
+    torque: Vector
+
+    @classmethod
+    def at(cls, lever: Vector, direction: Vector) -> "Wrench":
+        """Forces of size 1 along these directions, at points that lie at `lever` from the origin (m)."""
+        return cls(direction, lever.cross(direction))
+
+    def __add__(self, other: "Wrench") -> "Wrench":
+        return Wrench(self.force + other.force, self.torque + other.torque)
+
+    def __mul__(self, factor) -> "Wrench":
+        return Wrench(self.force * factor, self.torque * factor)
+
+    def __getitem__(self, index) -> "Wrench":
+        return Wrench(self.force[index], self.torque[index])
+
+    def jacobian(self, axes: Axes) -> jax.Array:
+        """How fast they work along each degree of freedom, [nv, R]."""
+        return axes.linear[:, None].dot(self.force) + axes.angular[:, None].dot(self.torque)
+
+
+UNIT = Vector.of(np.eye(3, dtype=np.float32))
 
 
 class Weld:
@@ -119,29 +141,25 @@ class Weld:
 
     def __init__(self, dofs: np.ndarray, softness: Softness, inverse_weight: tuple[float, float]):
         """dofs: 0 or 1 [nv], the joints that move the point; inverse_weight: of translation and of rotation."""
-        self.dofs = dofs[:, None]
+        self.dofs = np.repeat(dofs[:, None], 6, axis=1)
         self.kinds = [(softness, weight) for weight in inverse_weight for _ in range(3)]
 
-    def jacobian_and_violation(
-        self, axes: Axes, lever: Vector, quaternion: Quaternion, apart: Vector, target: Quaternion
-    ) -> tuple[jax.Array, jax.Array]:
-        """Jacobian [nv, 6] and violation [6] for a point at `lever` from the origin (m) and with this quaternion; apart: from it to the target (m)."""
-        # Mocap minus arm; the mocap body has no joints.
-        linear = work(axes, -UNIT, -lever.cross(UNIT))
+    def wrench_and_violation(self, lever: Vector, quaternion: Quaternion, apart: Vector, target: Quaternion) -> tuple[Wrench, jax.Array]:
+        """Wrenches and violation [6] for a point at `lever` from the origin (m) and with this quaternion; apart: from it to the target (m)."""
+        pull = Wrench.at(lever, -UNIT)  # Mocap minus arm; the mocap body has no joints.
         # Orientation error conj(q) q_target, and its derivative 1/2 conj(q) (-w) q_target for a turn of the arm by w.
         inverse = quaternion.conjugate()
-        error = inverse * target
         derivative = (inverse * Quaternion(np.zeros(3, np.float32), -UNIT) * target).vector * 0.5
-        angular = work(axes, NOTHING, Vector.of(derivative.array.T))
-        return jnp.concatenate([linear, angular], axis=1) * self.dofs, jnp.concatenate([apart.array, error.vector.array])
+        turn = Wrench(jax.tree.map(jnp.zeros_like, UNIT), Vector.of(derivative.array.T))
+        return joined(pull, turn), jnp.concatenate([apart.array, (inverse * target).vector.array])
 
 
 class Limits:
     """The limits of joints, a row for each, at whichever end is nearer."""
 
-    def __init__(self, joints: list[int], spans: list[np.ndarray], kinds: list[tuple[Softness, float]], nv: int):
-        """joints: their indices into position and velocity; spans: lowest and highest position [2] of each."""
-        self.joints, self.low, self.high = np.array(joints), *np.float32(spans).T
+    def __init__(self, joints: np.ndarray, spans: np.ndarray, kinds: list[tuple[Softness, float]], nv: int):
+        """joints: their indices [L] into position and velocity; spans: lowest and highest position [L, 2]."""
+        self.joints, self.low, self.high = joints, *np.float32(spans).T
         self.kinds, self.unit = kinds, np.eye(nv, dtype=np.float32)[:, joints]
 
     def jacobian_and_violation(self, position: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -154,19 +172,21 @@ class FrictionPyramids:
     """The rows of contact points: normal +- friction x tangent for both tangents, and for the spin where the contact resists it."""
 
     def __init__(self, kinds: list[ContactKind]):
-        """kinds: of each point."""
+        """kinds: of each of n points, of which s resist spinning."""
         self.spinning = np.flatnonzero([kind.torsion for kind in kinds])
-        self.dofs = np.stack([kind.dofs for kind in kinds], axis=1)
+        points = np.concatenate([np.tile(np.arange(len(kinds)), 4), np.tile(self.spinning, 2)])
+        self.dofs = np.stack([kinds[point].dofs for point in points], axis=1)
+        self.kinds = [kinds[point].row for point in points]
         self.margin = np.float32([kind.margin for kind in kinds])
         self.sliding, self.torsional = np.float32([kind.friction for kind in kinds]).T
-        self.kinds = [kind.row for kind in kinds] * 4 + [kinds[point].row for point in self.spinning] * 2
 
-    def jacobian_and_violation(self, axes: Axes, origin: Vector, contacts: Contacts) -> tuple[jax.Array, jax.Array]:
-        """Jacobian [nv, 4 n + 2 s] and violation of n points, of which s resist spinning."""
-        normal, lever, spinning = contacts.normal, contacts.position - origin, self.spinning
-        push, *slides = (work(axes, direction, lever.cross(direction)) * self.dofs for direction in (normal, *tangents(normal)))
-        edges = [push + side * self.sliding * slide for slide in slides for side in (1, -1)]
-        spin = work(axes, NOTHING, normal[spinning]) * (self.dofs * self.torsional)[:, spinning]
-        edges += [push[:, spinning] + spin, push[:, spinning] - spin]
+    def wrench_and_violation(self, origin: Vector, contacts: Contacts) -> tuple[Wrench, jax.Array]:
+        """Wrenches and violation [4 n + 2 s]."""
+        contacts, slides = once((contacts, tangents(contacts.normal)))
+        lever, spinning = contacts.position - origin, self.spinning
+        push = Wrench.at(lever, contacts.normal)
+        edges = [push + Wrench.at(lever, slide) * (side * self.sliding) for slide in slides for side in (1, -1)]
+        pressed, axis = push[spinning], contacts.normal[spinning] * self.torsional[spinning]
+        edges += [pressed.replace(torque=pressed.torque + axis), pressed.replace(torque=pressed.torque - axis)]
         violation = contacts.distance - self.margin
-        return jnp.concatenate(edges, axis=1), jnp.concatenate([violation] * 4 + [violation[spinning]] * 2)
+        return joined(*edges), jnp.concatenate([violation] * 4 + [violation[spinning]] * 2)

@@ -15,7 +15,7 @@ import numpy as np
 from infogoal_jax.envs.fetch import constraints, contacts, model, multibody, solver
 from infogoal_jax.envs.fetch.constraints import ContactKind, FrictionPyramids, Limits, RowKinds, Softness, Weld
 from infogoal_jax.envs.fetch.contacts import Box, Capsule, Contacts
-from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
+from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody, once
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined
 
@@ -239,14 +239,18 @@ class Physics:
         """All constraint rows at this position and velocity."""
         frames, origin = motion.frames, self.multibody.origin
         gripper = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.gripper_place
-        welded = self.weld.jacobian_and_violation(
-            axes, gripper - origin, frames.quaternion[self.wrist], Vector.of(target) - gripper, Quaternion.of(target_quaternion)
+        weld, off = self.weld.wrench_and_violation(
+            gripper - origin, frames.quaternion[self.wrist], Vector.of(target) - gripper, Quaternion.of(target_quaternion)
         )
-        limited = self.limits.jacobian_and_violation(motion.position)
-        touching = self.pyramids.jacobian_and_violation(axes, origin, self.contacts(frames, thing))
-        jacobian, violation = (jnp.concatenate(parts, axis=-1) for parts in zip(welded, limited, touching, strict=True))
+        limits, beyond = self.limits.jacobian_and_violation(motion.position)
+        touch, depth = self.pyramids.wrench_and_violation(origin, self.contacts(frames, thing))
+        welded, limited, touching = once((weld, limits, touch))
+        jacobian = jnp.concatenate(
+            [welded.jacobian(axes) * self.weld.dofs, limited, touching.jacobian(axes) * self.pyramids.dofs], axis=1
+        )
+        violation = jnp.concatenate([off, beyond, depth])
         equality = np.arange(len(violation)) < solver.EQUALITIES
-        measure = jnp.where(equality, jnp.sqrt((welded[1] ** 2).sum()), violation)  # A weld gives way by the length of all that it is off.
+        measure = jnp.where(equality, jnp.sqrt((off**2).sum()), violation)  # A weld gives way by the length of all that it is off.
         return self.row_kinds.rows(jacobian, motion.velocity, violation, measure, equality | (violation < 0))
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:

@@ -8,6 +8,8 @@ The problem is MuJoCo's own (its documentation, Computation: primal problem, pyr
 lock-step. On an NVIDIA GPU the same steps run in a kernel that keeps a robot's rows on the chip (newton_kernel.py).
 """
 
+import functools
+
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ import numpy as np
 from infogoal_jax.envs.fetch import newton_kernel
 
 TRIAL_LENGTHS = np.array([0.0, 0.03, 0.1, 0.25, 0.5, 0.75, 0.95, 1.05, 1.5, 3.0], np.float32)
-FINER = np.linspace(0.0, 1.0, 9, dtype=np.float32)
+FINER = np.linspace(0.0, 1.0, newton_kernel.FINER + 1, dtype=np.float32)
 EQUALITIES = 6
 """The first rows are the weld's: they count whatever their residual."""
 
@@ -29,6 +31,10 @@ class ConstraintRows:
     jacobian: jax.Array
     stiffness: jax.Array
     reference: jax.Array
+
+    def weights(self, residual: jax.Array) -> jax.Array:
+        """The stiffness of the rows that count at this residual, 0 for the others, [R]."""
+        return jnp.where((np.arange(len(residual)) < EQUALITIES) | (residual < 0), self.stiffness, 0.0)
 
 
 def times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
@@ -49,20 +55,20 @@ def solve(
     inertia: M [nv, nv]; damping: joint damping times timestep [nv]; force: all other generalised forces [nv], so that a_free = M^-1 force; start:
     acceleration to begin from [nv].
     """
-    problem = (inertia, jnp.asarray(damping), force, rows, start)
+    problem = (inertia, jnp.asarray(damping), force, rows.jacobian, rows.stiffness, rows.reference, start)
     return jax.lax.platform_dependent(
-        *problem, cuda=lambda *problem: newton_kernel.solve(*problem, steps), default=lambda *problem: solve_anywhere(*problem, steps)
+        *problem, cuda=functools.partial(newton_kernel.solve, lengths=TRIAL_LENGTHS, equalities=EQUALITIES, steps=steps),
+        default=functools.partial(solve_anywhere, steps=steps),
     )
 
 
-def solve_anywhere(inertia, damping, force, rows: ConstraintRows, start, steps: int) -> tuple[jax.Array, jax.Array]:
+def solve_anywhere(inertia, damping, force, jacobian, stiffness, reference, start, steps: int) -> tuple[jax.Array, jax.Array]:
     """`solve` in XLA's own operations: what every device but an NVIDIA GPU runs, and what the kernel is held against."""
-    def weights(residual):
-        return jnp.where((np.arange(len(residual)) < EQUALITIES) | (residual < 0), rows.stiffness, 0.0)
+    rows = ConstraintRows(jacobian, stiffness, reference)
 
     def newton_step(_, carried):
         acceleration, residual = carried
-        weight = weights(residual)
+        weight = rows.weights(residual)
         curvature = times(rows.jacobian * weight, rows.jacobian.T)
         pull = times(rows.jacobian, weight * residual)
         smooth = times(inertia, acceleration) - force
@@ -74,7 +80,7 @@ def solve_anywhere(inertia, damping, force, rows: ConstraintRows, start, steps: 
 
     # A loop, not written out: the program compiles in half the time, and runs a quarter faster on a CPU.
     acceleration, residual = jax.lax.fori_loop(0, steps, newton_step, (start, times(rows.jacobian.T, start) - rows.reference))
-    constraint_force = -times(rows.jacobian, weights(residual) * residual)
+    constraint_force = -times(rows.jacobian, rows.weights(residual) * residual)
     return acceleration, positive_definite_solve(inertia + jnp.diag(damping), force + constraint_force)
 
 
@@ -84,13 +90,11 @@ def line_search(slope: jax.Array, quadratic: tuple[jax.Array, jax.Array], residu
     slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and change: [R] of the rows. The root
     is bracketed twice among trial lengths that are evaluated side by side, and interpolated in the last bracket.
     """
-    along_change = rows.stiffness * change
     value, growth = quadratic
 
     def derivative(lengths):
-        along = residual + lengths[:, None] * change
-        counting = jnp.where((np.arange(len(residual)) < EQUALITIES) | (along < 0), along, 0.0)
-        return value + lengths * growth + times(counting, along_change)
+        moved = residual + lengths[:, None] * change
+        return value + lengths * growth + times(jax.vmap(rows.weights)(moved) * moved, change)
 
     def bracket(lengths, values):
         """The neighbouring trial lengths between which the derivative turns positive, and its values there."""
