@@ -20,6 +20,7 @@ from infogoal_jax.replay import Rows
 from infogoal_jax.train import update
 
 DRAWS = 4000
+ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
 ALWAYS = [("her", HERConfig(future_share=1.0)), ("her", HERConfig(future_share=1.0, strategy="prefix")), ("cher", CHERConfig(future_share=1.0)),
           ("ghrl", GHRLConfig(share=1.0))]
 
@@ -32,10 +33,14 @@ def rows() -> Rows:
 def relabelled(rows: Rows, config, known=None, name: str = "her"):
     """Draws of transitions and the goals that they are given."""
     relabelling = hindsight.entry(name).make(config)
-    row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), DRAWS, STEPS)
-    table = relabelling.prepare(context(rows, known=known))
-    goal = jax.jit(relabelling.relabel)(jax.random.key(1), table, row, step, rows.goal[row, step])
-    return np.asarray(row), np.asarray(step), np.asarray(goal)
+
+    @jax.jit
+    def drawn(rows, known):
+        row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), DRAWS, STEPS)
+        table = relabelling.prepare(context(rows, known=known))
+        return row, step, relabelling.relabel(jax.random.key(1), table, row, step, rows.goal[row, step])
+
+    return [np.asarray(part) for part in drawn(rows, known)]
 
 
 def test_goals_are_achieved_later_in_the_same_episode(rows):
@@ -64,8 +69,12 @@ def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
     """A relabelled transition ends, with reward 1, where its goal is first achieved; otherwise with its episode or after n steps."""
     rows = random_rows(several)
     row, step, goal = relabelled(rows, config, name=name)
-    batch = replay.transitions_at(rows, row, step, 3, jnp.asarray(goal), lambda record, wanted: (record == wanted[..., None]).any(-1))
-    first = np.asarray(batch.observation)
+    def reached(record, wanted):
+        return (record == wanted[..., None]).any(-1)
+
+    at = jax.jit(lambda rows, row, step, goal: replay.transitions_at(rows, row, step, 3, goal, reached))
+    rows, batch = jax.tree.map(np.asarray, (rows, at(rows, row, step, goal)))
+    first = batch.observation
     for i in range(300):
         assert goal[i] == 0 or goal[i] in later_goals(rows, row[i], step[i])
         taken, hit = 0, False
@@ -85,8 +94,9 @@ def test_prefixes_come_up_as_often_as_they_should(several):
     relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy="prefix"))
     places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
     row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
-    table = relabelling.prepare(context(rows))
-    drawn = np.asarray(relabelling.relabel(jax.random.key(2), table, row, step, jnp.zeros_like(row))).reshape(-1, times)
+    relabel = jax.jit(lambda rows: relabelling.relabel(jax.random.key(2), relabelling.prepare(context(rows)), row, step, jnp.zeros_like(row)))
+    drawn = np.asarray(relabel(rows)).reshape(-1, times)
+    rows = jax.tree.map(np.asarray, rows)
     for (r, t, first, last), goals in zip(places, drawn, strict=True):
         found = [(when, int(goal)) for when in range(first, last + 1) for goal in rows.record[r, when] if goal >= 0]
         counts, expected = Counter(goal for _, goal in found), np.zeros(GOALS)
@@ -103,7 +113,8 @@ def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
     for strategy in ("future", "prefix"):
         relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
         start = jnp.zeros(2000, jnp.int32)
-        shares[strategy] = float((relabelling.relabel(jax.random.key(0), relabelling.prepare(context(rows)), start, start, start) == 2).mean())
+        relabel = jax.jit(lambda rows, made=relabelling: made.relabel(jax.random.key(0), made.prepare(context(rows)), start, start, start))
+        shares[strategy] = float((np.asarray(relabel(rows)) == 2).mean())
     np.testing.assert_allclose([shares["future"], shares["prefix"]], [0.1, 0.5], atol=0.05)
 
 
@@ -111,7 +122,7 @@ def test_rows_too_long_for_the_prefixes_name_the_remedy():
     """Steps, episodes and goals are sorted by one number of 31 bits; more do not fit, and nothing is sorted wrongly in silence."""
     rows = rows_of(np.ones((1, 600)), np.full((1, 601, 1), -1))
     relabelling = hindsight.entry("her").make(HERConfig(strategy="prefix"))
-    relabelling.prepare(context(rows, num_goals=5000))
+    jax.eval_shape(lambda rows: relabelling.prepare(context(rows, num_goals=5000)), rows)
     with pytest.raises(UserError, match=r"rollout_steps = 600"):
         relabelling.prepare(context(rows, num_goals=6000))
 
@@ -129,13 +140,12 @@ def test_shares_that_cannot_be(config):
 def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them; the agent's draws stay."""
     env, drawn = hand_made.environment(), {}
-    for share in (0.0, 1.0):
-        config = hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=1, learner=GCBConfig(hindsight_share=share))
-        train = make_train(config, env)
-        state = jax.jit(lambda key, train=train: train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)[0])(
-            jax.random.key(0))
-        experience, state = train.experience_of(state, 0, train.config.hyper, env)
-        drawn[share] = update.sample(train.parts, env, experience, jax.random.key(1))
+    plain, train = (make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(hindsight_share=share)), env) for share in (0.0, 1.0))
+    state = jax.jit(lambda key: train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)[0])(jax.random.key(0))
+    for share, made in ((0.0, plain), (1.0, train)):
+        draw = jax.jit(lambda state, made=made: update.sample(
+            made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)))
+        drawn[share] = draw(state)
     plain, told = drawn[0.0], drawn[1.0].retold
     assert plain.retold is None
     jax.tree.map(np.testing.assert_array_equal, plain.transitions, drawn[1.0].transitions)
@@ -145,15 +155,16 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
 
     features = jnp.ones((len(told.goal), 4))
     codes = SimpleNamespace(features=features, next_features=2 * features, reward=None, discount=None)
-    goal, steps = update.steps_to_learn_from(train.parts, state.params, env, train.config.hyper, drawn[1.0], codes)
+    learned = jax.jit(lambda params, drawn: update.steps_to_learn_from(train.parts, params, env, train.config.hyper, drawn, codes))
+    goal, steps = learned(state.params, drawn[1.0])
     np.testing.assert_array_equal(goal, told.goal)
     taken = np.asarray(told.mask.sum(1))
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
     np.testing.assert_allclose(steps.discount, np.where(told.terminated, 0.0, 0.98**taken), rtol=1e-5)
-    seen = update.encode_states(train.parts, state.params, env, 1)(told.next_observation)
+    seen = jax.jit(lambda params: update.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
     np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
-    assert steps.features is features
+    np.testing.assert_array_equal(steps.features, features)
 
 
 @pytest.mark.parametrize(("method", "changes"), [
