@@ -122,8 +122,13 @@ def test_questions_of_the_test_are_never_learned_from(env):
     """Under the preset no draw of an update, relabelled goal or pair, is a question of validation or test."""
     train = make_train(hand_made_frames.qa_config("infogoal"), env)
     state = jax.jit(train.initial)(jax.random.key(0), train.config.hyper, env)
-    experience, _ = train.experience_of(state, 0, train.config.hyper, env)
-    drawn = jax.vmap(lambda key: sample(train.parts, env, experience, key))(jax.random.split(jax.random.key(1), 50))
+
+    @jax.jit
+    def draws(state, keys):
+        experience, _ = train.experience_of(state, 0, train.config.hyper, env)
+        return jax.vmap(lambda key: sample(train.parts, env, experience, key))(keys)
+
+    drawn = draws(state, jax.random.split(jax.random.key(1), 50))
     hidden = np.asarray(env.goals.validation_mask | env.goals.test_mask)
     used = (drawn.transitions.goal, drawn.pairs.anchor, drawn.pairs.positive, drawn.pairs.negative)
     for goals in used:

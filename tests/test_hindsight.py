@@ -109,10 +109,9 @@ def test_prefixes_come_up_as_often_as_they_should(several):
 def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
     """What sets `prefix` apart: goal 1 is achieved at nine steps, goal 2 at the last; from the first step `future` draws goal 2 once in ten times."""
     rows = rows_of(np.ones((1, 10)), np.array([[-1, *[1] * 9, 2]])[..., None])
-    shares = {}
+    shares, start = {}, jnp.zeros(2000, jnp.int32)
     for strategy in ("future", "prefix"):
         relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
-        start = jnp.zeros(2000, jnp.int32)
         relabel = jax.jit(lambda rows, made=relabelling: made.relabel(jax.random.key(0), made.prepare(context(rows)), start, start, start))
         shares[strategy] = float((np.asarray(relabel(rows)) == 2).mean())
     np.testing.assert_allclose([shares["future"], shares["prefix"]], [0.1, 0.5], atol=0.05)
@@ -141,7 +140,8 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them; the agent's draws stay."""
     env, drawn = hand_made.environment(), {}
     plain, train = (make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(hindsight_share=share)), env) for share in (0.0, 1.0))
-    state = jax.jit(lambda key: train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)[0])(jax.random.key(0))
+    hyper = train.config.hyper
+    state = jax.jit(lambda key: train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0])(jax.random.key(0))
     for share, made in ((0.0, plain), (1.0, train)):
         draw = jax.jit(lambda state, made=made: update.sample(
             made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)))

@@ -29,8 +29,9 @@ def sweep(program):
 
 
 def plain(tree):
-    """A pytree with typed keys as their data, so that bits can be compared."""
-    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key) else leaf, tree)
+    """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
+    is_key = jax.dtypes.prng_key
+    return jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree)
 
 
 def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):

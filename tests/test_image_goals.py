@@ -197,11 +197,15 @@ def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(tra
 
 
 def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
-    policies = train.test_policies(params, train.config.hyper, train.env, STARTS, corruption=0.0)
-    starts = goal_starts(train.env, STARTS)
+    @jax.jit
+    def actions(params):
+        policies = train.test_policies(params, train.config.hyper, train.env, STARTS, corruption=0.0)
+        starts = goal_starts(train.env, STARTS)
+        return {name: policy(train.env.observe(starts), starts.goal, jax.random.key(0)) for name, policy in policies.items()}
+
+    found = actions(params)
     for suffix in ("", "_mean_code"):
-        clean, corrupted = (
-            policies[f"{prefix}{{group}}_goal{suffix}"](train.env.observe(starts), starts.goal, jax.random.key(0)) for prefix in ("", "corrupted_"))
+        clean, corrupted = (found[f"{prefix}{{group}}_goal{suffix}"] for prefix in ("", "corrupted_"))
         np.testing.assert_allclose(clean, corrupted, atol=1e-5)
 
 

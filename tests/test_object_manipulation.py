@@ -153,8 +153,8 @@ def test_agents_see_the_codes_of_their_goals(env, relabelling):
     batch = Transitions(
         observation=observation, next_observation=observation, action=jnp.zeros(count, jnp.int32), goal=goal,
         records=jnp.zeros((count, 1), jnp.int32), mask=jnp.ones((count, 1)), terminated=jnp.zeros(count, bool))
-    made = agent_batch(parts, env, hyper, state.params, state.params, batch, jnp.zeros(count), None, jax.random.key(2))
-    expected = parts.learner.encode(state.params["goal"], env.goals.inputs_of(goal)).mean
+    made = jax.jit(lambda params: agent_batch(parts, env, hyper, params, params, batch, jnp.zeros(count), None, jax.random.key(2)))(state.params)
+    expected = jax.jit(lambda params: parts.learner.encode(params, env.goals.inputs_of(goal)).mean)(state.params["goal"])
     np.testing.assert_allclose(made.code, expected, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(made.target_code, expected, rtol=1e-5, atol=1e-5)
 
