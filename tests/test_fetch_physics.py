@@ -1,14 +1,17 @@
 """The physics of the Fetch tasks against MJX and MuJoCo: the same dynamics, constraint rows, minimum and contacts."""
 
+import contextlib
+import io
+
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-from infogoal_jax.envs.fetch import constraints, contacts, model, physics, solver
-from infogoal_jax.envs.fetch.physics import Motion, mjx
+from infogoal_jax.envs.fetch import constraints, contacts, model, newton_kernel, physics, solver
 from infogoal_jax.envs.fetch.tasks import TASKS
+from infogoal_jax.envs.fetch.vectors import Rotation, Vector
 from infogoal_jax.errors import UserError
 
 
@@ -61,8 +64,7 @@ def forward(reach, twin, position):
     quaternion = data.xquat[twin.body("wrist_roll").id] + [1, 0, 1, 0]
     data.mocap_pos[0], data.mocap_quat[0] = target, quaternion / np.linalg.norm(quaternion)
     mujoco.mj_forward(twin, data)
-    motion = Motion(*(jnp.asarray(part, jnp.float32) for part in (data.qpos, data.qvel, np.zeros(twin.nv))))
-    return data, motion, jnp.asarray(target, jnp.float32), jnp.asarray(data.mocap_quat[0], jnp.float32)
+    return data, reach.motion(data.qpos, data.qvel), jnp.asarray(target, jnp.float32), jnp.asarray(data.mocap_quat[0], jnp.float32)
 
 
 @pytest.mark.parametrize("pose", POSES)
@@ -72,19 +74,19 @@ def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
     Its newer versions add a velocity term to the weld's reference that MJX does not have (mjx_notes); so the weld's reference is compared with MJX.
     """
     data, motion, target, quaternion = forward(reach, twin, POSES[pose])
-    ours, inertia, force = jax.jit(reach.dynamics)(motion)
-    rows = reach.rows(ours, target, quaternion)
+    axes, inertia, force = jax.jit(lambda motion: reach.multibody.dynamics(motion.frames, None, motion.position, motion.velocity))(motion)
+    rows = jax.jit(lambda motion, axes: reach.rows(motion, axes, None, target, quaternion))(motion, axes)
     active = np.flatnonzero(np.array(rows.stiffness) > 0)
     jacobian = data.efc_J.reshape(-1, twin.nv)
     assert len(active) == len(jacobian)
-    mine = np.concatenate([np.array(rows.jacobian), np.array(rows.stiffness)[:, None]], 1)[active]
+    mine = np.concatenate([np.array(rows.jacobian).T, np.array(rows.stiffness)[:, None]], 1)[active]
     theirs = np.concatenate([jacobian, data.efc_D[:, None]], 1)
     unmatched = list(range(len(theirs)))  # Contacts come in another order.
     for row in mine:
         distance = [np.abs((row - theirs[other]) / [*[1] * twin.nv, row[-1]]).max() for other in unmatched]
         assert min(distance) < 0.02, row
         unmatched.pop(int(np.argmin(distance)))
-    minimum = solver.solve(inertia, force, rows, motion.acceleration, 30)[0]
+    minimum = solver.solve(inertia, reach.damping, force, rows, motion.acceleration, 30)[0]
     cost = cost_of(inertia, force, rows)
     assert cost(minimum) <= cost(jnp.asarray(data.qacc, jnp.float32)) + 1e-3 * abs(cost(minimum))
 
@@ -92,12 +94,12 @@ def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
 def cost_of(inertia, force, rows):
     """MuJoCo's primal cost as a function of the acceleration, in float64 by numpy."""
     inertia, force = np.array(inertia, float), np.array(force, float)
-    jacobian, stiffness, reference, equality = (np.array(part, float) for part in (rows.jacobian, rows.stiffness, rows.reference, rows.equality))
+    jacobian, stiffness, reference = (np.array(part, float) for part in (rows.jacobian.T, rows.stiffness, rows.reference))
 
     def cost(acceleration):
         acceleration = np.array(acceleration, float)
         away = jacobian @ acceleration - reference
-        counts = (equality > 0) | (away < 0)
+        counts = (np.arange(len(away)) < solver.EQUALITIES) | (away < 0)
         return 0.5 * acceleration @ inertia @ acceleration - acceleration @ force + 0.5 * (stiffness * away**2 * counts).sum()
 
     return cost
@@ -111,25 +113,38 @@ def test_free_step_is_mjx_step(reach):
     for joint in range(weights.njnt):
         weights.dof_invweight0[joint] = model.JOINT_INVERSE_WEIGHT[weights.joint(joint).name]
     weights.body_invweight0[weights.body("wrist_roll").id] = model.INVERSE_WEIGHT["gripper"]
-    with physics.shallow_fusions():
-        theirs_model = mjx.put_model(weights)
-        start = reach.start()
-        pose = reach.pose(start, 0.0)
-        target, quaternion = pose.gripper + jnp.array([0.03, -0.02, 0.01]), pose.gripper_quaternion
-        data = mjx.make_data(theirs_model).replace(qpos=start.position, qvel=start.velocity, mocap_pos=target[None], mocap_quat=quaternion[None])
-        theirs = jax.jit(mjx.step)(theirs_model, data)
+    mjx = import_mjx()
+    theirs_model = mjx.put_model(weights)
+    start = reach.start()
+    pose = reach.pose(start, 0.0)
+    target, quaternion = pose.gripper + jnp.array([0.03, -0.02, 0.01]), pose.gripper_quaternion
+    data = mjx.make_data(theirs_model).replace(qpos=start.position, qvel=start.velocity, mocap_pos=target[None], mocap_quat=quaternion[None])
+    # XLA's CPU fusions compute a parent's transform anew for every level of the tree below it: MJX would take a second for this step.
+    theirs = jax.jit(mjx.step, compiler_options={"xla_cpu_use_fusion_emitters": False})(theirs_model, data)
     ours = jax.jit(reach.substep)(start, target, quaternion, jnp.zeros(2))
     np.testing.assert_allclose(ours.position, theirs.qpos, atol=2e-6)
     np.testing.assert_allclose(ours.velocity, theirs.qvel, atol=2e-4)
 
 
-def random_problem(seed):
-    """A solvable problem of 8 degrees of freedom and 40 rows, six of them equalities."""
+def import_mjx():
+    """MJX, without what it prints about its other backend."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        from mujoco import mjx
+    return mjx
+
+
+def random_problem(seed, size=8, count=40):
+    """A solvable problem of some degrees of freedom and rows, six of them equalities."""
     draw = np.random.default_rng(seed)
-    root = draw.normal(size=(8, 8))
-    rows = solver.Rows(*(jnp.asarray(part, jnp.float32) for part in (
-        draw.normal(size=(40, 8)), draw.uniform(10, 500, 40), draw.normal(size=40) * 50)), jnp.arange(40) < 6)
-    return jnp.asarray(root @ root.T + np.eye(8), jnp.float32), jnp.asarray(draw.normal(size=8) * 10, jnp.float32), rows
+    root = draw.normal(size=(size, size))
+    rows = solver.ConstraintRows(*(jnp.asarray(part, jnp.float32) for part in (
+        draw.normal(size=(count, size)).T, draw.uniform(10, 500, count), draw.normal(size=count) * 50)))
+    return jnp.asarray(root @ root.T + np.eye(size), jnp.float32), jnp.asarray(draw.normal(size=size) * 10, jnp.float32), rows
+
+
+def solved(inertia, force, rows, steps):
+    """The acceleration of least cost from rest, without damping, and M^-1 (force + constraint force)."""
+    return solver.solve(inertia, np.zeros(len(force), np.float32), force, rows, jnp.zeros(len(force)), steps)
 
 
 @pytest.mark.long
@@ -139,23 +154,46 @@ def test_four_newton_steps_reach_the_minimum():
     for seed in range(20):
         inertia, force, rows = random_problem(seed)
         cost = cost_of(inertia, force, rows)
-        least = cost(solver.solve(inertia, force, rows, jnp.zeros(8), 40)[0])
+        least = cost(solved(inertia, force, rows, 40)[0])
         for steps, values in shortfall.items():
-            values.append((cost(solver.solve(inertia, force, rows, jnp.zeros(8), steps)[0]) - least) / abs(least))
+            values.append((cost(solved(inertia, force, rows, steps)[0]) - least) / abs(least))
     assert max(shortfall[4]) < 1e-3 < max(shortfall[1])
 
 
 def test_gradient_vanishes_at_the_minimum():
     """M a = force + constraint force where the cost is least."""
     inertia, force, rows = random_problem(3)
-    acceleration, constraint_force = solver.solve(inertia, force, rows, jnp.zeros(8), 12)
-    np.testing.assert_allclose(inertia @ acceleration, force + constraint_force, atol=0.02 * np.abs(constraint_force).max())
+    acceleration, free = solved(inertia, force, rows, 12)
+    np.testing.assert_allclose(acceleration, free, atol=0.02 * np.abs(acceleration).max())
 
 
-def test_cholesky_solve():
-    """The factorisation that is written out solves what a library's does."""
+def test_damping_is_taken_implicitly():
+    """The second acceleration is that of M + damping under the same forces, in float64 by numpy."""
+    inertia, force, rows = random_problem(4)
+    damping = np.linspace(0.5, 2.0, 8, dtype=np.float32)
+    acceleration, damped = solver.solve(inertia, damping, force, rows, jnp.zeros(8), 12)
+    forces = np.array(inertia, float) @ np.array(acceleration, float)  # At the minimum all forces together.
+    np.testing.assert_allclose(damped, np.linalg.solve(np.array(inertia, float) + np.diag(damping), forces), atol=0.02 * np.abs(damped).max())
+
+
+@pytest.mark.parametrize(("size", "count", "steps"), [(7, 38, 1), (7, 38, 4), (18, 143, 4)])
+def test_the_kernel_finds_what_plain_operations_find(size, count, steps):
+    """For the smallest and the largest problem of a Fetch task; the kernel runs as plain operations here."""
+    inertia, force, rows = random_problem(5, size, count)
+    damping, start = jnp.linspace(0.1, 1.0, size), jnp.linspace(-1.0, 1.0, size)
+    problem = (inertia, damping, force, rows.jacobian, rows.stiffness, rows.reference, start)
+    plain = solver.solve_anywhere(*problem, steps=steps)
+    kernel = newton_kernel.solve(*problem, lengths=solver.TRIAL_LENGTHS, equalities=solver.EQUALITIES, steps=steps, interpret=True)
+    np.testing.assert_allclose(kernel[0], plain[0], atol=1e-3 * np.abs(plain[0]).max())
+    np.testing.assert_allclose(kernel[1], plain[1], atol=0.02 * np.abs(plain[1]).max())  # Forces of rows that nearly cancel.
+
+
+def test_elimination_solves_what_a_library_solves():
+    """Gauss-Jordan elimination of the leading part of a padded matrix."""
     inertia, force, _ = random_problem(1)
-    np.testing.assert_allclose(solver.cholesky_solve(solver.cholesky(inertia), force), np.linalg.solve(np.array(inertia, float), force), rtol=2e-3)
+    padded, vector = jnp.pad(inertia, (0, 8)), jnp.pad(force, (0, 8))
+    solution = newton_kernel.positive_definite_solve(padded, vector, 8)
+    np.testing.assert_allclose(solution[:8], np.linalg.solve(np.array(inertia, float), force), rtol=2e-3)
 
 
 UPRIGHT = np.eye(3)
@@ -164,7 +202,14 @@ TABLE = contacts.block(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], np.float32
 
 def cube(center, rotation=UPRIGHT):
     """A cube with edges of 0.2 m."""
-    return contacts.Box(jnp.asarray(center, jnp.float32), jnp.asarray(rotation, jnp.float32), jnp.full(3, 0.1))
+    half = Vector.of(jnp.full((1, 3), 0.1))
+    return contacts.Box(Vector.of(jnp.asarray(center, jnp.float32)[None]), Rotation.of(jnp.asarray(rotation, jnp.float32)[None]), half)
+
+
+def on_ground(box):
+    """Contacts of the box with the table or the floor."""
+    ground, handicap = contacts.ground_under(TABLE, box)
+    return contacts.box_on_box(ground, box, handicap)
 
 
 def turn(axis, angle):
@@ -177,28 +222,28 @@ def turn(axis, angle):
 
 def test_a_cube_rests_on_the_table_with_its_corners():
     """Four points, 1 mm deep, below the cube's corners; the normal points up, from the table to the cube."""
-    found = contacts.box_on_ground(TABLE, cube([0.3, 0.2, 1.099]))
+    found = on_ground(cube([0.3, 0.2, 1.099]))
     np.testing.assert_allclose(found.distance, -0.001, atol=1e-6)
-    places = sorted(map(tuple, np.array(found.position)[:, :2].round(3).astype(float).round(3).tolist()))
+    places = sorted(map(tuple, np.array(found.position.array)[:, :2].round(3).astype(float).round(3).tolist()))
     assert places == [(0.2, 0.1), (0.2, 0.3), (0.4, 0.1), (0.4, 0.3)]
-    np.testing.assert_allclose(found.frame[:, 0], np.tile([0, 0, 1], (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(found.normal.array, np.tile([0, 0, 1], (4, 1)), atol=1e-6)
 
 
 def test_a_cube_over_the_edge_is_held_as_far_as_the_table_reaches():
     """The outer points lie on the table's edge, so that the cube tips over it once its center is beyond."""
-    found = contacts.box_on_ground(TABLE, cube([0.97, 0.0, 1.099]))
+    found = on_ground(cube([0.97, 0.0, 1.099]))
     np.testing.assert_allclose(found.distance, -0.001, atol=1e-6)
-    np.testing.assert_allclose(np.sort(np.array(found.position)[:, 0]), [0.87, 0.87, 1.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(np.sort(np.array(found.position.x)), [0.87, 0.87, 1.0, 1.0], atol=1e-6)
 
 
 def test_a_cube_beside_the_table_meets_its_side_and_then_the_floor():
     """A box that leans against the side gets a sideways normal; one that has fallen meets the floor, one in mid-air nothing."""
-    beside = contacts.box_on_ground(TABLE, cube([1.099, 0.0, 0.7]))
-    np.testing.assert_allclose(beside.frame[:, 0], np.tile([1, 0, 0], (4, 1)), atol=1e-6)
+    beside = on_ground(cube([1.099, 0.0, 0.7]))
+    np.testing.assert_allclose(beside.normal.array, np.tile([1, 0, 0], (4, 1)), atol=1e-6)
     np.testing.assert_allclose(beside.distance, -0.001, atol=1e-6)
-    fallen = contacts.box_on_ground(TABLE, cube([1.5, 0.0, 0.1]))
+    fallen = on_ground(cube([1.5, 0.0, 0.1]))
     np.testing.assert_allclose(fallen.distance, 0.0, atol=1e-6)
-    assert (contacts.box_on_ground(TABLE, cube([1.5, 0.0, 0.7])).distance > 0.1).all()
+    assert (on_ground(cube([1.5, 0.0, 0.7])).distance > 0.1).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -220,22 +265,25 @@ def test_boxes_face_to_face_have_mujocos_depth_and_normal(seed):
     mujoco.mju_mat2Quat(quaternion, tilt.ravel())
     data.qpos[:] = np.concatenate([offset, quaternion])
     mujoco.mj_forward(compiled, data)
-    found = contacts.box_on_box(cube([0, 0, 0]), cube(offset, tilt))
+    nothing = Vector.of(jnp.zeros((1, 3)))
+    found = contacts.box_on_box(cube([0, 0, 0]), cube(offset, tilt), nothing)
     assert data.ncon >= 1
     np.testing.assert_allclose(found.distance.min(), min(contact.dist for contact in data.contact), atol=2e-4)
-    np.testing.assert_allclose(found.frame[0, 0], data.contact[0].frame[:3], atol=0.02)
-    flipped = contacts.box_on_box(cube(offset, tilt), cube([0, 0, 0]))
-    np.testing.assert_allclose(flipped.frame[0, 0], -found.frame[0, 0], atol=1e-6)
+    np.testing.assert_allclose(found.normal.array[0], data.contact[0].frame[:3], atol=0.02)
+    first, second = (tangent.array[0] for tangent in contacts.tangents(found.normal))
+    np.testing.assert_allclose([first, second], np.array(data.contact[0].frame[3:]).reshape(2, 3), atol=0.02)
+    flipped = contacts.box_on_box(cube(offset, tilt), cube([0, 0, 0]), nothing)
+    np.testing.assert_allclose(flipped.normal.array[0], -found.normal.array[0], atol=1e-6)
 
 
 def test_capsules_touch_where_mujoco_says():
     """Distance, point and normal of two crossing capsules."""
-    first = contacts.Capsule(jnp.array([0.0, 0.0, 0.0]), jnp.array([0.3, 0.0, 0.0]), 0.05)
-    second = contacts.Capsule(jnp.array([0.1, 0.0, 0.12]), jnp.array([0.0, 0.2, 0.0]), 0.04)
+    first = contacts.Capsule(Vector.of(jnp.array([[0.0, 0.0, 0.0]])), Vector.of(jnp.array([[0.3, 0.0, 0.0]])), 0.05)
+    second = contacts.Capsule(Vector.of(jnp.array([[0.1, 0.0, 0.12]])), Vector.of(jnp.array([[0.0, 0.2, 0.0]])), 0.04)
     found = contacts.capsule_on_capsule(first, second)
     np.testing.assert_allclose(found.distance, [0.03], atol=1e-6)
-    np.testing.assert_allclose(found.frame[0, 0], [0, 0, 1], atol=1e-6)
-    np.testing.assert_allclose(found.position[0], [0.1, 0.0, 0.065], atol=1e-6)
+    np.testing.assert_allclose(found.normal.array[0], [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(found.position.array[0], [0.1, 0.0, 0.065], atol=1e-6)
 
 
 def test_a_weld_of_longer_steps_moves_as_far():

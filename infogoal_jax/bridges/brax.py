@@ -22,12 +22,12 @@ with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
     from brax.envs.base import Env, State
     from brax.io import html, mjcf
     from brax.io import json as brax_json
-    from mujoco import mjx
 
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.environment import FetchState, make
-from infogoal_jax.envs.fetch.physics import Physics, shallow_fusions
+from infogoal_jax.envs.fetch.physics import Physics
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.fetch.vectors import Vector
 from infogoal_jax.errors import require
 from infogoal_jax.report.fetch_scene import ARM, GOAL, GOAL_RADIUS
 
@@ -68,12 +68,23 @@ class FetchPipelineState:
 def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
     """Where the links are and how they move, for any leading axes."""
 
+    physics = state.physics
+    body_of_joint = physics.mujoco_model.jnt_bodyid
+
     def one(position, velocity):
-        with shallow_fusions():
-            data = mjx.com_vel(state.physics.model, state.physics.kinematics(position, velocity))
-        turning, moving = data.cvel[1:, :3], data.cvel[1:, 3:]  # Taken at the centre of mass of the whole tree.
-        center = data.subtree_com[jnp.asarray(state.physics.mujoco_model.body_rootid)[1:]]
-        return Transform(pos=data.xpos[1:], rot=data.xquat[1:]), Motion(ang=turning, vel=moving + jnp.cross(turning, data.xpos[1:] - center))
+        frames, thing = physics.multibody.frames(position), physics.thing_at(position)
+        axes = physics.multibody.axes(frames)
+        turning, moving, *_ = physics.multibody.rates(axes.angular, axes.linear, velocity[: physics.joints])
+        moving = moving + turning.cross(frames.position - physics.multibody.origin)
+        parts = [frames.position.array, frames.quaternion.array, turning.array, moving.array]
+        if thing is not None:
+            spin = thing.rotation @ Vector.of(velocity[None, -3:])
+            own = (thing.center.array, position[None, -4:], spin.array, velocity[None, -6:-3])
+            parts = [jnp.concatenate(both) for both in zip(parts, own, strict=True)]
+        # Bodies without a joint, such as the one that drives the gripper, stand where the model has them.
+        still = physics.mujoco_model.body_pos, physics.mujoco_model.body_quat, *np.zeros((2, physics.mujoco_model.nbody, 3))
+        pos, rot, ang, vel = (jnp.asarray(rest, jnp.float32).at[body_of_joint].set(part)[1:] for rest, part in zip(still, parts, strict=True))
+        return Transform(pos=pos, rot=rot), Motion(ang=ang, vel=vel)
 
     for _ in range(state.q.ndim - 1):
         one = jax.vmap(one)
@@ -133,7 +144,7 @@ class FetchBrax(Env):
 
     @property
     def backend(self) -> str:
-        """The physics is MJX's."""
+        """What brax calls the physics: its model and formulas are MuJoCo's, as in MJX."""
         return "mjx"
 
     @property

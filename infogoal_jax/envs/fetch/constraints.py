@@ -17,6 +17,7 @@ from infogoal_jax.envs.fetch.contacts import Contacts, tangents
 from infogoal_jax.envs.fetch.multibody import Axes, once
 from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined
 
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
     """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5 numbers, the last two 0.5 and 2);
@@ -53,7 +54,8 @@ class RowKinds:
         return self.smallest + risen * (self.largest - self.smallest)
 
     def rows(self, jacobian: jax.Array, velocity: jax.Array, violation: jax.Array, measure: jax.Array, active: jax.Array) -> solver.ConstraintRows:
-        """Rows of these kinds. jacobian [nv, R], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by; active: bool [R]."""
+        """Rows of these kinds. jacobian [nv, R], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by; active: bool
+        [R]."""
         impedance = self.impedance(measure)
         regularisation = jnp.maximum(self.inverse_weight * (1 - impedance) / impedance, 1e-15)
         reference = -self.damping * solver.times(jacobian.T, velocity) - self.stiffness * impedance * violation

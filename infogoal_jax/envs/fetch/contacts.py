@@ -57,7 +57,8 @@ FLOOR = block(np.float32([[-100, -100, -20], [100, 100, 0]]))
 
 
 def box_on_box(first: Box, second: Box, handicap: Vector) -> Contacts:
-    """Four contacts of each of P pairs of boxes, on the face of either box that separates the two most: arrays [4 P], the pairs' first contacts first.
+    """Four contacts of each of P pairs of boxes, on the face of either box that separates the two most: arrays [4 P], first those of all pairs' first
+    corners.
 
     handicap: taken from the separation (m) along the first box's axes, to keep some of its faces out (or, if negative, in).
     """
@@ -140,7 +141,8 @@ def table_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
 
 
 def ground_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
-    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor, which has an upper face only."""
+    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor, which has an upper face
+    only."""
     above, handicap = table_under(table, boxes)
     fallen = boxes.center.z < 0.5 * table.half.z
     nothing = jnp.zeros_like(handicap.z)

@@ -1,8 +1,8 @@
 """Rigid-body dynamics of one robot and its object: kinematics, inertia matrix and bias forces, for a tree that is known when it is traced.
 
-The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler). `mjx.kinematics`, `mjx.crb` and
-`mjx.rne` compute the same by a walk over the bodies, one level after the other; here all bodies are worked out side by side, and sums along the tree are
-products with constant matrices: a twentieth of the operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo.
+The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler). `mjx.kinematics`, `mjx.crb`
+and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here all bodies are worked out side by side, and sums along the
+tree are products with constant matrices: a twelfth of the operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo and MJX.
 
 Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of several bodies may be added.
 """
@@ -30,7 +30,8 @@ class Frames:
 
 @flax.struct.dataclass
 class Axes:
-    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin moves by `linear`, arrays [nv]."""
+    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin moves by `linear`, arrays
+    [nv]."""
 
     angular: Vector
     linear: Vector
@@ -103,7 +104,8 @@ class Multibody:
         return Axes(axis * self.hinge, axis.cross(self.origin - frames.position) * self.hinge + axis * (1 - self.hinge))
 
     def thing_axes(self, thing) -> Axes:
-        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its degrees of freedom: along the world's axes, about its own."""
+        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its six degrees of freedom: along the world's axes, and
+        about its own."""
         turns = Vector.of(thing.rotation.array[0].T)
         return Axes(joined(NONE, turns), joined(STRAIGHT, turns.cross(self.origin - thing.center)))
 
@@ -121,7 +123,8 @@ class Multibody:
 
         far = moment.dot(lever)
         return Inertia(
-            self.mass, moment, second("x", "x") + far, second("y", "y") + far, second("z", "z") + far, second("x", "y"), second("x", "z"), second("y", "z")
+            self.mass, moment, second("x", "x") + far, second("y", "y") + far, second("z", "z") + far,
+            second("x", "y"), second("x", "z"), second("y", "z"),
         )
 
     def inertia_matrix(self, inertia: Inertia, turn: Vector, move: Vector) -> jax.Array:

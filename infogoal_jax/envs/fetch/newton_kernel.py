@@ -1,8 +1,8 @@
 """The solver of solver.py as one kernel for NVIDIA GPUs: a warp for each robot, whose rows stay on the chip for all Newton steps.
 
-In XLA's own operations every product of a step goes through memory, and the factorisation of a 15 x 15 matrix is either a library call for each robot or
-thousands of operations to compile. It is written in Pallas for Triton, so sizes are powers of 2: extra degrees of freedom stay at rest, extra rows have
-no stiffness. `solver.solve_anywhere` says the same in plain operations and is what this is tested against.
+In XLA's own operations every product of a step goes through memory, and the factorisation of a 15 x 15 matrix is either a library call for each robot
+or thousands of operations to compile. It is written in Pallas for Triton, so sizes are powers of 2: extra degrees of freedom stay at rest, extra rows
+have no stiffness. `solver.solve_anywhere` says the same in plain operations and is what this is tested against.
 """
 
 import functools

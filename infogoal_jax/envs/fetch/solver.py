@@ -4,8 +4,8 @@ The problem is MuJoCo's own (its documentation, Computation: primal problem, pyr
 
     1/2 (a - a_free)' M (a - a_free)  +  1/2 sum over rows of D (J a - reference)^2, where a row counts if it is an equality or J a < reference.
 
-`mjx.solve` finds the same minimum. This solver is for 7 to 18 degrees of freedom and about 100 rows, without a convergence test, so that a batch runs in
-lock-step. On an NVIDIA GPU the same steps run in a kernel that keeps a robot's rows on the chip (newton_kernel.py).
+`mjx.solve` finds the same minimum. This solver is for 7 to 18 degrees of freedom and about 100 rows, without a convergence test, so that a batch runs
+in lock-step. On an NVIDIA GPU the same steps run in a kernel that keeps a robot's rows on the chip (newton_kernel.py).
 """
 
 import functools

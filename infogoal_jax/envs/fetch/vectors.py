@@ -1,13 +1,12 @@
 """Vectors, rotations and quaternions by their components, each an array over bodies, contacts or whatever there are several of.
 
-Every operation is one on whole arrays, without an axis of length 3 or 4: XLA compiles and runs these several times faster than products and sums along
-so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
+Every operation is one on whole arrays, without an axis of length 3 or 4: XLA compiles and runs these several times faster than products and sums
+along so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
 """
 
 import flax.struct
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 
 @flax.struct.dataclass

@@ -1,0 +1,114 @@
+"""The robot's own kinematics and dynamics against MuJoCo's engine in C, and what keeps the programs made of them small."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from infogoal_jax.envs import load
+from infogoal_jax.envs.fetch import model, physics
+from infogoal_jax.envs.fetch.environment import LATE
+from infogoal_jax.envs.fetch.tasks import TASKS
+from infogoal_jax.train.program_size import operations
+
+CASES = [("fetch_reach", model.FAST), ("fetch_reach", model.FAITHFUL), ("fetch_pick_and_place", model.FAITHFUL), ("fetch_slide", model.FAST)]
+"""The fewest joints, the trunk's branch, fingers and a cube, and a puck, whose inertia differs between axes."""
+
+
+@pytest.fixture(scope="module", params=CASES, ids=lambda case: f"{case[0]}-{case[1].substeps}")
+def compared(request):
+    """Our results and MuJoCo's data for eight drawn positions and velocities of a task."""
+    name, setting = request.param
+    ours, draw = physics.load(TASKS[name], setting), np.random.default_rng(0)
+    mj = ours.mujoco_model
+
+    @jax.jit
+    def work_out(position, velocity):
+        motion = ours.motion(position, velocity)
+        return motion.frames, ours.multibody.dynamics(motion.frames, ours.thing_at(position), position, velocity)
+
+    results = []
+    for _ in range(8):
+        position, velocity = mj.qpos0 + draw.uniform(-0.8, 0.8, mj.nq), draw.normal(size=mj.nv)
+        if ours.has_object:
+            position[-7:-4] = draw.normal([1.3, 0.7, 0.5], 0.1)
+            position[-4:] /= np.linalg.norm(position[-4:])
+        data = mujoco.MjData(mj)
+        data.qpos[:], data.qvel[:] = position.astype(np.float32), velocity.astype(np.float32)
+        mujoco.mj_forward(mj, data)
+        results.append((data, *work_out(jnp.asarray(position, jnp.float32), jnp.asarray(velocity, jnp.float32))))
+    return ours, results
+
+
+def test_bodies_are_where_mujoco_puts_them(compared):
+    """Positions within 2 micrometres, quaternions with MuJoCo's sign, rotations."""
+    ours, results = compared
+    bodies = ours.mujoco_model.jnt_bodyid[: ours.joints]
+    for data, frames, _ in results:
+        np.testing.assert_allclose(frames.position.array, data.xpos[bodies], atol=2e-6)
+        np.testing.assert_allclose(frames.quaternion.array, data.xquat[bodies], atol=2e-6)
+        np.testing.assert_allclose(frames.rotation.array, data.xmat[bodies].reshape(-1, 3, 3), atol=2e-6)
+
+
+def test_inertia_and_forces_are_mujocos(compared):
+    """The inertia matrix, and passive less bias forces: stiffness, damping, gravity, Coriolis and the puck's gyration."""
+    ours, results = compared
+    for data, _, (_, inertia, force) in results:
+        theirs = np.zeros((data.qvel.size, data.qvel.size))
+        mujoco.mj_fullM(ours.mujoco_model, data, theirs)
+        np.testing.assert_allclose(inertia, theirs, atol=5e-5)
+        expected = data.qfrc_passive - data.qfrc_bias
+        np.testing.assert_allclose(force, expected, atol=1e-3, rtol=1e-6)
+
+
+def test_axes_are_the_jacobian_of_every_point(compared):
+    """Linear velocity of the grip under each joint, as MuJoCo's Jacobian has it."""
+    ours, results = compared
+    for data, _, (axes, _, _) in results:
+        theirs, turning = np.zeros((2, 3, data.qvel.size))
+        mujoco.mj_jacSite(ours.mujoco_model, data, theirs, turning, ours.mujoco_model.site("grip").id)
+        lever = data.site("grip").xpos - np.array(ours.multibody.origin.array)
+        moves = np.array(axes.linear.array) + np.cross(np.array(axes.angular.array), lever)
+        on_chain = np.abs(theirs).sum(0) + np.abs(turning).sum(0) > 0
+        np.testing.assert_allclose(moves[on_chain], theirs.T[on_chain], atol=5e-6)
+
+
+@pytest.mark.parametrize("task", ["fetch_reach", "fetch_pick_and_place"])
+def test_the_start_needs_no_kinematics_and_is_what_kinematics_gives(task):
+    """Where bodies are at the start of an episode are constants: those of the start's joint positions."""
+    ours = physics.load(TASKS[task], model.FAITHFUL)
+    for constant, worked_out in zip(jax.tree.leaves(ours.start_frames), jax.tree.leaves(ours.multibody.frames(ours.start().position)), strict=True):
+        np.testing.assert_allclose(constant, worked_out, atol=1e-6)
+
+
+def test_a_late_pose_is_the_pose_of_the_time_before():
+    """The pose 2 ms ago, worked out from velocities and accelerations, is where 2 ms of the same velocities come from, within a micrometre."""
+    ours = physics.load(TASKS["fetch_pick_and_place"], model.FAST)
+    start, draw = ours.start(), np.random.default_rng(1)
+    velocity = jnp.asarray(draw.normal(size=start.velocity.shape), jnp.float32)
+    now = ours.motion(physics.integrate(start.position, velocity, LATE), velocity)
+    late, before = ours.pose(now, LATE), ours.pose(start.replace(velocity=velocity), 0.0)
+    assert np.abs(ours.pose(now, 0.0).grip - before.grip).max() > 1e-4
+    for name in ("gripper", "grip", "thing", "grip_velocity"):
+        np.testing.assert_allclose(getattr(late, name), getattr(before, name), atol=3e-6 if name != "grip_velocity" else 1e-4, err_msg=name)
+    np.testing.assert_allclose(late.gripper_quaternion, before.gripper_quaternion, atol=5e-6)
+
+
+def test_closed_fingers_are_where_kinematics_puts_them():
+    """Setting both fingers to closed moves their bodies too."""
+    ours = physics.load(TASKS["fetch_push"], model.FAITHFUL)
+    position = ours.start().position.at[ours.fingers].set(jnp.array([0.004, 0.002]))
+    closed = ours.closed(ours.motion(position, ours.start().velocity))
+    np.testing.assert_array_equal(closed.position[ours.fingers], 0.0)
+    for moved, worked_out in zip(jax.tree.leaves(closed.frames), jax.tree.leaves(ours.multibody.frames(closed.position)), strict=True):
+        np.testing.assert_allclose(moved, worked_out, atol=1e-6)
+
+
+@pytest.mark.parametrize(("task", "step", "reset"), [("fetch_reach", 3200, 500), ("fetch_push", 3700, 700), ("fetch_pick_and_place", 3900, 700)])
+def test_the_programs_stay_small(task, step, reset):
+    """Operations of a control step and of a reset: a step had 19,000 to 27,500 of them, and took minutes to compile."""
+    env = load(task)
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    assert operations(jax.make_jaxpr(env.reset)(jax.random.key(0))) < reset
+    assert operations(jax.make_jaxpr(env.step)(state, jnp.zeros(4))) < step
