@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from machine import describe_machine
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import compiler_options, make_train, presets
 from infogoal_jax.presets import TASKS
 from infogoal_jax.train.program_size import operations
 
@@ -29,7 +29,7 @@ def measure(task: str, method: str, num_seeds: int) -> tuple[int, float, float, 
     after_trace = time.perf_counter()
     lowered = traced.lower()
     after_lower = time.perf_counter()
-    lowered.compile()
+    lowered.compile(compiler_options=compiler_options())
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)
     return operations(traced.jaxpr), *seconds
 

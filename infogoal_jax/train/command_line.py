@@ -15,8 +15,9 @@ import tyro
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.train.compilation import use_compilation_cache
 from infogoal_jax.train.data_commands import DATA_COMMANDS
-from infogoal_jax.train.run_commands import RUN_COMMANDS, use_compilation_cache
+from infogoal_jax.train.run_commands import RUN_COMMANDS
 
 USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in JAX
 

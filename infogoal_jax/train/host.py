@@ -19,6 +19,7 @@ import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.train import checkpoint, files
+from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.program import Train, make_train
 
 MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
@@ -256,11 +257,12 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
     started = time.perf_counter()
     shared = jax.device_put((config.hyper, train.env), everywhere)
     if states is None:
-        states = jax.jit(over_seeds(train.initial, len(seeds), at_once, mesh), out_shardings=by_seed)(jax.device_put(keys, by_seed), *shared)
+        initial = jax.jit(over_seeds(train.initial, len(seeds), at_once, mesh), out_shardings=by_seed, compiler_options=compiler_options())
+        states = initial(jax.device_put(keys, by_seed), *shared)
 
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        chunk = jax.jit(chunk_over_seeds(train.chunk, len(seeds), at_once, mesh), donate_argnums=0)
+        chunk = jax.jit(chunk_over_seeds(train.chunk, len(seeds), at_once, mesh), donate_argnums=0, compiler_options=compiler_options())
         compiled = chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())

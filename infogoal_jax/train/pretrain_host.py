@@ -25,6 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 import infogoal_jax
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.train import files, low_level_file
+from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.host import stop_on_signal
 from infogoal_jax.train.pretrain import COLLECT, EVALUATE, Pretrain, PretrainConfig, PretrainState, make_pretrain, numbered
 
@@ -83,9 +84,10 @@ def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
 
 def compiled_functions(program: Pretrain, states: PretrainState, hyper: Any):
     """`run` and `learn` over all seeds, compiled side by side; and `policy`. The robot is simulated by one program, in training and evaluation."""
-    policy = jax.jit(jax.vmap(program.policy))
-    run = jax.jit(jax.vmap(program.run, in_axes=(0, 0, None, None)))
-    learn = jax.jit(jax.vmap(program.learn, in_axes=(0, 0, None, None)), donate_argnums=0)
+    options = compiler_options()
+    policy = jax.jit(jax.vmap(program.policy), compiler_options=options)
+    run = jax.jit(jax.vmap(program.run, in_axes=(0, 0, None, None)), compiler_options=options)
+    learn = jax.jit(jax.vmap(program.learn, in_axes=(0, 0, None, None)), donate_argnums=0, compiler_options=options)
     low_levels = jax.eval_shape(policy, states)
     rows = jax.eval_shape(run, low_levels, states.key, jnp.bool(True), hyper)[0]
     with ThreadPoolExecutor() as pool:

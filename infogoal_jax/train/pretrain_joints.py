@@ -21,6 +21,7 @@ from infogoal_jax.angles import wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulation, ObjectManipulationConfig, make
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.train import files, low_level_file
+from infogoal_jax.train.compilation import compiler_options
 
 NEAR, FARTHEST = jnp.pi / 4, jnp.pi / 2
 """Target states lie up to this far from each joint when measured, as HRAC's subgoals do, and when trained (radians)."""
@@ -141,7 +142,7 @@ def pretrain(config: JointPretrainConfig, command: str = "") -> dict[str, Any]:
     require(env.joints.shape[1] > 0, "env.dataset", config.env.dataset, "tells no joint angles: import it with columns joint_NAME")
     files.make_folder(folder)
     key, started = jax.random.key(config.seed), time.perf_counter()
-    low_level, curve = jax.block_until_ready(jax.jit(lambda env, key: learn(config, env, key))(env, key))
+    low_level, curve = jax.block_until_ready(jax.jit(lambda env, key: learn(config, env, key), compiler_options=compiler_options())(env, key))
     seconds = time.perf_counter() - started
     found = jax.device_get(jax.jit(lambda low_level, env: measure(low_level, env, jax.random.fold_in(key, 1)))(low_level, env))
     header = {

@@ -8,18 +8,7 @@ import tyro
 
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
-
-
-def use_compilation_cache() -> None:
-    """Keep compiled programs on disk between runs, under $XDG_CACHE_HOME or ~/.cache. Only the command line does this, never an import."""
-    import jax
-
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal" / "jax"
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # A home that cannot be written to costs the cache, nothing else.
-    jax.config.update("jax_compilation_cache_dir", str(cache))
+from infogoal_jax.train.compilation import use_compilation_cache
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,6 +22,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
+from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.hierarchy import Steered
 from infogoal_jax.train.program import Train, TrainState, make_train
 
@@ -261,8 +262,9 @@ def side_by_side(train: Train, group: str, trials: Sequence[Trial], seeds: Seque
     starts = jax.device_put((keys, batched_hyper(config.hyper, [trial.values for trial in trials], len(seeds))), by_lane)
     shared, numbers = jax.device_put(train.env, everywhere), jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     initial, chunk = lane_programs(train, group)
-    lanes = jax.jit(host.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane)(starts, shared)
-    compiled = jax.jit(host.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile()
+    options = compiler_options()
+    lanes = jax.jit(host.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane, compiler_options=options)(starts, shared)
+    compiled = jax.jit(host.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile(options)
     result = TuneResult(config, group, tuple(trials[0].values), list(seeds), [], list(trials), time.perf_counter() - started, 0.0,
                         host.describe(config, train.env, list(seeds)))
     for evaluation in range(config.num_evaluations):

@@ -1,0 +1,62 @@
+"""Compiling: programs that stay small, options that leave the user's own alone, and a cache that works across processes and is nobody's surprise."""
+
+import os
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from infogoal_jax import compiler_options, make_train, presets, use_compilation_cache
+from infogoal_jax.train.program_size import operations
+
+COUNT_HITS = """
+import sys
+import jax
+import infogoal_jax
+
+assert jax.config.jax_compilation_cache_dir is None, "an import has set the cache"
+infogoal_jax.use_compilation_cache(sys.argv[1])
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("cache_hits") else None)
+jax.jit(lambda x: jax.lax.fori_loop(0, 10, lambda _, y: jax.numpy.linalg.qr(y)[0] @ x, x), compiler_options=infogoal_jax.compiler_options())(
+    jax.numpy.ones((8, 8)))
+print(len(hits))
+"""
+
+
+def cache_hits(folder) -> int:
+    """Programs that a new process, which compiles the same few, finds in the cache."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_") and name != "XLA_FLAGS"}
+    command = [sys.executable, "-c", COUNT_HITS, str(folder)]
+    done = subprocess.run(command, env=environment | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+def test_a_second_process_finds_what_the_first_compiled(tmp_path):
+    assert cache_hits(tmp_path / "cache") == 0
+    assert cache_hits(tmp_path / "cache") > 0
+
+
+def test_a_folder_that_cannot_be_made_costs_the_cache_and_nothing_else(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    before = jax.config.jax_compilation_cache_dir
+    assert use_compilation_cache(tmp_path / "file" / "cache") is None
+    assert jax.config.jax_compilation_cache_dir == before
+
+
+def test_options_that_the_user_has_set_are_left_alone(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    assert compiler_options() == {"xla_backend_optimization_level": 1}
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
+    assert compiler_options() == {}
+
+
+@pytest.mark.parametrize(("task", "most"), [("object_search", 4_000), ("fetch_reach", 14_500), ("fetch_pick_and_place", 18_000)])
+def test_training_programs_stay_small(task, most):
+    """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had 81,663."""
+    config = presets.load(task)
+    train = make_train(config)
+    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
+    assert operations(jax.make_jaxpr(train.chunk)(state, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)) < most
