@@ -100,9 +100,9 @@ def test_comparing_three_is_better_than_chance(similarity):
         return (float(weights[chosen].sum()) if similarity == "nearest" else coverage(dense, chosen)) - float(cost[chosen].sum())
 
     by_chance = [objective(random.permutation(64)[:32]) for _ in range(50)]
+    pick = jax.jit(lambda places: cher.pick_nearest(weights, cost, places) if similarity == "nearest" else cher.pick_dense(dense, cost, places))
     for seed in range(5):
-        places = cher.draw_places(jax.random.key(seed), 64, 32)
-        chosen = cher.pick_nearest(weights, cost, places) if similarity == "nearest" else cher.pick_dense(dense, cost, places)
+        chosen = pick(cher.draw_places(jax.random.key(seed), 64, 32))
         assert len(set(np.asarray(chosen).tolist())) == 32
         assert objective(chosen) > np.mean(by_chance) + 2 * np.std(by_chance)
 
@@ -140,8 +140,8 @@ def choice(config, scale: float = 1.0, updates: int = 0):
 @pytest.mark.parametrize("similarity", ["nearest", "dense"])
 def test_half_is_chosen_diverse_at_first_and_near_in_the_end(similarity):
     """Half of the candidates, each once. After many updates they lie much nearer to what was achieved than by cover alone, and cover less."""
-    diverse, distance, cover = choice(cher.CHERConfig(similarity=similarity, proximity_weight=0.0))
-    near, _, _ = choice(cher.CHERConfig(similarity=similarity), updates=50_000)
+    diverse, distance, cover = map(np.asarray, choice(cher.CHERConfig(similarity=similarity, proximity_weight=0.0)))
+    near = np.asarray(choice(cher.CHERConfig(similarity=similarity), updates=50_000)[0])
     for chosen in (diverse, near):
         assert len(chosen) == 64 == len(set(chosen.tolist())) and chosen.min() >= 0 and chosen.max() < 128
     assert distance[near].mean() < 0.8 * min(distance[diverse].mean(), distance.mean())
@@ -161,7 +161,7 @@ def test_many_updates_draw_side_by_side_what_each_draws_alone():
     places = jax.vmap(lambda key: cher.draw_places(key, 32, 16))(jax.random.split(jax.random.key(0), 5))
     together = jax.jit(jax.vmap(cher.pick_nearest))(weights, cost, places)
     for number, chosen in enumerate(together):
-        np.testing.assert_array_equal(chosen, cher.pick_nearest(weights[number], cost[number], places[number]))
+        np.testing.assert_array_equal(chosen, jax.jit(cher.pick_nearest)(weights[number], cost[number], places[number]))
 
 
 @pytest.mark.parametrize("fields", [{"similarity": "nearest_two"}, {"proximity_unit": "m"}, {"proximity_weight": -1.0}, {"proximity_growth": -1e-4}])

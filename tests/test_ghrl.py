@@ -101,7 +101,7 @@ def test_a_goal_that_held_at_the_start_was_not_reached():
 def test_the_environment_says_when_a_goal_was_reached():
     """It may do so before the record is nearest to the goal: here a goal counts as reached from the one before it on."""
     rows = rows_of(np.ones((1, 4)), [[[1], [2], [3], [4], [5]]])
-    table = ghrl.best_goals(context(rows, reached=lambda record, goal: ((record == goal[..., None]) | (record == goal[..., None] - 1)).any(-1)))
+    table = best_goals(rows, reached=lambda record, goal: ((record == goal[..., None]) | (record == goal[..., None] - 1)).any(-1))
     assert table.goal[0, 0] == 3 and (table.hit == 1).all()  # 2 held at the start by this judgement.
 
 

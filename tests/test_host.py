@@ -25,7 +25,7 @@ assert len(jax.devices()) == 2
 epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
 if at_once < 2:
     host.seeds_at_once = lambda *arguments: at_once
-config = hand_made.config(num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
+config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
 seen = []
 sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(lambda progress: seen.extend(progress.epochs),), env=hand_made.environment())
 assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
@@ -36,7 +36,7 @@ assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
 def one_device(tmp_path_factory):
     """Rows of four seeds trained side by side on one device."""
     folder = tmp_path_factory.mktemp("one_device")
-    config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
     host.run(config, [0, 1, 2, 3], folder / "run", env=hand_made.environment())
     return read_losses(folder / "run")
 
@@ -59,7 +59,7 @@ def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
 
 def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_path, monkeypatch):
     monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
-    config = hand_made.config(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
     host.run(config, [0, 1, 2, 3], tmp_path / "run", env=hand_made.environment())
     np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
 
