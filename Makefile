@@ -4,8 +4,9 @@ SEEDS ?= 5
 # Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into compiling, which uses one core.
 PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 20
 # Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not optimise. `make test-long` runs the
-# same tests with programs as users compile them.
+# same tests with programs compiled as the command line does it (infogoal_jax/train/compilation.py).
 COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
+COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv
 READY := $(ENVIRONMENT)/.ready
 
@@ -18,7 +19,7 @@ test: $(READY) lint
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
 
 test-long: $(READY)
-	$(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
+	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check .
