@@ -5,13 +5,9 @@ from pathlib import Path
 
 import jax
 
-OPTIONS = {
-    "cpu": {"xla_backend_optimization_level": 1},
-    "gpu": {"xla_gpu_autotune_level": 0},
-}
-"""Measured on object search and FetchReach (docs/training.md): with LLVM's first level a CPU compiles in two thirds of the time and runs as fast as
-with the third; the level below runs two to four times as long. A GPU compiles object search in three quarters of the time without trying out several
-ways to multiply its small matrices, and runs as fast."""
+OPTIONS = {"cpu": {"xla_backend_optimization_level": 1}}
+"""Measured on object search and FetchReach: with LLVM's first level a CPU compiles in two thirds of the time and runs as fast as with the third; the
+level below runs two to four times as long. On an H200 no option was found that helps."""
 
 
 def compiler_options() -> dict[str, int]:
