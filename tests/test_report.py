@@ -246,7 +246,7 @@ def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_
     text, scores = printed(print_run, reach_run.folder), tables.read(reach_run.folder, "evaluations").last()
     kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
     assert rows_of(text) == [[kind, code] for kind in kinds for code in ("sampled", "mean")]
-    for words in ("48 goals x 1 starts", "background of weight 0.4", "rendered goal images", "stand-in", "MJX physics"):
+    for words in ("48 goals x 1 starts", "background of weight 0.4", "rendered goal images", "stand-in", "MuJoCo physics in JAX"):
         assert words in text
     assert "SPL" not in text and mean_interval(scores["corrupted_test_goal_mean_code/episode_length"]).show(1) in text
 

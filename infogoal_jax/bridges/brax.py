@@ -156,7 +156,7 @@ class FetchBrax(Env):
     def sys(self) -> System:
         """The model as brax's viewer wants it. Its time step is that of the states, 40 ms."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # brax recommends MJX instead of its own physics, which is what runs here.
+            warnings.simplefilter("ignore")  # brax recommends MJX instead of its own physics, neither of which runs here.
             return mjcf.load_model(self.fetch.physics.mujoco_model).tree_replace({"opt.timestep": model.CONTROL_STEP})
 
     def _pipeline(self, fetch: FetchState) -> FetchPipelineState:

@@ -1,4 +1,4 @@
-"""Training the low level of HRAC in MJX: TD3 with hindsight relabelling on target states, as pure functions of a key.
+"""Training the low level of HRAC: TD3 with hindsight relabelling on target states, as pure functions of a key.
 
     epoch = run every environment for one episode, add to the buffer, scan over updates
 

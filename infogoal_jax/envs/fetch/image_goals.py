@@ -177,5 +177,5 @@ def lay_out(robot: environment.Fetch, bank: goal_images.GoalImages, behind: back
         robot=robot, goals=GoalSet.of(bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))),
         positions=jnp.asarray(bank.positions), train_backgrounds=jnp.asarray(behind.train), test_backgrounds=jnp.asarray(behind.test),
         grid_low=jnp.asarray(bank.grid_low, jnp.float32), spacing=jnp.float32(bank.spacing), grid_shape=tuple(int(n) for n in bank.grid_shape),
-        source=f"MJX physics, rendered goal images ({bank.describe()}, content {content}); backgrounds: {behind.source}",
+        source=f"MuJoCo physics in JAX, rendered goal images ({bank.describe()}, content {content}); backgrounds: {behind.source}",
     )

@@ -1,4 +1,4 @@
-"""The Fetch robot as a MuJoCo model for MJX: fetch.xml with the table and object of a task, and the parameters of every contact pair."""
+"""The Fetch robot as a MuJoCo model: fetch.xml with the table and object of a task, and the parameters of every contact pair."""
 
 import dataclasses
 import importlib.metadata
