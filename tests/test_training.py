@@ -138,9 +138,10 @@ def test_learns_the_hand_made_rooms(known_goals):
 
 @pytest.mark.long
 def test_bare_dqn_learns_its_training_goals_only():
+    """On the mean of seeds that differ by some 0.07 from one another."""
     long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
     train = make_train(hand_made.config("none", **long), hand_made.environment())
-    metrics = jax.jit(jax.vmap(train))(jax.random.split(jax.random.key(0), 4)).metrics
+    metrics = jax.jit(jax.vmap(train))(jax.random.split(jax.random.key(0), 16)).metrics
     assert metrics["train_goal/success_rate"][:, -1].mean() >= 0.85
     assert metrics["test_goal/success_rate"][:, -1].mean() < 0.6
 
