@@ -1,6 +1,6 @@
 # `make train` and `make test` do all the set-up. PYTHON names the interpreter that the environment is made from.
 PYTHON ?= python3
-SEEDS ?= 5
+SEEDS ?= 2
 # Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into compiling, which uses one core.
 PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 20
 # Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not optimise. `make test-long` runs the
