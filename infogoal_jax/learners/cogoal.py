@@ -13,7 +13,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.learners import none
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
-from infogoal_jax.learners.learner import Learner, LearnerBatch, Request
+from infogoal_jax.learners.learner import Learner, LearnerBatch, Request, encode_each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ def make(config: CoGoalConfig) -> Learner:
     def loss(params, state, batch: LearnerBatch, hyper, key):
         """Minus the contrastive bound (Eq. 13 of InfoGoal with std = 0 and beta = 0), plus the penalty on the codes' norms."""
         pairs = batch.pairs
-        anchor, positive, negative = (batch.encode(goals).mean for goals in (pairs.anchor, pairs.positive, pairs.negative))
+        anchor, positive, negative = (code.mean for code in encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative))
         log_positive, log_negative = log_score(anchor, positive), log_score(anchor[:, None], negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
         bound = contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf))

@@ -16,7 +16,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.learners import information
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Request, Visited
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Request, Visited, encode_each
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
@@ -100,17 +100,15 @@ def make(config: InfoGoalConfig) -> Learner:
     def loss(params, state, batch: LearnerBatch, hyper, key):
         """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of all codes that took part."""
         pairs = batch.pairs
-        codes = [batch.encode(goals) for goals in (pairs.anchor, pairs.positive, pairs.contrast, pairs.negative)]
-        keys = jax.random.split(key, 4)
-        anchor, positive, contrast, negative = (code.sample(k) for code, k in zip(codes, keys, strict=True))
-        if config.negatives == "anchored":
-            contrast = jnp.broadcast_to(anchor[:, None], negative.shape)
+        independent = (pairs.contrast,) if config.negatives == "independent" else ()
+        codes = encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative, *independent)
+        anchor_key, positive_key, contrast_key, negative_key = jax.random.split(key, 4)
+        anchor, positive, negative = (code.sample(k) for code, k in zip(codes[:3], (anchor_key, positive_key, negative_key), strict=True))
+        contrast = codes[3].sample(contrast_key) if independent else jnp.broadcast_to(anchor[:, None], negative.shape)
         log_positive, log_negative = log_score(params, anchor, positive), log_score(params, contrast, negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
         any_negative = pairs.positive_weight * (pairs.negative_weight.sum(1) > 0)
-        took_part = [(codes[0], pairs.positive_weight), (codes[1], pairs.positive_weight), (codes[3], weights)]
-        if config.negatives == "independent":
-            took_part.append((codes[2], weights))
+        took_part = list(zip(codes, (pairs.positive_weight, pairs.positive_weight, weights, weights), strict=False))
         kl = sum(weighted_mean(kl_to_standard_normal(code), weight) for code, weight in took_part) / len(took_part)
         if config.loss == "nce":
             infomax = -weighted_mean(contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf)), any_negative)
