@@ -23,10 +23,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from infogoal_jax import presets
-from infogoal_jax.data.house import build_house
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import scipy.io
 
-from infogoal_jax.data import active_vision, house, house_layout, house_render
+from infogoal_jax.data import active_vision
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins import house, house_layout, house_render
 
 SEEDS = (0, 1, 2, 100, 101)
 TINY = {"node_spacing": 1.2, "image_width": 64}

@@ -22,10 +22,10 @@ import cv2
 import numpy as np
 import scipy.io
 
-from infogoal_jax.data import house_layout, house_render, house_textures
 from infogoal_jax.data.active_vision import ACTIONS
-from infogoal_jax.data.house_layout import HEADINGS, House
 from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins import house_layout, house_render, house_textures
+from infogoal_jax.stand_ins.house_layout import HEADINGS, House
 
 GENERATOR_VERSION = 1
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
@@ -105,7 +105,7 @@ def build_house(
     _write_image_structs(folder, house, camera, names, annotations)
     for name in ("all_instance_id_map.txt", "instance_id_map.txt"):
         (root / name).write_text("".join(f"{n} {i}\n" for n, i in INSTANCE_IDS.items()), encoding="utf-8")
-    note = {"generator": "infogoal_jax.data.house", "version": GENERATOR_VERSION, "seed": seed}
+    note = {"generator": "infogoal data build house", "version": GENERATOR_VERSION, "seed": seed}
     (root / "synthetic.json").write_text(json.dumps(note) + "\n", encoding="utf-8")
     return folder
 
@@ -308,7 +308,7 @@ def _write_image_structs(folder: Path, house: House, camera, names: list[str], a
     content = io.BytesIO()
     scipy.io.savemat(content, {"image_structs": records, "scale": POSITION_SCALE}, do_compression=True)
     # The first 116 bytes are free text, where scipy puts the time of day: the same seed shall write the same file.
-    header = b"MATLAB 5.0 MAT-file, infogoal_jax.data.house".ljust(116)
+    header = b"MATLAB 5.0 MAT-file, infogoal data build house".ljust(116)
     (folder / "image_structs.mat").write_bytes(header + content.getvalue()[116:])
 
 

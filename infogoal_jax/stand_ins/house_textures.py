@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from infogoal_jax.data.house_layout import SIDES
-from infogoal_jax.data.house_render import TEXTURE_SIZE
+from infogoal_jax.stand_ins.house_layout import SIDES
+from infogoal_jax.stand_ins.house_render import TEXTURE_SIZE
 
 SIZE = TEXTURE_SIZE
 CORRIDOR = "corridor"

@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from infogoal_jax.data import questions, shelf_render
+from infogoal_jax.data import questions
 from infogoal_jax.data.frames import FrameDataset
-from infogoal_jax.data.shelf_objects import DRAWINGS
+from infogoal_jax.stand_ins import shelf_render
+from infogoal_jax.stand_ins.shelf_objects import DRAWINGS
 
 GENERATOR_VERSION = 1
 ACTIONS = ("left", "right", "up", "down")

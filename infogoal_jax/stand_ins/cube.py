@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from infogoal_jax.data import cube_render
 from infogoal_jax.data.frames import FrameDataset
+from infogoal_jax.stand_ins import cube_render
 
 GENERATOR_VERSION = 1
 STEP = 15  # degrees that one move turns a joint

@@ -6,7 +6,7 @@ The camera is that of the drone's video stream: 960 x 720 pixels, 55.0 by 42.8 d
 import cv2
 import numpy as np
 
-from infogoal_jax.data.shelf_objects import DRAWINGS, draw
+from infogoal_jax.stand_ins.shelf_objects import DRAWINGS, draw
 
 STREAM = (720, 960)
 """Height and width of the video stream, pixels."""
