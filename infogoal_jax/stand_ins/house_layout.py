@@ -13,6 +13,7 @@ import numpy as np
 
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins.house_inventory import FURNITURE, OBJECT_SIZES, Piece
 
 WALL_THICKNESS, WALL_HEIGHT = 0.12, 2.5
 CORRIDOR_WIDTH, HOUSE_LENGTH, ROOM_DEPTH = 1.6, 12.0, 3.75
@@ -24,74 +25,6 @@ SIDES = ("west", "east", "south", "north")
 # The eight neighbours of a grid point at 0, 45, ..., 315 degrees.
 NEIGHBOURS = np.array([(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)])
 MOVE_ANGLE = {"forward": 0, "backward": 180, "left": 90, "right": -90}
-
-
-@dataclasses.dataclass(frozen=True)
-class Piece:
-    """A piece of furniture: width along the wall, depth, height in metres; how it is drawn; whether objects stand on it."""
-
-    name: str
-    width: float
-    depth: float
-    height: float
-    form: str = "cabinet"  # cabinet | table | sofa | screen
-    holds: bool = False
-    free_standing: bool = False
-
-
-FURNITURE = {
-    "kitchen": (
-        Piece("counter", 2.2, 0.6, 0.9, holds=True),
-        Piece("table", 1.2, 0.7, 0.75, form="table", holds=True),
-        Piece("refrigerator", 0.7, 0.65, 1.8),
-        Piece("cupboard", 0.8, 0.4, 1.4),
-    ),
-    "dining": (
-        Piece("dining_table", 1.5, 0.8, 0.75, form="table", holds=True, free_standing=True),
-        Piece("sideboard", 1.6, 0.45, 0.85, holds=True),
-        Piece("cabinet", 0.9, 0.4, 1.9),
-    ),
-    "living": (
-        Piece("bookcase", 1.3, 0.35, 1.05, holds=True),
-        Piece("side_table", 0.9, 0.5, 0.7, form="table", holds=True),
-        Piece("sofa", 1.8, 0.8, 0.75, form="sofa"),
-        Piece("television", 1.2, 0.4, 0.5, form="screen"),
-    ),
-    "bathroom": (
-        Piece("washbasin", 1.3, 0.5, 0.85, holds=True),
-        Piece("shelf", 0.9, 0.35, 1.1, holds=True),
-        Piece("bathtub", 1.6, 0.7, 0.55),
-        Piece("washing_machine", 0.6, 0.6, 0.9),
-    ),
-}
-
-# Width, depth, height in metres and form. Somewhat larger than life, so that they can be told apart at 160 x 90 pixels.
-OBJECT_SIZES = {
-    "advil_liqui_gels": (0.14, 0.10, 0.18, "box"),
-    "aunt_jemima_original_syrup": (0.16, 0.12, 0.32, "bottle"),
-    "cholula_chipotle_hot_sauce": (0.14, 0.12, 0.30, "bottle"),
-    "coca_cola_glass_bottle": (0.15, 0.13, 0.34, "bottle"),
-    "crystal_hot_sauce": (0.14, 0.12, 0.31, "bottle"),
-    "hersheys_bar": (0.20, 0.12, 0.18, "box"),
-    "honey_bunches_of_oats_honey_roasted": (0.20, 0.12, 0.30, "box"),
-    "honey_bunches_of_oats_with_almonds": (0.20, 0.12, 0.30, "box"),
-    "listerine_green": (0.17, 0.13, 0.32, "bottle"),
-    "mahatma_rice": (0.18, 0.13, 0.26, "box"),
-    "nature_valley_granola_thins_dark_chocolate": (0.19, 0.12, 0.22, "box"),
-    "nature_valley_sweet_and_salty_nut_almond": (0.19, 0.12, 0.21, "box"),
-    "nature_valley_sweet_and_salty_nut_cashew": (0.19, 0.12, 0.21, "box"),
-    "nature_valley_sweet_and_salty_nut_peanut": (0.19, 0.12, 0.21, "box"),
-    "nature_valley_sweet_and_salty_nut_roasted_mix_nut": (0.19, 0.12, 0.21, "box"),
-    "nutrigrain_harvest_blueberry_bliss": (0.19, 0.12, 0.22, "box"),
-    "paper_plate": (0.22, 0.12, 0.22, "box"),
-    "pepto_bismol": (0.15, 0.12, 0.28, "bottle"),
-    "quaker_chewy_low_fat_chocolate_chunk": (0.19, 0.12, 0.22, "box"),
-    "softsoap_clear": (0.15, 0.12, 0.26, "bottle"),
-    "softsoap_gold": (0.15, 0.12, 0.26, "bottle"),
-    "spongebob_squarepants_fruit_snaks": (0.19, 0.12, 0.24, "box"),
-    "tapatio_hot_sauce": (0.14, 0.12, 0.30, "bottle"),
-    "vo5_tea_therapy_healthful_green_tea_smoothing_shampoo": (0.15, 0.12, 0.33, "bottle"),
-}
 
 
 @dataclasses.dataclass(frozen=True)
