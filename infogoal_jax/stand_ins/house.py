@@ -55,7 +55,7 @@ def load(seed: int = 0, **reading) -> active_vision.SearchScenes:
             if not check.check_active_vision(folder):
                 raise  # The house is sound: something else is asked of it than it has.
             why = "in the cache is damaged"
-    print(f"infogoal: the synthetic house {folder.name} {why}; it is built now, which takes ten seconds, and kept as {folder}", file=sys.stderr)
+    print(f"infogoal: the dataset {folder.name} {why}; it is built now, which takes ten seconds, and kept as {folder}", file=sys.stderr)
     try:
         _build_cached(folder, seed)
     except OSError as error:
