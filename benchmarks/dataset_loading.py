@@ -21,8 +21,9 @@ from pathlib import Path
 
 import cv2
 
-from infogoal_jax.data import active_vision, house
+from infogoal_jax.data import active_vision
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.stand_ins import house
 
 LEAST_IMAGES = 1000
 

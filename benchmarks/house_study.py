@@ -2,7 +2,7 @@
 
     python benchmarks/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
 
-House 0 is the one that the project ships; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
+House 0 is the default one; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
 FOLDER with the curve of every seed; FOLDER/house_N/result.json holds the numbers, FOLDER/study.md the table
 and FOLDER/learning.png the curves. What is there is not run
 again, so houses may come from several machines. Scores are shown without random actions in evaluation (test epsilon 0), and with the share of
@@ -23,10 +23,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from infogoal_jax import presets
-from infogoal_jax.data.house import build_house
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners
@@ -38,7 +38,7 @@ SCORES = {"success_rate": "success", "spl": "SPL"}
 
 
 def house_config(method: str, house: int, folder: Path):
-    """The preset of a method on this house, built first if it is not the shipped one."""
+    """The preset of a method on this house, built first if it is not the default one."""
     config = presets.load("object_search", method)
     if house == 0:
         return config

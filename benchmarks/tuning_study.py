@@ -20,8 +20,8 @@ from pathlib import Path
 from methods_study import NAMES
 
 from infogoal_jax import presets
-from infogoal_jax.data.house import build_house
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.stand_ins.house import build_house
 
 HOUSE = 100
 VALIDATION = {

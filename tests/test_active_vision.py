@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from infogoal_jax.data import active_vision, house
+from infogoal_jax.data import active_vision
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.data.splits import AUTHORS_SPLIT, load_split
 from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins import house
 
 OBJECTS = AUTHORS_SPLIT.objects
 FIRST, SECOND = "000110000010101.jpg", "000110000020101.jpg"

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 
@@ -10,8 +9,8 @@ import jax
 import pytest
 
 from infogoal_jax.config import to_json
-from infogoal_jax.data.active_vision import SHIPPED_HOUSE
 from infogoal_jax.presets import from_dict, load
+from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import files
 from infogoal_jax.train.command_line import main
 
@@ -112,7 +111,7 @@ def spoil_by_removing_images(house):
 
 @pytest.mark.parametrize("spoil", [spoil_annotations, spoil_image, spoil_by_removing_images])
 def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(spoil, tmp_path, capsys, no_compilation):
-    shutil.copytree(SHIPPED_HOUSE, tmp_path / "house")
+    build_house(tmp_path / "house", node_spacing=1.2, image_width=64)
     spoil(tmp_path / "house")
     assert main(["train", "object_search", "--env.dataset", "house"]) == 2
     assert "infogoal data check" in capsys.readouterr().err
@@ -158,7 +157,7 @@ TINY = ("--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-en
 
 
 def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
-    """The shipped house, two seeds: everything a run promises is there, and the run can be gone on with."""
+    """The default house, two seeds: everything a run promises is there, and the run can be gone on with."""
     assert main(f"train object_search --seeds 2 --out run --tensorboard {TINY}".split()) == 0
     printed = capsys.readouterr().out
     assert "a stand-in" in printed and "success rate" in printed

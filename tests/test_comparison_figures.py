@@ -119,7 +119,7 @@ def test_command(folders, tmp_path, capsys):
 
 
 def test_command_draws(tmp_path, capsys):
-    """Runs on the shipped house, whose environment is loaded by their configuration."""
+    """Runs in the default house, whose environment is loaded by their configuration."""
     config = presets.load("object_search")
     folder = write_run(tmp_path / "run", envs.load("object_search", config.env), config, seeds=(0,))
     assert main(["compare", str(folder), "--out", str(tmp_path / "a.png")]) == 0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from infogoal_jax.data import cube, cube_render
 from infogoal_jax.data.rotations import geodesic, orientation_classes
+from infogoal_jax.stand_ins import cube, cube_render
 
 SEED, LARGE = 3, 256
 NARROW = ((-15, 15), (30, 60), (-360, 360))  # Degrees of joints 1, 2 and 6: an arm of 3 x 3 x 24 settings, quickly drawn.

@@ -9,8 +9,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from infogoal_jax.data import fetch_goal_images, goal_images
+from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
+from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.command_line import main
@@ -92,10 +93,10 @@ def test_neighbours_can_be_told_apart_and_no_image_comes_twice(banks, name):
 
 @each_task
 def test_the_camera_sees_the_whole_goal_space_and_a_step_is_a_pixel(banks, name):
-    camera = fetch_goal_images.CAMERAS[name]
+    camera = goal_rendering.CAMERAS[name]
     pixels = camera.project(banks[name].positions)
     assert pixels.min() > 4 and pixels.max() < 60
-    least, most = fetch_goal_images.pixel_shifts(name)
+    least, most = goal_rendering.pixel_shifts(name)
     assert 1.0 <= least <= most < 5.0
     assert camera.words() == banks[name].about["camera"]
 
@@ -104,7 +105,7 @@ def test_the_object_is_seen_where_the_camera_puts_it(banks):
     """In fetch_push all but the object stands still, so what differs from the median image is the object."""
     bank = banks["fetch_push"]
     still = np.median(bank.images, 0)
-    pixels = fetch_goal_images.CAMERAS["fetch_push"].project(bank.positions)
+    pixels = goal_rendering.CAMERAS["fetch_push"].project(bank.positions)
     centres = [np.argwhere(np.abs(image - still).max(-1) > 40).mean(0) for image in bank.images]
     off = np.linalg.norm(np.array(centres) + 0.5 - pixels, axis=1)
     assert np.median(off) < 0.5 and off.max() < 4  # A few pixels where the gripper hides half of it.
@@ -113,10 +114,10 @@ def test_the_object_is_seen_where_the_camera_puts_it(banks):
 @each_task
 def test_goals_depend_on_the_seed_and_on_nothing_else(banks, name):
     task = TASKS[name]
-    positions, uses = fetch_goal_images.choose_goals(task, 0)
+    positions, uses = goal_rendering.choose_goals(task, 0)
     np.testing.assert_array_equal(positions, banks[name].positions)
     np.testing.assert_array_equal(uses, banks[name].uses)
-    others, _ = fetch_goal_images.choose_goals(task, 1)
+    others, _ = goal_rendering.choose_goals(task, 1)
     in_grid = int((uses == GRID).sum())
     np.testing.assert_array_equal(positions[:in_grid], others[:in_grid])
     assert not (positions[in_grid:] == others[in_grid:]).all(1).any()
@@ -246,13 +247,13 @@ def test_a_damaged_file_is_named(case, expected, tmp_path):
 @pytest.mark.parametrize(("name", "expected"), [("fetch_slide", "no goal images of this task"), ("fetch_reech", "Did you mean 'fetch_reach'")])
 def test_a_task_without_goal_images_is_named(name, expected):
     with pytest.raises(UserError, match=expected):
-        fetch_goal_images.build(name)
+        goal_rendering.build(name)
 
 
 def test_without_gymnasium_robotics_the_builder_says_what_to_install(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)  # As if it were not installed, where it is.
     with pytest.raises(UserError, match=r"gymnasium-robotics = not installed.*pip install 'infogoal-jax\[goal-images\]'"):
-        fetch_goal_images.build("fetch_push")
+        goal_rendering.build("fetch_push")
     assert main(["data", "build", "fetch", str(tmp_path / "banks")]) == 2
     assert "gymnasium-robotics==1.4.2" in capsys.readouterr().err
     assert not (tmp_path / "banks").exists()
@@ -272,14 +273,14 @@ def pretend_scene(folder, files: tuple[str, ...], monkeypatch) -> None:
 def test_a_package_without_the_scene_is_named(monkeypatch, tmp_path):
     pretend_scene(tmp_path, ("reach.xml",), monkeypatch)
     with pytest.raises(UserError, match=r"no file push\.xml.*gymnasium-robotics==1\.4\.2"):
-        fetch_goal_images.build("fetch_push")
+        goal_rendering.build("fetch_push")
 
 
 def test_without_opengl_the_builder_says_what_to_install(monkeypatch, tmp_path):
     pretend_scene(tmp_path, ("push.xml",), monkeypatch)
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
     with pytest.raises(UserError, match="MUJOCO_GL = 'nonsense': MuJoCo could not open OpenGL .*MUJOCO_GL=egl.*libosmesa6"):
-        fetch_goal_images.build("fetch_push")
+        goal_rendering.build("fetch_push")
 
 
 @pytest.mark.parametrize(
@@ -301,12 +302,12 @@ def test_drawing_again_gives_the_shipped_images(banks, name):
     if importlib.util.find_spec("gymnasium_robotics") is None:
         pytest.skip("gymnasium-robotics is not installed; pip install 'infogoal-jax[goal-images]'")
     try:
-        fetch_goal_images.check_opengl()
+        goal_rendering.check_opengl()
     except UserError as error:
         pytest.skip(str(error))
     bank = banks[name]
     rows = [0, bank.rows(GRID)[-1], *bank.rows(TRAIN)[:2], bank.rows(TEST)[-1]]
-    with fetch_goal_images.studio(name) as take:
+    with goal_rendering.studio(name) as take:
         for row in rows:
             image, error = take(bank.positions[row])
             assert error < 0.005

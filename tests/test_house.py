@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import scipy.io
 
-from infogoal_jax.data import active_vision, house, house_layout, house_render
+from infogoal_jax import envs
+from infogoal_jax.data import active_vision, archives
+from infogoal_jax.data.check import check_active_vision
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins import house, house_layout, house_render
 
 SEEDS = (0, 1, 2, 100, 101)
 TINY = {"node_spacing": 1.2, "image_width": 64}
@@ -202,9 +205,86 @@ def test_a_scene_is_not_overwritten(tiny):
         house.build_house(tiny, **TINY)
 
 
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache, and a builder that takes no time: the seeds of the houses that it built."""
+    built, build = [], house.build_house
+
+    def build_tiny(folder, seed):
+        built.append(seed)
+        build(folder, seed, **TINY)
+
+    monkeypatch.setattr(archives, "user_cache", lambda: tmp_path / "cache")
+    monkeypatch.setattr(house, "build_house", build_tiny)
+    return built
+
+
+def test_a_house_is_built_once_and_announced_in_one_line(cache, capsys):
+    first = house.load(3, objects=AUTHORS_SPLIT.objects)
+    message = capsys.readouterr().err
+    assert "house-3-1 is not in the cache yet" in message and "ten seconds" in message and len(message.splitlines()) == 1
+    second = house.load(3, objects=AUTHORS_SPLIT.objects)
+    np.testing.assert_array_equal(first.images, second.images)
+    assert cache == [3] and capsys.readouterr() == ("", "")
+    assert not list(house.cached_folder(3).parent.glob(".*"))
+
+
+def test_a_damaged_house_is_built_again(cache, capsys):
+    first = house.load(3, objects=AUTHORS_SPLIT.objects)
+    picture = house.cached_folder(3) / "Home_101_1" / "jpg_rgb" / first.image_names[7]
+    annotations = house.cached_folder(3) / "Home_101_1" / "annotations.json"
+    for damage in (lambda: picture.write_bytes(picture.read_bytes()[:100]), picture.unlink, annotations.unlink):
+        capsys.readouterr()
+        damage()
+        again = house.load(3, objects=AUTHORS_SPLIT.objects)
+        np.testing.assert_array_equal(first.images, again.images)
+        assert "house-3-1 in the cache is damaged" in capsys.readouterr().err
+    assert cache == [3] * 4
+
+
+def test_what_the_house_does_not_have_is_an_error_and_builds_nothing_again(cache):
+    house.load(3, objects=AUTHORS_SPLIT.objects)
+    with pytest.raises(UserError, match="objects: 'red_bul' is not in the instance map"):
+        house.load(3, objects=["red_bul"])
+    assert cache == [3]
+
+
+def test_a_cache_that_cannot_be_written_to_costs_only_time(cache, tmp_path, capsys):
+    (tmp_path / "cache").write_text("a file in the way")
+    assert len(house.load(3, objects=AUTHORS_SPLIT.objects).images) and "cannot be written" in capsys.readouterr().err
+    assert (tmp_path / "cache").read_text() == "a file in the way"
+
+
+def test_of_two_processes_that_build_at_once_the_first_one_counts(cache, monkeypatch):
+    build = house.build_house
+
+    def build_slowly(folder, seed):
+        """While this builds, another process does."""
+        build(folder, seed)
+        monkeypatch.setattr(house, "build_house", build)
+        house.load(3, objects=AUTHORS_SPLIT.objects)
+        (house.cached_folder(3) / "first").touch()
+
+    monkeypatch.setattr(house, "build_house", build_slowly)
+    assert len(house.load(3, objects=AUTHORS_SPLIT.objects).images)
+    assert cache == [3, 3] and (house.cached_folder(3) / "first").exists()
+
+
+def test_a_build_that_is_stopped_leaves_nothing(cache, monkeypatch):
+    def stopped(folder, seed):
+        (folder / "Home_101_1").mkdir(parents=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(house, "build_house", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        house.load(3, objects=AUTHORS_SPLIT.objects)
+    assert not list(house.cached_folder(3).parent.iterdir())
+
+
 @pytest.fixture(scope="module")
-def shipped(tmp_path_factory):
-    return active_vision.load(active_vision.SHIPPED_HOUSE, objects=AUTHORS_SPLIT.objects, cache_dir=tmp_path_factory.mktemp("cache"))
+def default():
+    """The house that object search is in where no dataset is given."""
+    return house.load(objects=AUTHORS_SPLIT.objects)
 
 
 def steps_to(next_state, targets):
@@ -218,44 +298,51 @@ def steps_to(next_state, targets):
     return distance
 
 
-def test_shipped_house_is_that_of_seed_0(shipped):
+def test_the_default_house_is_the_one_that_results_were_made_in():
+    """Its content is in every table of docs/results."""
+    name = "synthetic house, seed 0 (a stand-in for the Active Vision Dataset), 1 scene, 1872 images"
+    assert envs.load("object_search").source == f"{name}, content 13a32542"
+    assert check_active_vision(house.cached_folder()) == []
+
+
+def test_the_default_house_is_that_of_seed_0(default):
     plan = house_layout.layout(0)
-    np.testing.assert_allclose(shipped.position[::12, :2], plan.nodes, atol=1e-4)
+    np.testing.assert_allclose(default.position[::12, :2], plan.nodes, atol=1e-4)
 
 
-def test_shipped_house_can_be_solved_but_not_by_chance(shipped):
+def test_the_default_house_can_be_solved_but_not_by_chance(default):
     """Every goal can be reached from everywhere, a shortest path is 10 to 16 steps, a random policy finds a goal in
     fewer than a quarter of its episodes of 100 steps."""
-    states, objects = shipped.visible.shape
-    ways = shipped.next_state != np.arange(states)[:, None]
+    states, objects = default.visible.shape
+    ways = default.next_state != np.arange(states)[:, None]
     order = np.argsort(~ways, axis=1, kind="stable")
     rng = np.random.default_rng(0)
     lengths, found = [], []
     for goal in range(objects):
-        seen = shipped.visible[:, goal]
-        distance = steps_to(shipped.next_state, seen)
+        seen = default.visible[:, goal]
+        distance = steps_to(default.next_state, seen)
         assert (distance >= 0).all()
         lengths.append(distance[~seen].mean())
         state = rng.choice(np.flatnonzero(~seen), 200)
         reached = np.zeros(200, bool)
         for _ in range(100):
-            state = shipped.next_state[state, order[state, rng.integers(ways[state].sum(1))]]
+            state = default.next_state[state, order[state, rng.integers(ways[state].sum(1))]]
             reached |= seen[state]
         found.append(reached.mean())
     assert 10 < np.mean(lengths) < 16
     assert np.mean(found) < 0.25
-    assert shipped.visible.sum(0).min() >= 10
+    assert default.visible.sum(0).min() >= 10
 
 
-def test_places_of_the_shipped_house_look_different(shipped):
+def test_places_of_the_default_house_look_different(default):
     """No two pictures taken more than 1.5 m apart look the same to the agent (root mean square, of 255 grey levels)."""
-    pictures = shipped.images.reshape(len(shipped.images), -1).astype(np.float64)
+    pictures = default.images.reshape(len(default.images), -1).astype(np.float64)
     square = (pictures**2).sum(1)
     difference = (square[:, None] + square - 2 * pictures @ pictures.T) / pictures.shape[1]
-    apart = np.linalg.norm(shipped.position[:, None, :2] - shipped.position[:, :2], axis=-1) > 1.5
+    apart = np.linalg.norm(default.position[:, None, :2] - default.position[:, :2], axis=-1) > 1.5
     assert difference[apart].min() > 4**2
 
 
-def test_no_view_of_the_shipped_house_shows_goals_of_two_rooms(shipped):
-    room = np.array([AUTHORS_SPLIT.rooms[name] for name in shipped.object_names])
-    assert max(len(set(room[seen])) for seen in shipped.visible) == 1
+def test_no_view_of_the_default_house_shows_goals_of_two_rooms(default):
+    room = np.array([AUTHORS_SPLIT.rooms[name] for name in default.object_names])
+    assert max(len(set(room[seen])) for seen in default.visible) == 1

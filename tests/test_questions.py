@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infogoal_jax.data import questions, shelf_objects, text
+from infogoal_jax.data import questions, text
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import NO_USE
+from infogoal_jax.stand_ins import shelf_objects
 
 
 def entry(name: str, use: str = "test", room: str = "left", **changes) -> dict:

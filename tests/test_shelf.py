@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from infogoal_jax.data import frames, questions, shelf, shelf_render
+from infogoal_jax.data import frames, questions
 from infogoal_jax.envs.graph import distances
+from infogoal_jax.stand_ins import shelf, shelf_render
 
 SEEDS = (0, 1, 2)
 EPISODE = 50

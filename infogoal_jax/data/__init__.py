@@ -1,1 +1,1 @@
-"""Datasets on disk: loaders, builders and checks. Numpy in, numpy out: nothing here knows of learning."""
+"""Datasets on disk: readers, writers and checks. Numpy in, numpy out: nothing here knows of learning."""

@@ -8,11 +8,11 @@ small grey square and cached, so that a training run holds a kilobyte an image.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 import scipy.io
 
+from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, nearest
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
@@ -28,7 +29,6 @@ ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
 CACHE_VERSION = 1
-SHIPPED_HOUSE = Path(__file__).parent / "files" / "house"
 CHECK_HINT = "`infogoal data check {}` lists everything that is wrong"
 
 
@@ -76,7 +76,7 @@ def load(
       image_size: side of the grey images in pixels, 4 to 512.
       min_box_size: least shorter side of a box in image heights, so that it means the same at every resolution.
       max_difficulty: boxes of a higher annotated difficulty (1 easy to 5 hard) do not count.
-      cache_dir: folder of the cache; by default `infogoal` in $XDG_CACHE_HOME or ~/.cache. One file a scene.
+      cache_dir: folder of the cache, by default the user's (`archives.user_cache`). One file a scene.
 
     Raises:
       UserError: where an argument cannot be used, the dataset is incomplete, or no state shows one of the objects.
@@ -208,7 +208,7 @@ def _scene_pictures(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Grey images uint8 [S, H, W], original sizes int32 [S, 2] and positions float32 [S, 3], from the cache if it fits."""
     key = _cache_key(scene, names, image_size)
-    path = _cache_folder(cache_dir) / f"active_vision_{scene.name}_{key}.npz"
+    path = Path(cache_dir or archives.user_cache()) / f"active_vision_{scene.name}_{key}.npz"
     shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as cached:
@@ -221,7 +221,8 @@ def _scene_pictures(
     for index, name in enumerate(names):
         images[index], sizes[index] = _read_grey(scene / "jpg_rgb" / name, image_size)
     position = read_positions(scene, names)
-    _write_cache(path, images=images, sizes=sizes, position=position)
+    with contextlib.suppress(OSError):  # A folder that cannot be written costs only the cache.
+        archives.write(path, {"images": images, "sizes": sizes, "position": position})
     return images, sizes, position
 
 
@@ -267,12 +268,6 @@ def read_positions(scene: Path, names: list[str]) -> np.ndarray:
     return position
 
 
-def _cache_folder(cache_dir: str | os.PathLike | None) -> Path:
-    if cache_dir is not None:
-        return Path(cache_dir)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal"
-
-
 def _cache_key(scene: Path, names: list[str], image_size: int) -> str:
     """Digest of what decides a scene's pictures: its path, and name, size and time of every file that is read."""
     digest = hashlib.sha256(f"{CACHE_VERSION} {image_size} {scene.resolve()}".encode())
@@ -293,20 +288,6 @@ def _cache_key(scene: Path, names: list[str], image_size: int) -> str:
         if path.is_file():
             digest.update(f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}\n".encode())
     return digest.hexdigest()[:24]
-
-
-def _write_cache(path: Path, **arrays: np.ndarray) -> None:
-    """Write beside and rename, so that nobody reads half a file. A folder that cannot be written costs only the cache."""
-    beside = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            beside = file.name
-            np.savez(file, **arrays)
-        os.replace(beside, path)
-    except OSError:
-        if beside is not None and os.path.exists(beside):
-            os.unlink(beside)
 
 
 def _origin(root: Path) -> str:

@@ -91,7 +91,7 @@ def _resized(image: np.ndarray) -> np.ndarray:
 
 
 def _read_crops(folder: Path, count: int) -> Backgrounds:
-    """Crops of photographs, as photographs.py writes them."""
+    """Crops of photographs, as `infogoal data build backgrounds` writes them."""
     try:
         with np.load(folder / CROPS_FILE) as crops:
             train, test = crops["train"], crops["test"]

@@ -1,7 +1,7 @@
 """Banks of goal images: pictures of a task's goals with the positions that they show (Sec. V-A.1), in one npz file.
 
 A bank has a grid of goals that fills the goal space, so that every position reached has a picture near it, and goals for training, validation and
-tests. The banks of three Fetch tasks are shipped; `fetch_goal_images` builds others.
+tests. The banks of three Fetch tasks are shipped; `infogoal data build fetch` draws others.
 """
 
 import dataclasses

@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import frames, questions, shelf, text
+from infogoal_jax.data import frames, questions, text
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.replay import Rows
+from infogoal_jax.stand_ins import shelf
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import backgrounds, cube, frames
+from infogoal_jax.data import backgrounds, frames
 from infogoal_jax.data.rotations import geodesic, orientation_classes
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, USES, GoalSet
+from infogoal_jax.stand_ins import cube
 
 REACHED = np.deg2rad(10.0)
 """How near the pose has to be, as the angle of the turn between them [P]."""

@@ -14,6 +14,7 @@ from infogoal_jax.data import active_vision, archives, splits, text
 from infogoal_jax.envs.graph import DetectionWalk, distances, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.stand_ins import house
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +22,7 @@ class ObjectSearchConfig:
     """Where the images come from and how an episode runs."""
 
     dataset: str = ""
-    """Folder in the format of the Active Vision Dataset; empty: the synthetic house that the project ships (a stand-in)."""
+    """Folder in the format of the Active Vision Dataset; empty: a synthetic house (a stand-in), built once and kept in the user's cache."""
     scenes: tuple[str, ...] = ()
     """Scenes to use, such as Home_001_1; empty: all that the folder holds."""
     split: str = ""
@@ -61,10 +62,11 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
     names = split.objects
     embeddings = text.load(config.text_embeddings) if config.text_embeddings else text.load_shipped()
     inputs = text.embed_known([name.replace("_", " ") for name in names], embeddings)
-    scenes = active_vision.load(
-        config.dataset or active_vision.SHIPPED_HOUSE, objects=names, scenes=config.scenes or None,
-        image_size=config.image_size, min_box_size=config.min_box_size, max_difficulty=config.max_difficulty,
-    )
+    reading = {
+        "objects": names, "scenes": config.scenes or None, "image_size": config.image_size, "min_box_size": config.min_box_size,
+        "max_difficulty": config.max_difficulty,
+    }
+    scenes = active_vision.load(config.dataset, **reading) if config.dataset else house.load(**reading)
     return lay_out(scenes, split, inputs, config.episode_length)
 
 

@@ -172,7 +172,7 @@ def data_build(arguments: list[str]) -> int:
 def data_build_house(arguments: list[str]) -> int:
     """`infogoal data build house PATH`."""
     command = tyro.cli(BuildHouseCommand, prog="infogoal data build house", args=arguments)
-    from infogoal_jax.data.house import build_house
+    from infogoal_jax.stand_ins.house import build_house
 
     target = new_folder(command.path)
     build_house(target, seed=command.seed)
@@ -191,7 +191,7 @@ def new_folder(path: str) -> Path:
 def data_build_backgrounds(arguments: list[str]) -> int:
     """`infogoal data build backgrounds PATH`."""
     command = tyro.cli(BuildBackgroundsCommand, prog="infogoal data build backgrounds", args=arguments)
-    from infogoal_jax.data.photographs import build_backgrounds
+    from infogoal_jax.stand_ins.photographs import build_backgrounds
 
     target = new_folder(command.path)
     build_backgrounds(target, command.seed, command.crops_of_each)
@@ -204,16 +204,17 @@ def data_build_fetch(arguments: list[str]) -> int:
     command = tyro.cli(BuildFetchCommand, prog="infogoal data build fetch", args=arguments)
     from rich.progress import track
 
-    from infogoal_jax.data import fetch_goal_images, goal_images
+    from infogoal_jax.data import goal_images
+    from infogoal_jax.envs.fetch import goal_rendering
 
     paths = {name: Path(command.path) / f"{name}.npz" for name in command.tasks}
     for path in paths.values():
         if path.exists():
             raise UserError(f"path = {str(path)!r}: is there already; give a new folder")
-    fetch_goal_images.check(tuple(paths), command.seed)
+    goal_rendering.check(tuple(paths), command.seed)
     for name, path in paths.items():
         start = time.perf_counter()
-        bank = fetch_goal_images.build(name, command.seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
+        bank = goal_rendering.build(name, command.seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
         goal_images.save(path, bank)
         seconds = time.perf_counter() - start
         print(f"{path}: {len(bank.images)} images, {path.stat().st_size / 1e6:.2f} MB, built in {seconds:.0f} s")
@@ -225,7 +226,7 @@ def data_build_fetch(arguments: list[str]) -> int:
 def data_build_cube(arguments: list[str]) -> int:
     """`infogoal data build cube PATH.npz`."""
     command = tyro.cli(BuildCubeCommand, prog="infogoal data build cube", args=arguments)
-    from infogoal_jax.data import cube
+    from infogoal_jax.stand_ins import cube
 
     return write_frames(command.path, "drawing the cube", lambda bar: cube.build(command.seed, command.physical_limits, progress=bar))
 
@@ -233,7 +234,7 @@ def data_build_cube(arguments: list[str]) -> int:
 def data_build_shelf(arguments: list[str]) -> int:
     """`infogoal data build shelf PATH.npz`."""
     command = tyro.cli(BuildShelfCommand, prog="infogoal data build shelf", args=arguments)
-    from infogoal_jax.data import shelf
+    from infogoal_jax.stand_ins import shelf
 
     return write_frames(command.path, "drawing the shelf", lambda bar: shelf.build(command.seed, command.hovering, progress=bar))
 
