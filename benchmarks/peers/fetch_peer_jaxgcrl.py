@@ -1,7 +1,7 @@
 """Speed of JaxGCRL's robot arms (brax on MJX): random actions, whole rollout under one jit, to set beside our Fetch tasks.
 
     git clone https://github.com/MichalBortkiewicz/JaxGCRL jaxgcrl
-    python benchmarks/fetch_peer_jaxgcrl.py --repository jaxgcrl [--tasks panda_reach panda_push_easy] [--batch 4096] [--steps 50]
+    python benchmarks/peers/fetch_peer_jaxgcrl.py --repository jaxgcrl [--tasks panda_reach panda_push_easy] [--batch 4096] [--steps 50]
 
 Only the environments' own modules and models are loaded, so that none of what JaxGCRL pins (an old JAX, wandb) has to be there. Meshes are
 left out of the models: they are for pictures only, static bodies apart no body's mass comes from them, and contacts are pairs of primitives.
@@ -18,7 +18,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
-from machine import describe_machine
+
+from infogoal_jax.report.machine import describe_machine
 
 TASKS = {"panda_reach": ("arm_reach", "ArmReach"), "panda_push_easy": ("arm_push_easy", "ArmPushEasy")}
 ACTION_SIZES = {"panda_reach": 4, "panda_push_easy": 5}

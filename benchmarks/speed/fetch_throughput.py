@@ -1,23 +1,24 @@
 """Speed of the Fetch tasks: whole episodes of random actions under one jit, resets included, beside peers measured in the same run.
 
-    python benchmarks/fetch_throughput.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--parts]
-        [--jaxgcrl CHECKOUT]    JaxGCRL's panda_reach and panda_push_easy on the same device (fetch_peer_jaxgcrl.py)
-        [--assets FOLDER]       the reference's models on C MuJoCo in two processes (fetch_peer_mujoco.py)
+    python benchmarks/speed/fetch_throughput.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--parts]
+        [--jaxgcrl CHECKOUT]    JaxGCRL's panda_reach and panda_push_easy on the same device (peers/fetch_peer_jaxgcrl.py)
+        [--assets FOLDER]       the reference's models on C MuJoCo in two processes (peers/fetch_peer_mujoco.py)
 
 --parts says where the time of a physics step goes. Compile time and run time are told apart; the run is the better of two.
 """
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-from machine import describe_machine
 
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.report.machine import describe_machine
 
 PEER = {"fetch_reach": "panda_reach", "fetch_push": "panda_push_easy", "fetch_pick_and_place": "panda_push_easy", "fetch_slide": "panda_push_easy"}
 
@@ -100,6 +101,7 @@ def main():
     parser.add_argument("--assets", type=Path)
     parser.add_argument("--seconds", type=float, default=10.0, help="for C MuJoCo")
     arguments = parser.parse_args()
+    sys.path.append(str(Path(__file__).parents[1] / "peers"))  # Peers are imported only where they are asked for.
     print(f"{'faithful' if arguments.faithful else 'default'} setting, random actions, episodes of 50 steps; {describe_machine()}\n")
     print("| task | batch | env steps/s | physics steps/s | compile s | peer env steps/s | ratio |\n|---|---|---|---|---|---|---|")
     peers = {}

@@ -3,8 +3,8 @@
 The reference's classes fail on the MuJoCo that this project needs, so they run in a scratch environment (about 400 MB):
 
     python3.11 -m venv scratch && scratch/bin/pip install mujoco==3.3.7 gymnasium-robotics==1.4.2
-    scratch/bin/python benchmarks/record_fetch_reference.py --resets tests/fixtures/fetch_resets.npz
-    scratch/bin/python benchmarks/record_fetch_reference.py --episodes fetch_episodes.npz --number 12
+    scratch/bin/python benchmarks/fidelity/record_fetch_reference.py --resets tests/fixtures/fetch_resets.npz
+    scratch/bin/python benchmarks/fidelity/record_fetch_reference.py --episodes fetch_episodes.npz --number 12
 
 Arrays of a task, float32 in metres, radians and (velocities) metres or radians per control step: `<task>/observation [E, T + 1, D]`,
 `achieved_goal [E, T + 1, 3]`, `desired_goal [E, 1, 3]`, `action [E, T, 4]`, `reward [E, T]`; resets have no time axis and no actions.

@@ -1,6 +1,6 @@
 """How large the training program of each task is, and how long it takes to build: traced, lowered and compiled, for one seed or several.
 
-    python benchmarks/program_size.py [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
+    python benchmarks/speed/program_size.py [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
 
 Operations are equations of the jaxpr, those of inner functions counted wherever they are called. Nothing comes from a compilation cache.
 """
@@ -10,10 +10,10 @@ import time
 
 import jax
 import jax.numpy as jnp
-from machine import describe_machine
 
 from infogoal_jax import compiler_options, make_train, presets
 from infogoal_jax.presets import TASKS
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.program_size import operations
 
 

@@ -1,6 +1,6 @@
 """Absurd actions: constant extremes, alternating extremes and random ones, by the million. Nothing that is not a number may leave its environment.
 
-    python benchmarks/fetch_absurd.py [--tasks ...] [--steps 10000000] [--batch 16384] [--faithful]
+    python benchmarks/fidelity/fetch_absurd.py [--tasks ...] [--steps 10000000] [--batch 16384] [--faithful]
 
 Prints for each task and pattern the environment steps taken, the diverged episodes (ended, counted and started anew), and whether any observation,
 record or reward was not finite. Exit status 1 if one was.
@@ -11,10 +11,10 @@ import sys
 
 import jax
 import jax.numpy as jnp
-from machine import describe_machine
 
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.rollout import expand
 
 CORNERS = jnp.array([[float(2 * (number >> bit & 1) - 1) for bit in range(4)] for number in range(16)])

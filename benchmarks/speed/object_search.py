@@ -1,6 +1,6 @@
 """Speed of object search: environment steps alone, and fused training, for 1, 16 and 128 seeds side by side, compile time apart.
 
-    python benchmarks/object_search.py [--seeds 1 16 128] [--epochs 3]
+    python benchmarks/speed/object_search.py [--seeds 1 16 128] [--epochs 3]
 
 Prints a Markdown table. `one seed's time` says how much longer the sweep takes than one seed alone.
 """
@@ -10,9 +10,9 @@ import time
 
 import jax
 import jax.numpy as jnp
-from machine import describe_machine
 
 from infogoal_jax import make_train, presets
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from machine import describe_machine
 
 from infogoal_jax.report import tables
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train import host
 from infogoal_jax.train.listeners import make_listeners

@@ -1,6 +1,6 @@
 """Speed of the reference Fetch models on C MuJoCo: random actions in several processes, to set beside our own on an accelerator.
 
-    python benchmarks/fetch_peer_mujoco.py --assets .../gymnasium_robotics/envs/assets/fetch [--tasks fetch_reach] [--processes 2]
+    python benchmarks/peers/fetch_peer_mujoco.py --assets .../gymnasium_robotics/envs/assets/fetch [--tasks fetch_reach] [--processes 2]
 
 Gymnasium-Robotics' classes fail on the MuJoCo that this project needs, its model files load: unpack its wheel anywhere and give the path.
 A control step does what the reference's does (mocap body set, 20 substeps, fingers held shut in all but PickAndPlace, observation, reward)

@@ -1,6 +1,6 @@
 """Table I of the paper: every method on its tasks, five seeds each, beside the paper's numbers.
 
-    python benchmarks/methods_study.py --out FOLDER [--tasks object_search fetch_reach ...] [--methods vae her ...] [--seeds 5] [--with-her]
+    python benchmarks/paper/methods_study.py --out FOLDER [--tasks object_search fetch_reach ...] [--methods vae her ...] [--seeds 5] [--with-her]
 
 Every run stays in FOLDER/TASK/METHOD with the curve of every seed; result.json beside it holds times and machine. What is there is not run again, so
 that runs may come from several machines and several processes; FOLDER/study.md is the table of all that is there: 5 or 10 starts for each goal

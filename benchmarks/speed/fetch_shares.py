@@ -1,6 +1,6 @@
 """What the goal images cost: the encoder's work, the gradient through it and the gather of images as shares of the fused step's time.
 
-    python benchmarks/fetch_shares.py [--task fetch_reach] [--seeds 5] [--updates 100] [--out FILE.json]
+    python benchmarks/speed/fetch_shares.py [--task fetch_reach] [--seeds 5] [--updates 100] [--out FILE.json]
 
 One epoch of the preset is a rollout and `--updates` updates. Each part is compiled alone, run on the same arrays as in training, and timed over three
 runs after one that is not counted; parts of an update run as often as in an epoch, inside a scan as there.
@@ -14,10 +14,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-from machine import describe_machine
 
 from infogoal_jax import make_train, presets, replay
 from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import Experience
 from infogoal_jax.train.update import updates as updates_of

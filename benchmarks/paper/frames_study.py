@@ -1,6 +1,6 @@
 """The study of object manipulation and embodied question answering: InfoGoal against the bare agent on three generated datasets, five seeds each.
 
-    python benchmarks/frames_study.py --out FOLDER [--tasks object_manipulation embodied_qa] [--datasets 0 1 2] [--methods ...] [--seeds 5]
+    python benchmarks/paper/frames_study.py --out FOLDER [--tasks object_manipulation embodied_qa] [--datasets 0 1 2] [--methods ...] [--seeds 5]
 
 Dataset N is generated from seed N, and so are its goals; none of them was used for tuning. Methods are those of `VARIANTS`: a learner, and where it
 says so another relabelling than the preset's. Every run stays in FOLDER/TASK/N/METHOD with the curve of every seed; result.json beside it holds

@@ -4,7 +4,7 @@ What a micrometre changes is chaos, and no simulator can follow a recording clos
 another simulator are amplified. `infogoal check-fetch` is read beside these numbers. Runs where the reference does:
 
     python3.11 -m venv scratch && scratch/bin/pip install mujoco==3.3.7 gymnasium-robotics==1.4.2
-    scratch/bin/python benchmarks/fetch_chaos.py tests/fixtures/fetch_gymnasium_v4.npz --kinds scripted held --out chaos.json
+    scratch/bin/python benchmarks/fidelity/fetch_chaos.py tests/fixtures/fetch_gymnasium_v4.npz --kinds scripted held --out chaos.json
 
 Each episode is replayed once from its recorded start, which must give the recording again, and once from each of `--directions` places on a circle
 around it.
@@ -13,11 +13,14 @@ around it.
 import argparse
 import importlib.util
 import json
+import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from fetch_peer_mujoco import Peer
+
+sys.path.append(str(Path(__file__).parents[1] / "peers"))
+from fetch_peer_mujoco import Peer  # noqa: E402
 
 KINDS = ("random", "held", "scripted")
 """Kinds of the episodes of a recording, in turn (record_fetch_reference.py)."""

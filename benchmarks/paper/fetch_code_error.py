@@ -1,6 +1,6 @@
 """How far corruption moves the codes of goals, in metres: where the grid goal lies whose mean code is nearest to that of a corrupted training goal.
 
-    python benchmarks/fetch_code_error.py RUN [RUN ...] [--weight 0.4]
+    python benchmarks/paper/fetch_code_error.py RUN [RUN ...] [--weight 0.4]
 
 For each seed of a run: the mean distance between a training goal and that grid goal, over 20 test backgrounds for each goal, with the image clean,
 under uniform grey of the same weight (less contrast, no clutter), corrupted, and corrupted but given the clean image's mean and contrast back.
@@ -12,10 +12,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from machine import describe_machine
 
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.runs import read_params, read_run
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train.program import make_train

@@ -1,7 +1,7 @@
 """Speed of offline learning: updates a second of conservative Q-learning on the recorded flights of embodied question answering, compile time apart.
 
-    python benchmarks/offline.py [--batch 256 1024] [--seeds 1 16] [--updates 1000] [--epochs 3] [--out FILE.json]
-        [--peer [PYTHON]]    the same in PyTorch on the CPU (offline_peer.py), in this run, by an interpreter that has torch; else by this one
+    python benchmarks/speed/offline.py [--batch 256 1024] [--seeds 1 16] [--updates 1000] [--epochs 3] [--out FILE.json]
+        [--peer [PYTHON]]    the same in PyTorch on the CPU (peers/offline_peer.py), in this run, by an interpreter that has torch; else by this one
 
 What is timed is training's own program, drawing and relabelling of the batches included and evaluation left out: the fastest of some epochs of
 `--updates` updates, after one that is not counted; of the peer the fastest of as many runs. Prints Markdown tables. Torch is no dependency of the
@@ -20,9 +20,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from machine import describe_machine
 
 from infogoal_jax import make_train, presets
+from infogoal_jax.report.machine import describe_machine
 
 MILLION = 1_000_000
 
@@ -53,7 +53,7 @@ def measure(train, num_seeds: int, epochs: int) -> dict:
 
 
 def peer_arrays(train) -> dict[str, np.ndarray]:
-    """What offline_peer.py reads: the recorded moves, what is known of each image, and the sizes and hyperparameters as json."""
+    """What peers/offline_peer.py reads: the recorded moves, what is known of each image, and the sizes and hyperparameters as json."""
     config, env = train.config, train.env
     rows, goals = env.recorded, env.goals
     seen = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).seen
@@ -83,7 +83,7 @@ def run_peer(python: str, train, batches: list[int], updates: int, repeats: int)
         arrays = Path(folder) / "arrays.npz"
         np.savez(arrays, **{name: np.asarray(value) for name, value in peer_arrays(train).items()})
         flags = ["--updates", str(updates), "--repeats", str(repeats), "--batch", *map(str, batches)]
-        program = [python, Path(__file__).with_name("offline_peer.py"), arrays, *flags]
+        program = [python, Path(__file__).parents[1] / "peers" / "offline_peer.py", arrays, *flags]
         return json.loads(subprocess.run(program, stdout=subprocess.PIPE, check=True, text=True).stdout.splitlines()[-1])
 
 

@@ -1,6 +1,6 @@
 """The study of the README: InfoGoal against bare DQN on three synthetic houses, five seeds each, beside a random policy and the shortest path.
 
-    python benchmarks/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
+    python benchmarks/paper/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
 
 House 0 is the default one; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
 FOLDER with the curve of every seed; FOLDER/house_N/result.json holds the numbers, FOLDER/study.md the table
@@ -18,13 +18,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from machine import describe_machine
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from infogoal_jax import presets
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host

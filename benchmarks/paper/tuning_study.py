@@ -1,6 +1,6 @@
 """How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result is reported on.
 
-    python benchmarks/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae her ...] [--trials 16] [--seeds 2] [--final]
+    python benchmarks/paper/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...] [--trials 16] [--seeds 2] [--final]
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other objects are given the names of
 objects that the task does not have, and are the validation goals. Fetch is tuned on the validation goals of the shipped bank. FOLDER/TASK/METHOD is

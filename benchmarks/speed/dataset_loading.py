@@ -1,6 +1,6 @@
 """How long a large dataset takes to load, and how much memory: 20 scenes of 1,000 images or more, first and second time.
 
-    python benchmarks/dataset_loading.py [FOLDER] [--scenes 20] [--image-width 160]
+    python benchmarks/speed/dataset_loading.py [FOLDER] [--scenes 20] [--image-width 160]
 
 The scenes are built cheaply: one synthetic house is drawn and photographed once, and its images, boxes and moves are
 written under many scene names, with the digits of the names changed. Every scene has files of its own, so reading, decoding

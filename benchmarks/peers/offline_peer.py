@@ -1,6 +1,6 @@
 """Conservative Q-learning in PyTorch on the CPU, the peer of offline.py: the same networks, loss and batches, fed by a DataLoader.
 
-    python benchmarks/offline_peer.py ARRAYS.npz [--updates 200] [--repeats 3] [--batch 256 1024] [--workers 2]
+    python benchmarks/peers/offline_peer.py ARRAYS.npz [--updates 200] [--repeats 3] [--batch 256 1024] [--workers 2]
         [--threads 1 2]
 
 offline.py writes ARRAYS.npz and starts this program with `--peer`. It needs torch and numpy alone, and prints one line of json: updates a second of

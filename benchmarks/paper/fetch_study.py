@@ -1,6 +1,6 @@
 """The study of the Fetch tasks: InfoGoal against bare HRAC on goal images, beside Table I of the paper.
 
-    python benchmarks/fetch_study.py --out FOLDER [--tasks fetch_reach ...] [--methods none infogoal] [--seeds 5] [--goal-images FOLDER]
+    python benchmarks/paper/fetch_study.py --out FOLDER [--tasks fetch_reach ...] [--methods none infogoal] [--seeds 5] [--goal-images FOLDER]
 
 Every run stays in FOLDER/TASK/METHOD with the curve of every seed; result.json beside it holds the times and the machine. What is there is not run
 again, so that runs may come from several machines; without anything to run the table is made anew. FOLDER/study.md is the table: 5 starts for

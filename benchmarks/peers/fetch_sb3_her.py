@@ -4,18 +4,18 @@ Stable-Baselines3 is no dependency of the project; it needs a scratch environmen
 
     python3.11 -m venv scratch && scratch/bin/pip install torch --index-url https://download.pytorch.org/whl/cpu
     scratch/bin/pip install -c constraints.txt -e '.[gymnasium]' stable-baselines3
-    scratch/bin/python benchmarks/fetch_sb3_her.py --task fetch_reach --steps 10000
+    scratch/bin/python benchmarks/peers/fetch_sb3_her.py --task fetch_reach --steps 10000
 """
 
 import argparse
 import time
 
 import numpy as np
-from machine import describe_machine
 from stable_baselines3 import SAC, HerReplayBuffer, __version__
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from infogoal_jax.bridges import gymnasium as bridge
+from infogoal_jax.report.machine import describe_machine
 
 
 def learner(task: str, seed: int) -> SAC:

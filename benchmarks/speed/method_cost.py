@@ -1,6 +1,6 @@
 """The cost of each method: seconds of an epoch's updates relative to the bare agent's, all in one run.
 
-    python benchmarks/method_cost.py [--task object_search] [--methods vae her ...] [--seeds 1] [--repeats 5] [--out FILE.json]
+    python benchmarks/speed/method_cost.py [--task object_search] [--methods vae her ...] [--seeds 1] [--repeats 5] [--out FILE.json]
 
 What is timed is what an epoch does after collecting: preparing what is drawn from (tables of a relabelling, bonuses of an explorer), drawing, and the
 preset's updates; the fastest of some repeats after one that is not counted, compile time apart. Prints a Markdown table.
@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 
 import jax
-from machine import describe_machine
 
 from infogoal_jax import make_train, presets
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.update import updates
 
 SIZES = {"num_epochs": 1, "epochs_per_evaluation": 1}
