@@ -20,7 +20,7 @@ import mujoco
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "peers"))
-from fetch_peer_mujoco import Peer  # noqa: E402
+from fetch_peer_mujoco import Peer
 
 KINDS = ("random", "held", "scripted")
 """Kinds of the episodes of a recording, in turn (record_fetch_reference.py)."""

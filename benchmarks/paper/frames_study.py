@@ -3,23 +3,22 @@
     python benchmarks/paper/frames_study.py --out FOLDER [--tasks object_manipulation embodied_qa] [--datasets 0 1 2] [--methods ...] [--seeds 5]
 
 Dataset N is generated from seed N, and so are its goals; none of them was used for tuning. Methods are those of `VARIANTS`: a learner, and where it
-says so another relabelling than the preset's. Every run stays in FOLDER/TASK/N/METHOD with the curve of every seed; result.json beside it holds
-times and machine. What is there is not run again, so that runs may come from several machines; FOLDER/study.md is the table of all that is there:
-last parameters, 5 starts for each goal, no random actions, the goal's code sampled at every step.
+says so another relabelling than the preset's. Every run stays in FOLDER/TASK/N/METHOD, with result.json for times and machine. What is there is not
+run again, so that runs may come from several machines. FOLDER/numbers.npz holds the numbers of all runs (study_numbers.py), FOLDER/study.md the
+table: last parameters, 5 starts for each goal, no random actions, the goal's code sampled at every step.
 """
 
 import argparse
 import dataclasses
-import json
+from collections.abc import Callable
 from pathlib import Path
 
-import jax
 import study
+from paper_numbers import reported
+from study_numbers import Study
 
 from infogoal_jax import envs, presets
-from infogoal_jax.report import tables
-from infogoal_jax.report.statistics import mean_interval, paired_difference
-from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
+from infogoal_jax.report.tables import Table
 
 VARIANTS = {
     "object_manipulation": {"none": ("HRAC", "none", None), "infogoal": ("InfoGoal", "infogoal", None)},
@@ -28,16 +27,10 @@ VARIANTS = {
     },
 }
 """For each task: a method's name, its learner, and its relabelling (None: the preset's). The second is compared with the first."""
-KINDS = {
-    "train_goal": "training", "validation_goal": "validation", "test_goal": "test", "corrupted_test_goal": "corrupted test",
-    "corrupted_train_goal": "corrupted training",
-}
-PAPER = {
-    "object_manipulation": {"test_goal": "0.40 / 0.92", "corrupted_test_goal": "0.30 / 0.95", "corrupted_train_goal": "0.75 / 1.00"},
-    "embodied_qa": {"test_goal": "0.05 / 1.00"},
-}
-"""Table I of the paper: bare agent / InfoGoal."""
 STARTS = 50  # For each goal, of the random policy and the shortest path.
+HALF_WAY = 30  # Epochs of embodied question answering, of 60.
+SHORT_TABLE = {"object_manipulation": ("train_goal", "test_goal", "corrupted_train_goal"), "embodied_qa": ("validation_goal", "test_goal")}
+"""The kinds of goals in the README."""
 
 
 def configuration(task: str, variant: str, dataset: int):
@@ -48,48 +41,75 @@ def configuration(task: str, variant: str, dataset: int):
     return dataclasses.replace(config, env=dataclasses.replace(config.env, **seeds))
 
 
-def baselines(task: str, dataset: int) -> dict[str, float]:
-    """Success of a random policy and of shortest paths on every kind of goals."""
-    env = envs.load(task, configuration(task, "none", dataset).env)
-    policies = {"{group}_goal random": random_policy(env), "{group}_goal shortest": shortest_path_policy(env)}
-    scores = jax.device_get(jax.jit(lambda env: evaluate(env, policies, STARTS))(env))
-    return {name.removesuffix("/success_rate"): float(value) for name, value in scores.items() if name.endswith("/success_rate")}
+def datasets(results: Study, task: str) -> list[str]:
+    """The datasets of a task that baselines are known of."""
+    return sorted(place.removeprefix(f"{task}/") for place in results.baselines if place.startswith(f"{task}/"))
 
 
-def task_table(folder: Path, task: str) -> list[str]:
-    """Rows of Markdown for one task: a row for each dataset and kind of goals."""
-    variants = VARIANTS[task]
-    names = [name for name, _, _ in variants.values()]
-    header = ["dataset", "goals", "random", "shortest path", *names, f"{names[1]} - {names[0]}", f"paper: {names[0]} / {names[1]}"]
-    lines = [f"### {task}", "", f"| {' | '.join(header)} |", "|" + "---|" * len(header)]
-    for place in sorted((folder / task).glob("[0-9]*"), key=lambda path: int(path.name)):
-        if not (place / "baselines.json").exists():
-            continue  # Another process is still at work here.
-        known = json.loads((place / "baselines.json").read_text())
-        found = {variant: tables.read(place / variant, "evaluations").last() for variant in variants if (place / variant / "result.json").exists()}
-        for kind, title in KINDS.items():
-            cells = {variant: values[f"{kind}/success_rate"] for variant, values in found.items() if f"{kind}/success_rate" in values}
-            if not cells:
-                continue
-            simple = [f"{known[f'{kind} {policy}']:.2f}" if f"{kind} {policy}" in known else "" for policy in ("random", "shortest")]
-            shown = [mean_interval(cells[variant]).show(2) if variant in cells else "" for variant in variants]
-            first, second = list(variants)[:2]
-            shown.append(paired_difference(cells[second], cells[first]).show(2) if {first, second} <= cells.keys() else "")
-            lines.append(f"| {' | '.join([place.name, title, *simple, *shown, PAPER[task].get(kind, '')])} |")
-    lines.append("")
-    for result in sorted((folder / task).glob("*/*/result.json")):
-        values = json.loads(result.read_text())
-        memory = f", {values['peak_bytes'] / 2**30:.1f} GiB of device memory" if values["peak_bytes"] else ""
-        lost = f", seeds {values['diverged']} diverged" if values["diverged"] else ""
-        lines.append(
-            f"- {task} {result.parent.parent.name}, {variants[result.parent.name][0]}: {values['seeds']} seeds, {values['epochs']} epochs, "
-            f"{values['updates']:,} updates; compiling {values['compile_seconds']:.0f} s, running {values['run_seconds']:.0f} s; "
-            f"the dataset takes {values['data_bytes'] / 2**20:.0f} MiB{memory}{lost}. {values['data']}. {values['machine']}")
-    return [*lines, ""]
+def scores(results: Study, task: str, kinds, choose: Callable[[Table], int]) -> list[tuple[str, str, dict]]:
+    """(dataset, kind of goals, {variant: success [seeds]}) of a task, of every dataset and those of the kinds that the task has."""
+    found = []
+    for dataset in datasets(results, task):
+        runs = results.finished(f"{task}/{dataset}", VARIANTS[task])
+        for kind in kinds:
+            values = {variant: study.success(run, kind, choose(run.evaluations)) for variant, run in runs.items()}
+            if values and all(value is not None for value in values.values()):
+                found.append((dataset, kind, values))
+    return found
+
+
+def task_table(results: Study, task: str) -> str:
+    """A row for each dataset and kind of goals of a task, at the last evaluation."""
+    names, rows = [name for name, _, _ in VARIANTS[task].values()], []
+    for dataset, kind, values in scores(results, task, study.KINDS, study.last):
+        known = results.baselines.get(f"{task}/{dataset}", {})
+        simple = [known.get(f"{kind}_{policy}/success_rate") for policy in ("random", "shortest")]
+        paper = " / ".join(reported(task, kind, method) for method in ("none", "infogoal"))
+        shown = ["" if value is None else f"{value:.2f}" for value in simple]
+        rows.append([dataset, study.KINDS[kind], *shown, *study.cells(values, VARIANTS[task]), paper.strip(" /")])
+    columns = ["dataset", "goals", "random", "shortest path", *names, f"InfoGoal - {names[0]}", f"paper: {names[0]} / InfoGoal"]
+    return study.markdown(columns, rows)
+
+
+def half_way_table(results: Study) -> str:
+    """CQL and InfoGoal on the shelf after half of the updates."""
+    found = scores(results, "embodied_qa", ("validation_goal", "test_goal"), lambda evaluations: list(evaluations.epochs).index(HALF_WAY))
+    rows = [[dataset, study.KINDS[kind], *study.cells(values, ("none", "infogoal"))] for dataset, kind, values in found]
+    return study.markdown(["shelf", "goals", "CQL", "InfoGoal", "InfoGoal - CQL"], rows)
+
+
+def short_table(results: Study) -> str:
+    """Both tasks in one table, with the kinds of goals of `SHORT_TABLE`."""
+    rows = []
+    for task, kinds in SHORT_TABLE.items():
+        for dataset, kind, values in scores(results, task, kinds, study.last):
+            paper = [reported(task, kind, method) for method in ("none", "infogoal")]
+            rows.append([task, dataset, study.KINDS[kind], *study.cells(values, ("none", "infogoal")), *paper])
+    columns = ["task", "dataset", "goals", "bare agent", "InfoGoal", "InfoGoal - bare agent", "paper: bare agent", "paper: InfoGoal"]
+    return study.markdown(columns, rows)
+
+
+def report(results: Study) -> str:
+    """The study as Markdown: for each task its table, then what each run took."""
+    lines = ["Success rate of the last parameters; mean ± 95 % interval (Student t) over seeds, and of the paired difference. "
+             "All datasets are stand-ins.", ""]
+    for task, variants in VARIANTS.items():
+        lines += [f"### {task}", "", task_table(results, task), ""]
+        for dataset in datasets(results, task):
+            runs = results.finished(f"{task}/{dataset}", variants)
+            lines += [study.describe_run(run, f"{task} {dataset}, {variants[variant][0]}") for variant, run in runs.items()]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def tables(results: Study) -> dict[str, str]:
+    """The tables that pages show, by name."""
+    shown = {task: task_table(results, task) for task in VARIANTS}
+    return shown | {"embodied_qa_half_way": half_way_table(results), "short": short_table(results)}
 
 
 def main():
-    """Run what is not there yet, then write the table of all that is."""
+    """Run what is not there yet, then write the numbers and the table of all that is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--tasks", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
@@ -102,13 +122,9 @@ def main():
             place = arguments.out / task / str(dataset)
             for variant in VARIANTS[task] if arguments.methods is None else arguments.methods:
                 study.train(configuration(task, variant, dataset), arguments.seeds, place / variant)
-            if not (place / "baselines.json").exists():
-                (place / "baselines.json").write_text(json.dumps(baselines(task, dataset)) + "\n")
-    introduction = ("Success rate of the last parameters; mean ± 95 % interval (Student t) over seeds, and of the paired difference. "
-                    "All datasets are stand-ins.")
-    shown = [line for task in VARIANTS if (arguments.out / task).exists() for line in task_table(arguments.out, task)]
-    (arguments.out / "study.md").write_text("\n".join([introduction, "", *shown]))
-    print("\n".join(shown))
+            config = configuration(task, "none", dataset).env
+            study.write_baselines(lambda task=task, config=config: envs.load(task, config), place / "baselines.json", STARTS)
+    study.finish(arguments.out, report)
 
 
 if __name__ == "__main__":

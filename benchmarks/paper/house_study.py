@@ -3,33 +3,31 @@
     python benchmarks/paper/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
 
 House 0 is the default one; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
-FOLDER with the curve of every seed; FOLDER/house_N/result.json holds the numbers, FOLDER/study.md the table
-and FOLDER/learning.png the curves. What is there is not run
-again, so houses may come from several machines. Scores are shown without random actions in evaluation (test epsilon 0), and with the share of
-random actions that is best for the success on training goals, for each method and house.
+FOLDER/house_N/METHOD; what is there is not run again, so houses may come from several machines. FOLDER/numbers.npz holds the numbers of all runs
+(study_numbers.py), FOLDER/study.md the table and FOLDER/learning.png the curves. Scores are shown without random actions in evaluation (test epsilon
+0), and with the share of random actions that is best for the success on training goals, for each method and house.
 """
 
 import argparse
 import dataclasses
 import itertools
-import json
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import study
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from paper_numbers import reported
+from study_numbers import Study, StudyRun
 
-from infogoal_jax import presets
-from infogoal_jax.report import tables
+from infogoal_jax import envs, presets
 from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
-from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
-from infogoal_jax.train.listeners import make_listeners
+from infogoal_jax.train.evaluation import evaluate
 
 METHODS = {"none": "DQN", "infogoal": "InfoGoal"}
 EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
@@ -48,8 +46,9 @@ def house_config(method: str, house: int, folder: Path):
     return dataclasses.replace(config, env=dataclasses.replace(config.env, dataset=str(path)))
 
 
-def scores_by_epsilon(sweep: host.Sweep) -> dict[str, np.ndarray]:
-    """Every score of the last parameters at every epsilon: {"{group}_goal/{score}": [seeds, epsilons]}, and with `_mean_code` for the mean code."""
+def scores_by_epsilon(sweep: host.Sweep) -> dict[str, dict[str, list]]:
+    """Every score of the last parameters at every epsilon, as part of result.json: {"scores": {"{group}_goal/{score}": [seeds][epsilons]}}, and with
+    `_mean_code` for the mean code."""
     train = sweep.train
 
     def one(params, epsilon, env):
@@ -58,96 +57,98 @@ def scores_by_epsilon(sweep: host.Sweep) -> dict[str, np.ndarray]:
         return {name: value for name, value in scores.items() if name != "first_reached"}
 
     every = jax.vmap(jax.vmap(one, in_axes=(None, 0, None)), in_axes=(0, None, None))
-    return jax.device_get(jax.jit(every)(sweep.params, jnp.asarray(EPSILONS), train.env))
+    found = jax.device_get(jax.jit(every)(sweep.params, jnp.asarray(EPSILONS), train.env))
+    return {"scores": {name: value.tolist() for name, value in found.items()}}
 
 
-def baselines(env) -> dict[str, float]:
-    """The same scores of a random policy (`_random`) and of shortest paths (`_shortest`)."""
-    policies = {"{group}_goal_random": random_policy(env), "{group}_goal_shortest": shortest_path_policy(env)}
-    scores = jax.device_get(jax.jit(lambda env: evaluate(env, policies, STARTS, START_SEED))(env))
-    return {name: float(value) for name, value in scores.items() if name != "first_reached"}
+def house_rows(runs: dict[str, StudyRun], baselines: dict[str, float], house: str, groups: tuple[str, ...]) -> list[list[str]]:
+    """Rows of one house: each group of goals and score at test epsilon 0, then at the one chosen on training goals."""
+    results = {method: run.about["result"] for method, run in runs.items()}
+    scores = {method: {name: np.asarray(value) for name, value in result["scores"].items()} for method, result in results.items()}
+    diverged = {int(seed) for result in results.values() for seed in result["diverged"]}
+    kept = [place for place, seed in enumerate(runs["none"].evaluations.seeds) if seed not in diverged]
+    chosen = {method: int(scores[method]["train_goal/success_rate"].mean(0).argmax()) for method in METHODS}
+    rows = []
+    for group, score, columns in itertools.product(groups, SCORES, (dict.fromkeys(METHODS, 0), chosen)):
+        name = f"{group}_goal/{score}"
+        cells = [scores[method][name][kept, column] for method, column in columns.items()]
+        epsilons = ", ".join(str(EPSILONS[column]) for column in columns.values())
+        known = [f"{baselines[f'{group}_goal_{policy}/{score}']:.2f}" for policy in ("random", "shortest")]
+        shown = [mean_interval(cell).show(2) for cell in cells] + [paired_difference(cells[1], cells[0]).show(2)]
+        rows.append([house.removeprefix("house_"), group, SCORES[score], epsilons, *known, *shown])
+    return rows
 
 
-def study_house(house: int, seeds: int, folder: Path) -> dict:
-    """Numbers of one house: random policy, shortest path, and for each method its scores at the epsilon chosen on training goals."""
-    result: dict = {"house": house, "machine": describe_machine(), "seeds": seeds, "epsilons": EPSILONS}
-    for method in METHODS:
-        config, out = house_config(method, house, folder), folder / f"house_{house}" / method
-        with make_listeners(out, config, seeds) as listeners:
-            sweep = host.run(config, list(range(seeds)), out, resume=(out / "checkpoint").exists(), listeners=listeners)
-        scores = scores_by_epsilon(sweep)
-        chosen = int(scores["train_goal/success_rate"].mean(0).argmax())
-        result["data"] = sweep.train.env.source
-        result[method] = {
-            "epochs": config.num_epochs, "chosen": chosen, "diverged": [str(seed) for seed in sweep.diverged],
-            "scores": {name: value.tolist() for name, value in scores.items()},
-        }
-    return result | {"baselines": baselines(sweep.train.env)}
+def houses(results: Study) -> dict[str, dict[str, StudyRun]]:
+    """The runs of every house that is whole."""
+    found = {house: results.finished(house, METHODS) for house in sorted(results.baselines)}
+    return {house: runs for house, runs in found.items() if len(runs) == len(METHODS)}
 
 
-def table(results: list[dict]) -> str:
-    """The study as Markdown: each group of goals and score at test epsilon 0, then at the one chosen on training goals."""
-    seeds = results[0]["seeds"]
+def scores_table(results: Study, groups: tuple[str, ...]) -> str:
+    """The table of all houses, of these groups of goals."""
+    columns = ["house", "goals", "score", "test epsilon (DQN, InfoGoal)", "random", "shortest path", "DQN", "InfoGoal", "InfoGoal - DQN"]
+    rows = [row for house, runs in houses(results).items() for row in house_rows(runs, results.baselines[house], house, groups)]
+    return study.markdown(columns, rows)
+
+
+def report(results: Study) -> str:
+    """The study as Markdown: its table, and what the houses and runs were."""
+    paper = ", ".join(f"{METHODS[method]} {reported('object_search', 'test_goal', method)}" for method in ("infogoal", "none"))
+    seeds = {len(run.evaluations.seeds) for run in results.runs.values()}
     lines = [
-        f"Mean ± 95 % interval (Student t) over {seeds} seeds; in the last column of the paired difference. {STARTS} starts for each goal. "
-        "The paper, on the real dataset: InfoGoal 0.93, DQN 0.18 on test goals.", "",
-        "| house | goals | score | test epsilon (DQN, InfoGoal) | random | shortest path | DQN | InfoGoal | InfoGoal - DQN |", "|" + "---|" * 9,
+        f"Mean ± 95 % interval (Student t) over {max(seeds)} seeds; in the last column of the paired difference. {STARTS} starts for each goal. "
+        f"The paper, on the real dataset: {paper} on test goals.", "", scores_table(results, ("train", "test")), "",
     ]
-    for result in results:
-        chosen = {method: result[method]["chosen"] for method in METHODS}
-        for group, score, columns in itertools.product(("train", "test"), SCORES, (dict.fromkeys(METHODS, 0), chosen)):
-            name = f"{group}_goal/{score}"
-            diverged = {int(seed) for method in METHODS for seed in result[method]["diverged"]}
-            kept = [seed for seed in range(seeds) if seed not in diverged]
-            cells = [np.asarray(result[method]["scores"][name])[kept, column] for method, column in columns.items()]
-            epsilons = ", ".join(str(EPSILONS[column]) for column in columns.values())
-            known = [f"{result['baselines'][f'{group}_goal_{policy}/{score}']:.2f}" for policy in ("random", "shortest")]
-            shown = [mean_interval(cell).show(2) for cell in cells] + [paired_difference(cells[1], cells[0]).show(2)]
-            lines.append(f"| {' | '.join([str(result['house']), group, SCORES[score], epsilons, *known, *shown])} |")
-    lines.append("")
-    for result in results:
-        epochs = ", ".join(f"{label} {result[method]['epochs']} epochs" for method, label in METHODS.items())
-        lost = {label: result[method]["diverged"] for method, label in METHODS.items() if result[method]["diverged"]}
-        left_out = "".join(f"; {label} seeds {', '.join(seeds_lost)} diverged and are left out" for label, seeds_lost in lost.items())
-        lines.append(f"- House {result['house']}: {result['data']}; {epochs}; {result['machine']}{left_out}")
+    for house, runs in houses(results).items():
+        epochs = ", ".join(f"{METHODS[method]} {run.evaluations.epochs[-1]} epochs" for method, run in runs.items())
+        lost = "".join(f"; {METHODS[method]} seeds {', '.join(map(str, run.about['result']['diverged']))} diverged and are left out"
+                       for method, run in runs.items() if run.about["result"]["diverged"])
+        first = runs["none"].about
+        lines.append(f"- House {house.removeprefix('house_')}: {first['data']}; {epochs}; {first['result']['machine']}{lost}")
     return "\n".join(lines) + "\n"
 
 
-def learning_figure(results: list[dict], folder: Path) -> Figure:
+def tables(results: Study) -> dict[str, str]:
+    """The tables that pages show, by name."""
+    return {"test_goals": scores_table(results, ("test",))}
+
+
+def learning_figure(results: Study) -> Figure:
     """Success on training (dashed) and test goals against environment steps, a panel a house: mean over seeds, 95 % band, every seed a thin line."""
-    figure = Figure(figsize=(4.2 * len(results), 3.8), layout="constrained")
+    found = houses(results)
+    figure = Figure(figsize=(4.2 * len(found), 3.8), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, result in zip(np.atleast_1d(figure.subplots(1, len(results), sharey=True)), results, strict=True):
+    for axes, (house, runs) in zip(np.atleast_1d(figure.subplots(1, len(found), sharey=True)), found.items(), strict=True):
         for (method, label), colour in zip(METHODS.items(), ("tab:orange", "tab:blue"), strict=True):
-            table = tables.read(folder / f"house_{result['house']}" / method, "evaluations")
-            steps = table.values["env_steps"].mean(0) / 1e3
-            draw_curve(axes, steps, table.values["test_goal/success_rate"], colour, f"{label}, test goals")
-            axes.plot(steps, table.values["train_goal/success_rate"].mean(0), color=colour, linestyle="--", label=f"{label}, training goals")
-        axes.axhline(result["baselines"]["test_goal_random/success_rate"], color="grey", linestyle=":", label="random policy")
-        axes.set_title(f"synthetic house {result['house']} (a stand-in)")
+            values = runs[method].evaluations.values
+            steps = values["env_steps"].mean(0) / 1e3
+            draw_curve(axes, steps, values["test_goal/success_rate"], colour, f"{label}, test goals")
+            axes.plot(steps, values["train_goal/success_rate"].mean(0), color=colour, linestyle="--", label=f"{label}, training goals")
+        axes.axhline(results.baselines[house]["test_goal_random/success_rate"], color="grey", linestyle=":", label="random policy")
+        axes.set_title(f"synthetic {house.replace('_', ' ')} (a stand-in)")
         axes.set_xlabel("environment steps a seed (thousands)")
         finish_share_axis(axes, "success rate")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=5)
-    figure.supxlabel(f"object search, test epsilon 0; {results[0]['seeds']} seeds, mean with 95 % interval, each seed a thin line", fontsize=8)
+    seeds = max(len(run.evaluations.seeds) for run in results.runs.values())
+    figure.supxlabel(f"object search, test epsilon 0; {seeds} seeds, mean with 95 % interval, each seed a thin line", fontsize=8)
     return figure
 
 
 def main():
-    """Run what is not there yet, then write result.json of each house and study.md."""
+    """Run what is not there yet, then write the numbers, the table and the figure of all that is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--houses", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--seeds", type=int, default=5)
     arguments = parser.parse_args()
     for house in arguments.houses:
-        path = arguments.out / f"house_{house}" / "result.json"
-        if not path.exists():
-            result = study_house(house, arguments.seeds, arguments.out)
-            path.write_text(json.dumps(result) + "\n")
-    results = [json.loads(path.read_text()) for path in sorted(arguments.out.glob("house_*/result.json"))]
-    (arguments.out / "study.md").write_text(table(results))
-    save(learning_figure(results, arguments.out), arguments.out / "learning.png")
-    print(table(results))
+        place = arguments.out / f"house_{house}"
+        for method in METHODS:
+            study.train(house_config(method, house, arguments.out), arguments.seeds, place / method, scores_by_epsilon)
+        config = house_config("none", house, arguments.out).env
+        study.write_baselines(lambda config=config: envs.load("object_search", config), place / "baselines.json", STARTS, START_SEED)
+    save(learning_figure(study.finish(arguments.out, report)), arguments.out / "learning.png")
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other objects are given the names of
 objects that the task does not have, and are the validation goals. Fetch is tuned on the validation goals of the shipped bank. FOLDER/TASK/METHOD is
 the folder of a search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several processes.
-With --final the preset and the three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/tuning.md is the
-table of all that is there.
+With --final the preset and the three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/numbers.npz holds
+every trial of all that is there (study_numbers.py: a search is a run whose metrics are `trial_N/success_rate`), FOLDER/study.md the table.
 """
 
 import argparse
@@ -17,10 +17,15 @@ import sys
 import tempfile
 from pathlib import Path
 
-from methods_study import NAMES
+import numpy as np
+import study
+import study_numbers
+from study import METHODS
+from study_numbers import Study, StudyRun
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.report.tables import Table
 from infogoal_jax.stand_ins.house import build_house
 
 HOUSE = 100
@@ -82,34 +87,53 @@ def final(task: str, method: str, folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
 
 
-def report(folder: Path) -> str:
+def read_search(folder: Path) -> StudyRun:
+    """A search or final: its trials' values, the best trial, and the success of every trial, seed and evaluation."""
+    about, best = (json.loads((folder / name).read_text()) for name in ("config.json", "best.json"))
+    trials = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
+    success = {f"trial_{trial['trial']}/success_rate": np.asarray(trial["success"], float).T for trial in trials}
+    result = {"best": best["trial"], "goals": best["goals"], "values": {str(trial["trial"]): trial["values"] for trial in trials},
+              "diverged": {str(trial["trial"]): trial["diverged"] for trial in trials if trial["diverged"]},
+              "compile_seconds": best["compile_seconds"], "run_seconds": best["run_seconds"]}
+    return StudyRun(about | {"result": result}, Table(about["seeds"], np.asarray(trials[0]["epochs"], int), success))
+
+
+def collect(folder: Path) -> Study:
+    """The study in this folder: what its numbers.npz holds already, and every search and final below it."""
+    known = study_numbers.load(folder / study_numbers.FILE).runs if (folder / study_numbers.FILE).exists() else {}
+    return Study(known | {str(path.parent.relative_to(folder)): read_search(path.parent) for path in sorted(folder.rglob("best.json"))})
+
+
+def report(results: Study) -> str:
     """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values, and how far they came."""
     lines = []
     for task in presets.TASKS:
-        found = {method: folder / task / method for method in NAMES if (folder / task / method / "best.json").exists()}
-        if not found:
-            continue
-        lines += [f"### {task}", "", *table(found)]
-        finals = {method: path / "final" for method, path in found.items() if (path / "final" / "best.json").exists()}
-        if finals:
-            lines += ["Finals, of the preset and the best of each search:", "", *table(finals)]
+        found = results.finished(task, METHODS)
+        finals = {name.removesuffix("/final"): run for name, run in results.finished(task, [f"{method}/final" for method in METHODS]).items()}
+        lines += [f"### {task}", "", *table(found, task)] if found else []
+        lines += ["Finals, of the preset and the best of each search:", "", *table(finals, task)] if finals else []
     return "\n".join(lines)
 
 
-def table(found: dict[str, Path]) -> list[str]:
+def tables(results: Study) -> dict[str, str]:
+    """The tables that pages show: none."""
+    return {}
+
+
+def table(found: dict[str, StudyRun], task: str) -> list[str]:
     """Rows of Markdown for these searches or finals, by method, and what they were made on."""
-    lines = ["| method | preset of that time | best | trial | its values | epochs |", "|---|---|---|---|---|---|"]
-    footers = {}
-    for method, path in found.items():
-        best, about = (json.loads((path / name).read_text()) for name in ("best.json", "config.json"))
-        values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
-        epochs = f"{best['epoch']} of {about['config']['num_epochs']}"
-        scores = f"{best['score_of_preset']:.2f} | {best['score']:.2f} | {best['trial']}"
-        lines.append(f"| {NAMES[method]} | {scores} | {values} | {epochs} |")
-        lanes = f"{about['trials']} trials, of which 0 is the preset, with the seeds {', '.join(map(str, about['seeds']))}"
-        footer = f"Success on {best['goals']} goals at the last of these epochs; {lanes}; {about['device']}. {about['data']}"
-        footers.setdefault(footer, []).append(NAMES[method])
-    lines.append("")
+    rows, footers = [], {}
+    for method, run in found.items():
+        result, final = run.about["result"], run.evaluations.last()
+        scores = [f"{final[f'trial_{trial}/success_rate'].mean():.2f}" for trial in (0, result["best"])]
+        values = ", ".join(f"{name} {value:.3g}" for name, value in result["values"][str(result["best"])].items())
+        epochs = f"{run.evaluations.epochs[-1]} of {run.about['config']['num_epochs']}"
+        rows.append([study.title_of(method, task), *scores, str(result["best"]), values, epochs])
+        seeds = ", ".join(map(str, run.evaluations.seeds))
+        lanes = f"{len(result['values'])} trials, of which 0 is the preset, with the seeds {seeds}"
+        footer = f"Success on {result['goals']} goals at the last of these epochs; {lanes}; {run.about['device']}. {run.about['data']}"
+        footers.setdefault(footer, []).append(study.title_of(method, task))
+    lines = [study.markdown(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows), ""]
     for footer, methods in footers.items():
         lines += [footer if len(footers) == 1 else f"{', '.join(methods)}: {footer}", ""]
     return lines
@@ -120,7 +144,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=presets.TASKS)
-    parser.add_argument("--methods", nargs="*", default=list(NAMES), choices=list(NAMES))
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--trials", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--final", action="store_true", help="run the best of each search again, with more and other seeds")
@@ -130,8 +154,7 @@ def main():
             search(task, method, arguments.trials, arguments.seeds, arguments.out)
             if arguments.final:
                 final(task, method, arguments.out)
-    (arguments.out / "tuning.md").write_text(report(arguments.out))
-    print(report(arguments.out))
+    study.finish(arguments.out, report, collect)
 
 
 if __name__ == "__main__":
