@@ -1,7 +1,7 @@
 """Speed of MJX's Warp backend on the very model that our Fetch physics simulates, to set beside it on one NVIDIA GPU.
 
     pip install warp-lang
-    python benchmarks/fetch_peer_warp.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--iterations 100]
+    python benchmarks/peers/fetch_peer_warp.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--iterations 100]
 
 A control step sets the mocap body beside the gripper and takes as many physics steps as ours; resets are not timed, and fingers
 are not driven. Our own contacts are not geoms' of the model, so geoms
@@ -14,12 +14,12 @@ import time
 import jax
 import jax.numpy as jnp
 import mujoco
-from machine import describe_machine
 from mujoco import mjx
 
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+from infogoal_jax.report.machine import describe_machine
 
 CONTACTS = 24  # Of one robot: what Warp sets memory aside for. The cube on the table has four, held by both fingers twelve.
 ROWS = 160  # Constraint rows of one robot.
