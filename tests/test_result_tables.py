@@ -13,6 +13,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
 import study_numbers  # noqa: E402
 import tables  # noqa: E402
+import tuning_study  # noqa: E402
 
 MOST_FILES, MOST_BYTES = 60, 3_000_000
 
@@ -75,6 +76,8 @@ def test_numbers_of_a_folder_survive_their_file(tmp_path):
     assert np.allclose(after.evaluations.values["infogoal/beta"].T.ravel(), [row["infogoal/beta"] for row in rows if row["epoch"] in (2, 4)])
     for name, value in before.evaluations.values.items():
         assert np.array_equal(after.evaluations.values[name], value.astype(np.float32)), name
+    study_numbers.save(loaded, tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / study_numbers.FILE).read_bytes()
 
 
 def test_a_folder_adds_to_the_numbers_that_lie_in_it(tmp_path):
@@ -82,3 +85,15 @@ def test_a_folder_adds_to_the_numbers_that_lie_in_it(tmp_path):
     study_numbers.save(study_numbers.collect(tmp_path), tmp_path / study_numbers.FILE)
     (tmp_path / "first").rename(tmp_path / "second")
     assert set(study_numbers.collect(tmp_path).runs) == {"first", "second"}
+
+
+def test_trials_of_a_search_are_kept(tmp_path):
+    folder = tmp_path / "object_search" / "vae"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps({"config": {"num_epochs": 20}, "seeds": [1000, 1001], "data": "made up", "device": "a device"}))
+    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation", "compile_seconds": 1.0, "run_seconds": 2.0}))
+    trials = [{"trial": number, "values": {"discount": 0.9 + number / 100}, "epochs": [10, 20], "success": [[0.0, 0.0], success], "diverged": []}
+              for number, success in ((0, [0.25, 0.5]), (3, [0.5, 1.0]))]
+    (folder / "trials.jsonl").write_text("".join(json.dumps(trial) + "\n" for trial in trials))
+    study_numbers.save(tuning_study.collect(tmp_path), tmp_path / study_numbers.FILE)
+    assert "| VAE | 0.38 | 0.75 | 3 | discount 0.93 | 20 of 20 |" in tuning_study.report(study_numbers.load(tmp_path / study_numbers.FILE))
