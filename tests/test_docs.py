@@ -72,7 +72,7 @@ def flags_in(text: str) -> set[str]:
 
 def known_flags() -> set[str]:
     """The flags of all commands and benchmarks."""
-    of_benchmarks = set().union(*(benchmark_flags(path) for path in (ROOT / "benchmarks").glob("*.py")))
+    of_benchmarks = set().union(*(benchmark_flags(path) for path in (ROOT / "benchmarks").glob("*/*.py")))
     return train_flags().union(of_benchmarks, OTHERS_FLAGS, *(flags_of(command) for command in COMMANDS.values()))
 
 

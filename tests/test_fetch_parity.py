@@ -94,7 +94,7 @@ def test_scripted_lifts_succeed_and_end_where_they_were_recorded(replayed, task,
 
 @cases("fetch_push")
 def test_scripted_pushes_end_near_where_they_were_recorded(replayed, task, setting):
-    """Those that stay on the table, or are just tipping over its edge; what has fallen lands anywhere (benchmarks/fetch_chaos.py)."""
+    """Those that stay on the table, or are just tipping over its edge; what has fallen lands anywhere (benchmarks/fidelity/fetch_chaos.py)."""
     recording, here = replayed(task, setting)
     stays = recording.thing[2::3, -1, 2] > 0.3
     assert stays.any()

@@ -1,7 +1,7 @@
 """How near our Fetch tasks are to recorded episodes of the reference: the same actions from the same start, and what became of grip and object.
 
 It measures and judges nothing: where contacts are chaotic, two runs of the reference a tenth of a millimetre apart part as well
-(benchmarks/fetch_chaos.py).
+(benchmarks/fidelity/fetch_chaos.py).
 """
 
 import dataclasses

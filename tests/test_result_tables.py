@@ -1,0 +1,99 @@
+"""Tables of the pages say what the numbers in docs/results give, and a study's numbers survive their file."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from infogoal_jax.train import files
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
+import study_numbers  # noqa: E402
+import tables  # noqa: E402
+import tuning_study  # noqa: E402
+
+MOST_FILES, MOST_BYTES = 60, 3_000_000
+
+
+@pytest.fixture(scope="module")
+def written():
+    """What every page should be, by its path."""
+    return tables.written(list(tables.STUDIES))
+
+
+def test_pages_say_what_the_numbers_give(written):
+    """If not, `python benchmarks/paper/tables.py` writes them."""
+    assert [str(path.relative_to(ROOT)) for path, text in written.items() if path.read_text() != text] == []
+
+
+def test_a_changed_number_is_noticed(written, monkeypatch, tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(tables.PAGES[0].read_text().replace("0.89 ± 0.09", "0.99 ± 0.09"))
+    monkeypatch.setattr(tables, "PAGES", [page])
+    assert tables.written(["house_study"])[page] == written[ROOT / "README.md"] != page.read_text()
+
+
+def test_every_table_for_pages_is_on_one():
+    text = "".join(page.read_text() for page in tables.PAGES)
+    for name, module in tables.STUDIES.items():
+        for table in module.tables(study_numbers.load(tables.RESULTS / name / study_numbers.FILE)):
+            assert f"<!-- table: {name}/{table} -->" in text, table
+
+
+def test_results_are_light():
+    sizes = [path.stat().st_size for path in tables.RESULTS.rglob("*") if path.is_file()]
+    assert len(sizes) <= MOST_FILES and sum(sizes) <= MOST_BYTES
+
+
+def write_run(folder: Path, seeds: int = 2, epochs: int = 4) -> None:
+    """A finished run of made-up numbers that was evaluated after every second epoch."""
+    draw = np.random.default_rng(0)
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps({"config": {"method": "infogoal"}, "seeds": list(range(seeds)), "data": "made up"}))
+    (folder / "result.json").write_text(json.dumps({"machine": "a machine", "seconds": 2.5}))
+    for epoch in range(1, epochs + 1):
+        files.append_rows(folder, "epochs", [{"seed": seed, "epoch": epoch, "infogoal/beta": draw.random(), "loss": 1.0} for seed in range(seeds)])
+        if epoch % 2 == 0:
+            rows = [{"seed": seed, "epoch": epoch, "test_goal/success_rate": draw.random(), "env_steps": 100 * epoch,
+                     "first_reached": draw.integers(0, 102, (3, 5)).tolist()} for seed in range(seeds)]
+            files.append_rows(folder, "evaluations", rows)
+
+
+def test_numbers_of_a_folder_survive_their_file(tmp_path):
+    write_run(tmp_path / "task" / "infogoal")
+    (tmp_path / "task" / "baselines.json").write_text('{"test_goal_random/success_rate": 0.25}')
+    collected = study_numbers.collect(tmp_path)
+    study_numbers.save(collected, tmp_path / study_numbers.FILE)
+    loaded = study_numbers.load(tmp_path / study_numbers.FILE)
+    assert loaded.baselines == {"task": {"test_goal_random/success_rate": 0.25}}
+    before, after = (results.finished("task", ["none", "infogoal"])["infogoal"] for results in (collected, loaded))
+    assert after.about["result"] == {"machine": "a machine", "seconds": 2.5} and after.evaluations.seeds == [0, 1]
+    assert list(after.evaluations.epochs) == [2, 4] and set(after.evaluations.values) == set(before.evaluations.values)
+    rows = files.read_table(tmp_path / "task" / "infogoal", "epochs")
+    assert np.allclose(after.evaluations.values["infogoal/beta"].T.ravel(), [row["infogoal/beta"] for row in rows if row["epoch"] in (2, 4)])
+    for name, value in before.evaluations.values.items():
+        assert np.array_equal(after.evaluations.values[name], value.astype(np.float32)), name
+    study_numbers.save(loaded, tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / study_numbers.FILE).read_bytes()
+
+
+def test_a_folder_adds_to_the_numbers_that_lie_in_it(tmp_path):
+    write_run(tmp_path / "first")
+    study_numbers.save(study_numbers.collect(tmp_path), tmp_path / study_numbers.FILE)
+    (tmp_path / "first").rename(tmp_path / "second")
+    assert set(study_numbers.collect(tmp_path).runs) == {"first", "second"}
+
+
+def test_trials_of_a_search_are_kept(tmp_path):
+    folder = tmp_path / "object_search" / "vae"
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps({"config": {"num_epochs": 20}, "seeds": [1000, 1001], "data": "made up", "device": "a device"}))
+    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation", "compile_seconds": 1.0, "run_seconds": 2.0}))
+    trials = [{"trial": number, "values": {"discount": 0.9 + number / 100}, "epochs": [10, 20], "success": [[0.0, 0.0], success], "diverged": []}
+              for number, success in ((0, [0.25, 0.5]), (3, [0.5, 1.0]))]
+    (folder / "trials.jsonl").write_text("".join(json.dumps(trial) + "\n" for trial in trials))
+    study_numbers.save(tuning_study.collect(tmp_path), tmp_path / study_numbers.FILE)
+    assert "| VAE | 0.38 | 0.75 | 3 | discount 0.93 | 20 of 20 |" in tuning_study.report(study_numbers.load(tmp_path / study_numbers.FILE))
