@@ -45,6 +45,9 @@ CUBE = {
 }
 """The cube with episodes long enough for it: 60,000 updates."""
 
+FETCH = {"num_epochs": 200, "epochs_per_evaluation": 20}
+"""Fetch with 20,000 updates, on the goals that are shipped: settings are to be compared by their validation goals."""
+
 THRESHOLDS = {f"threshold {value}": {"beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 UNCOMPRESSED = {"no compression": {"beta_step": 0.0, "beta_start": 0.0}}
 NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "beta_threshold": 0.99}}
@@ -55,8 +58,17 @@ QUEUE = {
                                                    THRESHOLDS | UNCOMPRESSED | NO_REWARD) for window in (1, 0, 3)},
     "cube_infogoal_her_small_subgoals": Trial("object_manipulation", "infogoal", "her", CUBE | {"learner.window": 1, "agent.subgoal_scale": 0.2618},
                                               THRESHOLDS | UNCOMPRESSED),
+    "pick_and_place_her": Trial("fetch_pick_and_place", "her", None, FETCH, {"preset": {}}, seeds=3),
+    "pick_and_place_infogoal": Trial("fetch_pick_and_place", "infogoal", None, FETCH, THRESHOLDS, seeds=3),
+    "pick_and_place_infogoal_her": Trial("fetch_pick_and_place", "infogoal", "her", FETCH, THRESHOLDS, seeds=3),
+    "pick_and_place_infogoal_her_window_1": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"learner.window": 1}, THRESHOLDS, seeds=3),
+    "pick_and_place_infogoal_her_corruption": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"training_corruption": 0.4}, THRESHOLDS,
+                                                    seeds=3),
+    "reach_infogoal": Trial("fetch_reach", "infogoal", None, FETCH, THRESHOLDS, seeds=3),
+    "reach_infogoal_her": Trial("fetch_reach", "infogoal", "her", FETCH, THRESHOLDS, seeds=3),
+    "reach_infogoal_corruption": Trial("fetch_reach", "infogoal", None, FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3),
 }
-"""What is run, in order. Seeds of dataset and goals are 100: results are shown on 0, 1 and 2."""
+"""What is run, in order. The cube's seeds of dataset and goals are 100: results are shown on others."""
 
 
 def with_settings(config: TrainConfig, settings: dict[str, Any]) -> TrainConfig:
@@ -72,11 +84,16 @@ def with_settings(config: TrainConfig, settings: dict[str, Any]) -> TrainConfig:
 
 
 def code_errors(train, params, goals: jax.Array) -> jax.Array:
-    """Degrees [M] between each of these poses and the one whose mean code is nearest to a code drawn for it: how finely codes tell poses apart."""
+    """How far each of these goals [M] lies from the one whose mean code is nearest to a code drawn for it, in degrees or metres.
+
+    That is the resolution of the code, to be held beside the tolerance of success: 10 degrees, 5 cm.
+    """
     env, learner = train.env, train.parts.learner
     table = encode_all(learner, params["goal"], env.goals).mean
     drawn = learner.encode(params["goal"], env.goals.inputs_of(goals)).sample(jax.random.key(0))
     nearest = jax.lax.map(lambda code: jnp.abs(table - code).mean(-1).argmin(), drawn)
+    if not hasattr(env, "goal_quaternion"):
+        return jnp.linalg.norm(env.goal_positions[goals] - env.goal_positions[nearest], axis=-1)
     cosine_of_half = jnp.abs((env.goal_quaternion[goals] * env.goal_quaternion[nearest]).sum(-1))
     return jnp.degrees(2 * jnp.arccos(jnp.minimum(cosine_of_half, 1.0)))
 
@@ -96,7 +113,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
     print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
     path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}
-    posed = {group: jnp.flatnonzero(mask) for group, mask in masks.items()} if hasattr(env, "goal_quaternion") else {}
+    posed = {group: jnp.flatnonzero(mask) for group, mask in masks.items()} if env.goal_positions is not None else {}
     with open(path.with_suffix(".partial"), "w", newline="") as file:
         table = None
         for number in range(config.num_evaluations):
@@ -107,7 +124,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
                         if f"{config.method}/{part}" in epochs}
             seconds = time.time() - before
             for group, goals in posed.items():
-                metrics[f"{group}/code_error_degrees"] = np.asarray(errors(states.params, goals)).mean(1)
+                metrics[f"{group}/code_error"] = np.asarray(errors(states.params, goals)).mean(1)
             for lane, (label, seed) in enumerate(lanes):
                 row = {"trial": name, "lane": label, "seed": seed, "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch}
                 row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()}

@@ -81,7 +81,7 @@ class CheckFetchCommand:
     """Replay recorded episodes of the reference Fetch tasks here, and print how far grip and object are from where they were recorded."""
 
     file: tyro.conf.Positional[str]
-    """The episodes: an npz as benchmarks/record_fetch_reference.py writes it."""
+    """The episodes: an npz as benchmarks/fidelity/record_fetch_reference.py writes it."""
     faithful: bool = False
     """Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast default."""
     kinds: str = ""

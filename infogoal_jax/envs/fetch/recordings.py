@@ -1,4 +1,4 @@
-"""Recorded episodes of the reference Fetch environments, as benchmarks/record_fetch_reference.py writes them: one npz, and everything in it checked.
+"""Recorded episodes of the reference Fetch environments: one npz, as benchmarks/fidelity/record_fetch_reference.py writes it, checked throughout.
 
 Arrays of a task, of E episodes with T steps of 40 ms, in m, rad and (velocities) m or rad a step: `<task>/observation` [E, T + 1, 10 or 25],
 `achieved_goal` [E, T + 1, 3], `desired_goal` [E, 1, 3], `action` [E, T, 4] and `reward` [E, T]. Texts beside them (`source`, `mujoco`) say where they
@@ -92,7 +92,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise UserError(f"file = {str(path)!r}: is not there; give an npz of episodes, such as benchmarks/record_fetch_reference.py writes") from None
+        raise UserError(f"file = {str(path)!r}: is not there; give an npz of episodes, "
+                        "such as benchmarks/fidelity/record_fetch_reference.py writes") from None
     except OSError as error:
         raise UserError(f"file = {str(path)!r}: cannot be read ({error.strerror})") from error
     if content[:2] != b"PK":
