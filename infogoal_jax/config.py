@@ -1,77 +1,52 @@
 """What a run is made of: `TrainConfig` (static: names, sizes, switches) and `Hyperparameters` (floats, never static).
 
 `[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project (docs/object_search.md).
-Each part of the program (environment, learner, agent) declares its own configuration beside its code; `TrainConfig` holds one of each.
+Each part of the program (environment, learner, agent, relabelling, explorer) declares its configuration and its floats beside its code;
+`TrainConfig` and `Hyperparameters` hold one of each and know none of them.
 """
 
 import dataclasses
-import json
-import math
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import flax.struct
 
+from infogoal_jax import hyperparameters
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.hyperparameters import NoHyperparameters, Number, Search
 
 KnownGoals = Literal["train", "visited", "all"]
 
 
 @flax.struct.dataclass
 class Hyperparameters:
-    """Floats that every compiled program takes as an argument: sweep them with `jax.vmap`, change them without compiling again."""
+    """Floats that every compiled program takes as an argument, and those of its parts."""
 
-    learning_rate: float = 1e-3
-    """Step of Adam, for every network [A]. Greater than 0."""
-    discount: float = 0.95
-    """Discount of one environment step, in [0, 1)."""
-    epsilon: float = 0.2
-    """Share of random actions while collecting, in [0, 1]."""
-    noise: float = 0.2
-    """Standard deviation of the noise on continuous actions while collecting: 3 cm of the subgoal's 15. 0 or more."""
-    target_noise: float = 0.2
-    """Standard deviation of the noise on the actions that TD3's targets are made from. 0 or more."""
-    adjacency_weight: float = 20.0
-    """Weight of HRAC's penalty for subgoals that cannot be reached in time. 0 or more."""
-    test_epsilon: float = 0.0
-    """Share of random actions in evaluation, in [0, 1]. Choose it on training goals only."""
-    conservative_weight: float = 1.0
-    """Weight of CQL's penalty on the values of moves that were not recorded. 0 or more."""
-    target_rate: float = 0.01
-    """Share by which the target network follows at each update, in (0, 1]."""
-    max_gradient_norm: float = 10.0
-    """Gradients are scaled down to this global norm. Greater than 0."""
-    learner_weight: float = 1.0
+    learning_rate: Annotated[float, Number("(0, inf)", Search(1e-4, 3e-3, "log"))] = 1e-3
+    """Step of Adam, for every network [A]."""
+    discount: Annotated[float, Number("[0, 1)", Search(0.9, 0.995, "log of 1 - x"))] = 0.95
+    """Discount of one environment step."""
+    epsilon: Annotated[float, Number("[0, 1]", Search(0.05, 0.5, "linear", always=False))] = 0.2
+    """Probability of a random action while collecting."""
+    test_epsilon: Annotated[float, Number("[0, 1]")] = 0.0
+    """Probability of a random action in evaluation. Choose it on training goals only."""
+    noise: Annotated[float, Number("[0, inf)", Search(0.05, 0.5, "linear", always=False))] = 0.2
+    """Standard deviation of the noise on continuous actions while collecting: 3 cm of the subgoal's 15."""
+    target_rate: Annotated[float, Number("(0, 1]", Search(0.005, 0.1, "log"))] = 0.01
+    """How far the target networks follow at each update."""
+    max_gradient_norm: Annotated[float, Number("(0, inf)")] = 10.0
+    """Gradients are scaled down to this global norm."""
+    learner_weight: Annotated[float, Number("[0, inf)", Search(1e-3, 10.0, "log"))] = 1.0
     """Weight of the goal-representation loss beside the loss of the agent [A]."""
-    intrinsic_weight: float = 5.0
+    intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log"))] = 5.0
     """Intrinsic reward of a whole episode spent at the mean distance from the goal, in successes; 0 turns it off."""
-    explorer_weight: float = 0.01
-    """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]. 0 or more."""
-    bonus_weight: float = 0.05
-    """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of 1. 0 or more."""
-    beta_start: float = 0.0
-    """First value of the Lagrange multiplier beta, in [0, 1]."""
-    beta_step: float = 2.5e-4
-    """rho of Eq. 15, for the linear rule only; the step of the authors' sign rule is always 1e-5. 0 holds beta still."""
-    beta_threshold: float = 0.96
-    """alpha of Eq. 15: the accuracy above which beta grows [A], in (0, 1)."""
-    fixed_beta: float = 0.01
-    """Where InfoGoal's beta ramps to, by 1e-5 an update [A], under `--learner.beta-rule fixed`; InfoBot's beta from the start. In [0, 1]."""
-
-    def check(self) -> None:
-        """Raise `UserError` for a value out of its range. Called on Python floats only, never on traced values."""
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{field.name}", value, "give a finite number")
-        for name in ("learning_rate", "max_gradient_norm"):
-            require(getattr(self, name) > 0, f"hyper.{name}", getattr(self, name), "give a number greater than 0")
-        for name in ("learner_weight", "intrinsic_weight", "explorer_weight", "bonus_weight", "beta_step", "noise", "target_noise",
-                     "adjacency_weight", "conservative_weight"):
-            require(getattr(self, name) >= 0, f"hyper.{name}", getattr(self, name), "give 0 or more")
-        for name in ("epsilon", "test_epsilon", "beta_start", "fixed_beta"):
-            require(0 <= getattr(self, name) <= 1, f"hyper.{name}", getattr(self, name), "give a number from 0 to 1")
-        require(0 <= self.discount < 1, "hyper.discount", self.discount, "give a number from 0 to below 1, for example 0.95")
-        require(0 < self.target_rate <= 1, "hyper.target_rate", self.target_rate, "give a number above 0, at most 1, for example 0.01")
-        require(0 < self.beta_threshold < 1, "hyper.beta_threshold", self.beta_threshold, "give an accuracy between 0 and 1, for example 0.96")
+    explorer_weight: Annotated[float, Number("[0, inf)")] = 0.01
+    """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]."""
+    bonus_weight: Annotated[float, Number("[0, inf)", Search(0.005, 0.5, "log"))] = 0.05
+    """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of 1."""
+    learner: Any = NoHyperparameters()
+    """Those of the learner."""
+    agent: Any = NoHyperparameters()
+    """Those of the agent."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,24 +73,16 @@ class TrainConfig:
 
     task: str
     """Name of the environment, see `infogoal_jax.envs.registry`."""
-    method: str
-    """Name of the goal-representation learner, see `infogoal_jax.learners.registry`; `none` is the bare agent."""
-    algorithm: str
-    """Name of the reinforcement-learning agent, see `infogoal_jax.agents.registry`."""
-    relabelling: str
-    """Name of the relabelling in hindsight, see `infogoal_jax.hindsight.registry`; `none` keeps the goals."""
     env: Any
     """Configuration of the environment (dataset, episode length, ...)."""
     learner: Any
-    """Configuration of the goal-representation learner."""
+    """Configuration of a goal-representation learner, see `infogoal_jax.learners.registry`; it says which learner it is."""
     agent: Any
-    """Configuration of the reinforcement-learning agent."""
-    hindsight: Any
-    """Configuration of the relabelling."""
-    exploration: str
-    """Name of the explorer, see `infogoal_jax.exploration.registry`; `none` leaves the state encoder and the reward alone."""
+    """Configuration of a reinforcement-learning agent, see `infogoal_jax.agents.registry`."""
+    relabelling: Any
+    """Configuration of a relabelling of goals, see `infogoal_jax.relabelling.registry`."""
     explorer: Any
-    """Configuration of the explorer."""
+    """Configuration of an explorer, see `infogoal_jax.exploration.registry`."""
     state_encoder: StateEncoderConfig = dataclasses.field(default_factory=StateEncoderConfig)
     """Configuration of the encoder of image observations."""
     hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
@@ -160,8 +127,8 @@ class TrainConfig:
         require(0 <= self.training_corruption < 1, "training_corruption", self.training_corruption, "give a weight from 0 to below 1")
         require(0 <= self.test_corruption <= 1, "test_corruption", self.test_corruption, "give a weight from 0 to 1, for example 0.4")
         if isinstance(self.hyper.learning_rate, int | float):
-            self.hyper.check()
-        for part in (self.state_encoder, self.env, self.learner, self.agent, self.hindsight, self.explorer):
+            hyperparameters.check(self.hyper)
+        for part in (self.state_encoder, self.env, self.learner, self.agent, self.relabelling, self.explorer):
             part.check(self)
 
     @property
@@ -173,8 +140,3 @@ class TrainConfig:
     def buffer_epochs(self) -> int:
         """Epochs that the replay buffer holds."""
         return -(-self.buffer_steps // (self.num_envs * self.rollout_steps))
-
-
-def to_json(config: TrainConfig) -> str:
-    """The resolved configuration as indented JSON, as it is saved with each run."""
-    return json.dumps(dataclasses.asdict(config), indent=2, sort_keys=True)

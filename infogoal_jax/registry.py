@@ -1,20 +1,41 @@
-"""What stands in the registries of tasks, learners, agents and relabellings: a configuration class, and the function that makes the part."""
+"""What stands in the registries of tasks, learners, agents, relabellings and explorers."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.hyperparameters import NoHyperparameters
 
 
 class Entry(NamedTuple):
-    """The configuration class of a part and the function that makes the part from such a configuration."""
+    """A part: the class of its configuration, the function that makes the part of one, and the record of its float hyperparameters."""
 
     config: type
     make: Callable[..., Any]
+    hyper: type = NoHyperparameters
 
 
-def find(entries: dict[str, Entry], field: str, name: str) -> Entry:
-    """The entry of this name, or a `UserError` that names the field and the nearest name."""
-    if name not in entries:
-        raise UserError(f"{field} = {name!r}: no such {field}.{nearest(name, list(entries))} Known: {', '.join(entries)}")
-    return entries[name]
+class Registry(dict):
+    """The parts of one kind by name. kind: what they are, which is also the field of `TrainConfig` that holds the configuration of one."""
+
+    def __init__(self, kind: str, entries: dict[str, Entry]):
+        super().__init__(entries)
+        self.kind = kind
+
+    def entry(self, name: str) -> Entry:
+        """The part of this name, or a `UserError` with the nearest one."""
+        if name not in self:
+            raise UserError(f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}")
+        return self[name]
+
+    def name_of(self, config: Any) -> str:
+        """The name of the part that this configuration is of."""
+        for name, entry in self.items():
+            if type(config) is entry.config:
+                return name
+        raise UserError(f"{self.kind} = {type(config).__name__}: is not the configuration of a registered {self.kind}. Known: "
+                        f"{', '.join(entry.config.__name__ for entry in self.values())}")
+
+    def entry_of(self, config: Any) -> Entry:
+        """The part that this configuration is of."""
+        return self[self.name_of(config)]

@@ -17,7 +17,7 @@ MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 20_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the next."""
 LONGEST_FIRST = (
-    "every_method", "hrac_program", "training", "resume", "low_level", "report", "host", "frame_figures", "hindsight", "command_line", "notebook",
+    "every_method", "hrac_program", "training", "resume", "low_level", "report", "host", "frame_figures", "relabelling", "command_line", "notebook",
     "reconstruction", "fetch_environment", "sse_db", "infogoal", "laboratory", "tune", "fetch_physics", "bridges", "shelf", "infobot",
     "embodied_qa", "gcb", "cher", "image_goals", "fetch_parity",
 )

@@ -87,7 +87,7 @@ def manipulation(**changes) -> object_manipulation.ObjectManipulation:
 def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
     """A configuration that trains on it in seconds; by DQN, since the shipped low level belongs to another arm."""
     small = {
-        "env": ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12), "algorithm": "dqn", "num_epochs": 2, "epochs_per_evaluation": 1,
+        "env": ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12), "agent": "dqn", "num_epochs": 2, "epochs_per_evaluation": 1,
         "num_envs": 8, "rollout_steps": 20, "updates_per_epoch": 5, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 2,
         "state_encoder": StateEncoderConfig(features=32),
     }

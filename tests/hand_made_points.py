@@ -13,7 +13,7 @@ import numpy as np
 
 from infogoal_jax import learners, presets
 from infogoal_jax.agents.hrac import HRACConfig
-from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.config import StateEncoderConfig, TrainConfig
 from infogoal_jax.data.goal_images import grid_positions
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.fetch.image_goals import ImageGoals, lay_out
@@ -114,9 +114,10 @@ def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> Steered:
 def config(method: str = "infogoal", **changes) -> TrainConfig:
     """A configuration that trains on the points in seconds. Its batches are smaller than the set of goals, as those of Fetch are."""
     learner = {"hidden": (64,)} | ({"window": 3, "num_pairs": 64} if method == "infogoal" else {})
-    small = {
-        "env": FetchConfig(goals="images", episode_length=EPISODE_LENGTH), "agent": HRACConfig(interval=INTERVAL, hidden=(64, 64)),
-        "learner": learners.entry(method).config(**learner), "state_encoder": StateEncoderConfig(features=32), "hyper": Hyperparameters(),
+    parts = {"agent": HRACConfig(interval=INTERVAL, hidden=(64, 64)), "learner": learners.registry.entry(method).config(**learner)}
+    small = parts | {
+        "env": FetchConfig(goals="images", episode_length=EPISODE_LENGTH), "state_encoder": StateEncoderConfig(features=32),
+        "hyper": presets.default_hyperparameters(**parts),
         "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 26, "updates_per_epoch": 5, "batch_size": 64,
         "buffer_steps": 2000, "evaluation_starts": 2,
     }

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import replay
-from infogoal_jax.hindsight.relabelling import Achievements, Context
+from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Rows
 
 ROWS, STEPS, GOALS = 6, 12, 9

@@ -12,7 +12,7 @@ from hand_made_rows import STEPS, context, random_rows
 
 from infogoal_jax import replay
 from infogoal_jax.errors import UserError
-from infogoal_jax.hindsight import cher
+from infogoal_jax.relabelling import cher
 
 RECORDED = np.load(pathlib.Path(__file__).parent / "fixtures" / "cher.npz", allow_pickle=False)
 CASES = ("n16_lambda1", "n16_lambda3", "n128_lambda1", "n128_lambda3", "n128_step20000", "n32_pairs")
@@ -166,5 +166,5 @@ def test_many_updates_draw_side_by_side_what_each_draws_alone():
 
 @pytest.mark.parametrize("fields", [{"similarity": "nearest_two"}, {"proximity_unit": "m"}, {"proximity_weight": -1.0}, {"proximity_growth": -1e-4}])
 def test_fields_that_cannot_be(fields):
-    with pytest.raises(UserError, match=f"hindsight.{next(iter(fields))}"):
+    with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
         cher.CHERConfig(**fields).check(None)

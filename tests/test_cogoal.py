@@ -11,8 +11,8 @@ import optax
 import pytest
 
 from infogoal_jax import make_train, pairs, replay
-from infogoal_jax.config import Hyperparameters
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import cogoal
 from infogoal_jax.learners.learner import GoalCode, Request
 from infogoal_jax.pairs import GoalPairs
@@ -29,7 +29,7 @@ def loss_of(codes, batch: GoalPairs, norm_penalty: float = 0.0):
     """Loss and metrics of these codes [N, d]."""
     learner = cogoal.make(cogoal.CoGoalConfig(norm_penalty=norm_penalty))
     seen = hand_made.learner_batch(GoalCode(codes).__getitem__, pairs=batch)
-    return learner.loss({}, (), seen, Hyperparameters(), jax.random.key(0))[:2]
+    return learner.loss({}, (), seen, NoHyperparameters(), jax.random.key(0))[:2]
 
 
 def pairs_of(anchor, positive, negative, positive_weight=None, negative_weight=None) -> GoalPairs:
@@ -73,13 +73,13 @@ def test_norm_penalty_is_the_mean_squared_norm():
 def test_gradient_is_finite_where_codes_are_equal():
     inputs = jnp.ones((4, 16))
     learner = cogoal.make(cogoal.CoGoalConfig())
-    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), Hyperparameters())
+    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters())
     batch = pairs_of([0, 1], [0, 2], [[3], [3]])
 
     def objective(params):
         codes = learner.encode(params, inputs)
         assert codes.std is None
-        return learner.loss(params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), Hyperparameters(), jax.random.key(0))[0]
+        return learner.loss(params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), NoHyperparameters(), jax.random.key(0))[0]
 
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.jit(jax.grad(objective))(params)))
 
@@ -100,7 +100,7 @@ def test_goals_of_a_group_are_pulled_together_and_others_apart():
     def seed(key):
         input_key, init_key, train_key = jax.random.split(key, 3)
         inputs = jax.random.normal(input_key, (GOALS, 16))
-        params, state = learner.init(init_key, hand_made.example(inputs), Hyperparameters())
+        params, state = learner.init(init_key, hand_made.example(inputs), NoHyperparameters())
 
         def step(carry, key):
             params, optimizer_state = carry
@@ -112,7 +112,7 @@ def test_goals_of_a_group_are_pulled_together_and_others_apart():
 
             def objective(params):
                 seen = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, pairs=batch)
-                return learner.loss(params, state, seen, Hyperparameters(), key)[0]
+                return learner.loss(params, state, seen, NoHyperparameters(), key)[0]
 
             change, optimizer_state = optimizer.update(jax.grad(objective)(params), optimizer_state)
             return (optax.apply_updates(params, change), optimizer_state), None

@@ -8,8 +8,8 @@ import sys
 import jax
 import pytest
 
-from infogoal_jax.config import to_json
-from infogoal_jax.presets import from_dict, load
+from infogoal_jax.presets import load
+from infogoal_jax.presets.saved import from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import files
 from infogoal_jax.train.command_line import main
@@ -47,7 +47,7 @@ MISTAKES = [
     ("train object_search --learner.window -1", ["learner.window = -1", "between 0"]),
     ("train object_search --learner.loss ratio --learner.score bilinear", ["learner.loss = 'ratio'", "--learner.score distance"]),
     ("train object_search --agent.num-steps 0", ["agent.num_steps = 0", "between 1 and"]),
-    ("train object_search --hyper.discount 1.5", ["hyper.discount = 1.5", "below 1"]),
+    ("train object_search --hyper.discount 1.5", ["hyper.discount = 1.5", "[0, 1)"]),
     ("train object_search --hyper.learning-rate nan", ["hyper.learning_rate = nan", "finite"]),
     ("train object_search --env.image-size 30", ["env.image_size = 30", "multiple of state_encoder.patch = 8"]),
     ("train object_search --env.min-box-size 2", ["env.min_box_size = 2.0", "from 0 to below 1"]),
@@ -64,7 +64,7 @@ MISTAKES = [
     ("evaluate not_there --corruption 1.5", ["corruption = 1.5", "from 0 to 1"]),
     ("video fetch_reach --out a.mp4 --corruption 0.4", ["corruption = 0.4", "random policy"]),
     ("video runs/not_there --out a.mp4", ["run = 'runs/not_there'", "config.json"]),
-    ("train fetch_slide", ["fetch_slide", "no agent", "fetch_push"]),
+    ("train fetch_slide", ["fetch_slide", "no preset", "fetch_push"]),
     ("data build castle somewhere", ["castle", "Known: house"]),
     ("data build house a_folder", ["a_folder", "not empty"]),
     ("data chekc somewhere", ["chekc", "Did you mean 'check'"]),

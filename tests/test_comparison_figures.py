@@ -45,7 +45,7 @@ def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
 @pytest.fixture
 def folders(tmp_path, env):
     """A run of InfoGoal, and one of the bare agent with an explorer of which one seed diverged."""
-    explored = hand_made.config("none", exploration="sse_db", explorer=presets.load("object_search", "sse_db").explorer)
+    explored = hand_made.config("none", explorer="sse_db")
     return [write_run(tmp_path / "first", env, hand_made.config()), write_run(tmp_path / "second", env, explored, diverged=(1,))]
 
 

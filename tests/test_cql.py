@@ -7,8 +7,7 @@ import pytest
 
 from infogoal_jax import agents
 from infogoal_jax.agents.agent import AgentBatch, Exploration
-from infogoal_jax.agents.cql import CQLConfig, conservative_gap
-from infogoal_jax.config import Hyperparameters
+from infogoal_jax.agents.cql import CQLConfig, CQLHyperparameters, conservative_gap
 
 BATCH, ACTIONS = 64, 4
 
@@ -49,10 +48,10 @@ def test_gap_is_never_negative():
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_values_of_unrecorded_moves_are_held_down(weight):
     """After training, the greedy move is a recorded one under the penalty; without it nothing keeps the others below."""
-    agent = agents.entry("cql").make(CQLConfig(hidden=(32,)), FourActions())
+    agent = agents.registry.entry("cql").make(CQLConfig(hidden=(32,)), FourActions())
     data = batch(jnp.ones(ACTIONS, bool))
     params, state = agent.init(jax.random.key(3), data.features[0], data.code[0])
-    hyper = Hyperparameters(conservative_weight=weight)
+    hyper = CQLHyperparameters(conservative_weight=weight)
 
     @jax.jit
     def step(params, _):

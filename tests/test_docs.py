@@ -44,7 +44,8 @@ def flags_of(record, prefix: str = "") -> set[str]:
         value = getattr(record, field.name, None)
         name = field.name.replace("_", "-")
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            found |= flags_of(value, "" if isinstance(value, command_line.TrainConfig | PretrainConfig) else f"{prefix}{name}.")
+            inlined = isinstance(value, command_line.TrainConfig | command_line.Selection | PretrainConfig)
+            found |= flags_of(value, "" if inlined else f"{prefix}{name}.")
         else:
             found |= {f"--{prefix}{name}", f"--{prefix}no-{name}"} if isinstance(value, bool) else {f"--{prefix}{name}"}
     return found
@@ -52,9 +53,9 @@ def flags_of(record, prefix: str = "") -> set[str]:
 
 def train_flags() -> set[str]:
     """The flags of `infogoal train`, of every task and method."""
-    configs = [presets.load(task, method, relabelling="her") for task in presets.ALGORITHMS for method in learners.registry]
+    configs = [presets.load(task, method, relabelling="her") for task in presets.TASKS for method in learners.registry]
     configs += [presets.load("object_search", method) for method in presets.METHODS]
-    configs.append(presets.load("object_manipulation", algorithm="dqn"))
+    configs.append(presets.load("object_manipulation", agent="dqn"))
     return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
 
 

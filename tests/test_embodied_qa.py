@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import make_train
+from infogoal_jax import make_train, presets
 from infogoal_jax.agents.cql import CQLConfig
-from infogoal_jax.config import Hyperparameters, StateEncoderConfig
+from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
@@ -71,7 +71,7 @@ def test_learns_from_flights_alone(env):
     config = hand_made_frames.qa_config(
         "none", num_epochs=4, epochs_per_evaluation=4, updates_per_epoch=250, batch_size=128, evaluation_starts=8,
         agent=CQLConfig(hidden=(64, 64)), state_encoder=StateEncoderConfig(features=64),
-        hyper=Hyperparameters(discount=0.9, conservative_weight=0.02, intrinsic_weight=0.0))
+        hyper=presets.load("embodied_qa", "none").hyper.replace(discount=0.9))
     train = make_train(config, env)
     result = jax.jit(train)(jax.random.key(0), env=env)
     chance = jax.jit(lambda env: evaluate(env, {"{group}": random_policy(env)}, 8))(env)

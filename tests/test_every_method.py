@@ -30,7 +30,7 @@ def train_of(task: str, method: str):
     """Training of this method on the small counterpart of this task."""
     make_config, make_environment = TASKS[task]
     parts = presets.METHODS[method]
-    changes = {name: getattr(presets.load(task, method), name) for name in ("relabelling", "hindsight", "exploration", "explorer")}
+    changes = {name: getattr(presets.load(task, method), name) for name in ("relabelling", "explorer")}
     return make_train(make_config(parts.learner, **SHORT, **changes), make_environment())
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import optax
 import pytest
 
-from infogoal_jax import Hyperparameters, UserError, make_train, networks
+from infogoal_jax import UserError, make_train, networks
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import gcb
 from infogoal_jax.learners.learner import GoalCode, Steps, conditioned
 
@@ -98,13 +99,13 @@ def learner_and_params(**changes):
     """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next features and rewards."""
     settings = {"hidden": (64, 64), "paired_hidden": (64, 64), "latent_size": 8, "reward_weight": 2.0}
     learner = gcb.make(gcb.GCBConfig(**(settings | changes)))
-    params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), Hyperparameters())
+    params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), NoHyperparameters())
 
     def loss(params, features, next_features, rewards, key):
         codes = learner.encode(params, INPUTS)
         seen = Steps(features, next_features, rewards, DISCOUNTS)
         batch = hand_made.learner_batch(codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen)
-        value, metrics, after = learner.loss(params, state, batch, Hyperparameters(), key)
+        value, metrics, after = learner.loss(params, state, batch, NoHyperparameters(), key)
         assert after == state
         return value, metrics
 
@@ -178,7 +179,7 @@ def test_the_policy_can_be_given_the_goal_alone():
 
 def test_wrong_settings_are_refused():
     for field, value in (("latent_size", 0), ("paired_hidden", (128, 0)), ("reward_weight", 0.0), ("policy_input", "sum"),
-                         ("reward_hidden", -1), ("hindsight_share", 1.5)):
+                         ("reward_hidden", -1), ("relabelled_share", 1.5)):
         with pytest.raises(UserError, match=field):
             hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
 

@@ -9,7 +9,7 @@ import pytest
 from hand_made_rows import GOALS, ROWS, STEPS, context, episodes, random_rows, rows_of
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.hindsight import ghrl
+from infogoal_jax.relabelling import ghrl
 
 RECORDED = np.load(pathlib.Path(__file__).parent / "fixtures" / "ghrl.npz", allow_pickle=False)
 A, B = 1, 2
@@ -160,23 +160,23 @@ def test_filter_accepts_what_is_no_worse_than_the_policy(value, passes):
 
 
 def test_filter_goes_through_all_episodes(monkeypatch):
-    """A few at a time, in rows of several: each is judged by its own value."""
+    """A few at a time, in rows of several: each is with_rewards by its own value."""
     monkeypatch.setattr(ghrl, "VALUES_AT_ONCE", 4)
     rows = random_rows(2)
     rows = rows.replace(observation=jnp.arange(ROWS * (STEPS + 1)).reshape(ROWS, STEPS + 1))
     threshold = np.random.default_rng(5).uniform(0.8, 1.1, (rows.observation.size, GOALS)).astype(np.float32)
     seen = context(rows, value=lambda observation, goal: jnp.asarray(threshold)[observation, goal])
     table = ghrl.best_goals(seen)
-    passed, judged = np.asarray(jax.jit(lambda: ghrl.accepted(seen, table))()), []
+    passed, with_rewards = np.asarray(jax.jit(lambda: ghrl.accepted(seen, table))()), []
     for row, first, _ in episodes(rows):
         goal, hit = int(table.goal[row, first]), int(table.hit[row, first])
         expected = goal >= 0 and 0.9 ** (hit - first - 1) >= threshold[rows.observation[row, first], goal]
         assert passed[row, first] == expected
-        judged.append(expected)
-    assert any(judged) and not all(judged) and len(judged) > 8
+        with_rewards.append(expected)
+    assert any(with_rewards) and not all(with_rewards) and len(with_rewards) > 8
 
 
 @pytest.mark.parametrize("fields", [{"share": 1.5}, {"random_share": -0.1}, {"filter": "value"}])
 def test_fields_that_cannot_be(fields):
-    with pytest.raises(UserError, match=f"hindsight.{next(iter(fields))}"):
+    with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
         ghrl.GHRLConfig(**fields).check(None)

@@ -14,10 +14,11 @@ from infogoal_jax.agents.hrac import HRACConfig, adjacency_loss, adjacency_penal
 from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.update import Experience, agent_batch, judged, returns
+from infogoal_jax.train.update import Experience, agent_batch, returns, with_rewards
 
 K = 5
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
@@ -172,7 +173,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(parts, {"goal": None}, before, env, hyper, experience, judged(env, experience, batch))
+        reward, after, metrics = returns(parts, {"goal": None}, before, env, hyper, experience, with_rewards(env, experience, batch))
         return reward, after, metrics, agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0))
 
     reward, after, metrics, made = transitions()
@@ -217,7 +218,7 @@ def gradients(train, rows):
 
         def loss(params):
             codes = agent_batch(parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1))
-            return parts.agent.loss(params["agent"], target_params["agent"], codes, apart, hyper, jax.random.key(2))
+            return parts.agent.loss(params["agent"], target_params["agent"], codes, apart, hyper.agent, jax.random.key(2))
 
         return jax.grad(loss, has_aux=True)(params)
 
@@ -268,15 +269,15 @@ def test_targets_come_from_the_target_networks_where_an_episode_goes_on(train, p
     _, far = gradients(params, scaled(params, "critic"), hyper)
     _, smooth = gradients(params, params, hyper)
     assert len({float(found["td_error"]) for found in (near, far, smooth)}) == 3
-    _, sharp = gradients(params, params, hyper.replace(target_noise=0.0))
+    _, sharp = gradients(params, params, with_values(hyper, {"agent.target_noise": 0.0}))
     assert smooth["td_error"] != sharp["td_error"]
 
 
 def test_the_adjacency_penalty_moves_the_actor_alone(train, params, gradients):
     far_off = scaled(params, "adjacency")
     far_off["agent"]["adjacency"] = jax.tree.map(lambda leaf: 4.0 * leaf, far_off["agent"]["adjacency"])  # Everything lies far apart.
-    free, metrics = gradients(far_off, far_off, train.config.hyper.replace(adjacency_weight=0.0))
-    bound, _ = gradients(far_off, far_off, train.config.hyper.replace(adjacency_weight=20.0))
+    free, metrics = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 0.0}))
+    bound, _ = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 20.0}))
     assert metrics["adjacency_penalty"] > 0
     assert norm(jax.tree.map(jnp.subtract, bound["agent"]["actor"], free["agent"]["actor"])) > 1e-3
     for name in ("critic", "adjacency"):

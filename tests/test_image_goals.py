@@ -22,6 +22,7 @@ from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.command_line import main
 from infogoal_jax.train.evaluation import evaluate, goal_starts
@@ -120,7 +121,7 @@ def test_networks_see_numbers_of_the_order_of_one(task):
 @pytest.mark.parametrize("method", ["infogoal", "none"])
 def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
     learner = make_train(hand_made_points.config(method), hand_made_points.steered(env)).parts.learner
-    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), presets.Hyperparameters())
+    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
     goals = env.goals.commanded[jnp.array([[3, 0], [1, 1]])]
     one_by_one = learner.encode(params, env.goals.inputs[goals])
 

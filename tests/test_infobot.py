@@ -8,8 +8,8 @@ import optax
 import pytest
 
 from infogoal_jax import UserError, make_train
-from infogoal_jax.config import Hyperparameters
 from infogoal_jax.learners import infobot
+from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import GoalCode, Visited
 
@@ -27,7 +27,7 @@ def start(**changes):
     """A small learner with its parameters and state, and inputs of eight goals; beta does not warm up."""
     learner = infobot.make(infobot.InfoBotConfig(**({"hidden": (32,), "latent_size": 8, "warm_up": 0} | changes)))
     inputs = jax.random.normal(jax.random.key(0), (GOALS, 16))
-    return learner, *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), Hyperparameters()), inputs
+    return learner, *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), InfoBotHyperparameters()), inputs
 
 
 def by_hand(code: GoalCode) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditione
     kl = by_hand(code).mean()  # Goal 0 counts twice.
     batch = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=desired, transitions=Transitions(features))
     state = state.replace(counts=jnp.array([0.0, 2.0, 0.0, 1.0, 0.0]))
-    loss, metrics, after = learner.loss(params, state, batch, Hyperparameters(fixed_beta=0.03), jax.random.key(3))
+    loss, metrics, after = learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.03), jax.random.key(3))
     np.testing.assert_allclose(loss, 0.03 * kl / np.log(2), rtol=1e-4)
     np.testing.assert_allclose([metrics["kl"], metrics["beta"], metrics["visited_cells"]], [kl, 0.03, 2], rtol=1e-4)
     assert after == state.replace(updates=after.updates) and after.updates == 1
@@ -55,7 +55,7 @@ def test_beta_rises_to_its_value_over_the_warm_up():
     learner, params, state, inputs = start(warm_up=4)
     batch, betas = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=jnp.array([0, 3])), []
     for _ in range(6):
-        loss, metrics, state = learner.loss(params, state, batch, Hyperparameters(fixed_beta=0.4), jax.random.key(0))
+        loss, metrics, state = learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.4), jax.random.key(0))
         np.testing.assert_allclose(loss, metrics["beta"] * metrics["kl"] / np.log(2), rtol=1e-5)
         betas.append(metrics["beta"])
     np.testing.assert_allclose(betas, [0.1, 0.2, 0.3, 0.4, 0.4, 0.4], rtol=1e-6)
@@ -80,7 +80,7 @@ def test_the_code_tells_less_of_the_goal_the_greater_beta_is():
             def objective(params):
                 codes = learner.encode(params["goal"], inputs)
                 batch = hand_made.learner_batch(codes.__getitem__, desired=desired)
-                loss, metrics, _ = learner.loss(params["goal"], state, batch, Hyperparameters(fixed_beta=beta), key)
+                loss, metrics, _ = learner.loss(params["goal"], state, batch, InfoBotHyperparameters(beta=beta), key)
                 error = ((codes[desired].sample(key) @ params["head"] - targets[desired]) ** 2).mean()
                 return loss + error, (metrics["kl"], error)
 
@@ -182,7 +182,7 @@ def test_kl_of_the_state_conditioned_form_shapes_both_encoders():
         def loss(params, features):
             encode = learner.encode(params, inputs).__getitem__
             batch = hand_made.learner_batch(encode, desired=jnp.array([0, 1, 2]), transitions=Transitions(features))
-            return learner.loss(params, state, batch, Hyperparameters(), jax.random.key(0))[0]
+            return learner.loss(params, state, batch, InfoBotHyperparameters(), jax.random.key(0))[0]
 
         of_params, of_features = jax.grad(loss, argnums=(0, 1))(params, features)
         assert of_features.any()
@@ -202,12 +202,12 @@ def test_gradient_is_zero_and_finite_at_the_standard_normal():
 def test_a_run_is_finite_and_counts_every_collected_step():
     config = hand_made.config("infobot", num_epochs=1, epochs_per_evaluation=1, learner=infobot.InfoBotConfig(warm_up=0))
     train = make_train(config, hand_made.environment())
-    result = jax.jit(train)(jax.random.key(0), Hyperparameters(intrinsic_weight=1.0))
+    result = jax.jit(train)(jax.random.key(0), train.config.hyper.replace(intrinsic_weight=1.0))
     for name, values in (result.metrics | result.epochs).items():
         assert np.isfinite(values).all(), name
     assert result.state.learner.counts.sum() == result.state.env_steps > 0
     assert result.epochs["agent/intrinsic_reward"][0] > 0
-    np.testing.assert_allclose(result.epochs["infobot/beta"], 0.01, rtol=1e-5)
+    np.testing.assert_allclose(result.epochs["infobot/beta"], config.hyper.learner.beta, rtol=1e-5)
 
 
 def test_the_state_conditioned_form_fits_the_program():

@@ -9,8 +9,8 @@ import numpy as np
 import optax
 import pytest
 
-from infogoal_jax.config import Hyperparameters
 from infogoal_jax.learners import infogoal
+from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.pairs import GoalPairs
 
@@ -66,16 +66,17 @@ def test_bound_is_tight_where_it_can_be():
 ])
 def test_beta_follows_equation_15(rule, accuracy, expected):
     config = infogoal.InfoGoalConfig(beta_rule=rule)
-    assert np.isclose(infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), Hyperparameters()), expected, atol=1e-8)
+    assert np.isclose(infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), InfoGoalHyperparameters()), expected, atol=1e-8)
 
 
 def test_beta_never_leaves_zero_to_one():
     for start, accuracy in ((0.0, 0.0), (1.0, 1.0)):
-        assert infogoal.next_beta(infogoal.InfoGoalConfig(), jnp.asarray(start), jnp.asarray(accuracy), Hyperparameters(beta_step=10.0)) == start
+        hyper = InfoGoalHyperparameters(beta_step=10.0)
+        assert infogoal.next_beta(infogoal.InfoGoalConfig(), jnp.asarray(start), jnp.asarray(accuracy), hyper) == start
 
 
 def test_fixed_beta_ramps_to_its_value_and_stays():
-    config, hyper = infogoal.InfoGoalConfig(beta_rule="fixed"), Hyperparameters(fixed_beta=3e-5)
+    config, hyper = infogoal.InfoGoalConfig(beta_rule="fixed"), InfoGoalHyperparameters(fixed_beta=3e-5)
     _, state = infogoal.make(config).init(jax.random.key(0), hand_made.example(jnp.zeros((1, 4))), hyper)
     betas, beta = [], state.beta
     for _ in range(5):
@@ -109,7 +110,7 @@ def test_steps_that_were_not_taken_count_for_nothing_in_the_intrinsic_reward():
 def test_intrinsic_reward_does_not_train_the_encoder():
     learner = infogoal.make(infogoal.InfoGoalConfig())
     inputs = jax.random.normal(jax.random.key(1), (4, 8))
-    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), Hyperparameters())
+    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), InfoGoalHyperparameters())
 
     def total(params):
         codes = learner.encode(params, inputs)
@@ -123,7 +124,7 @@ def train_codes(loss: str, beta: jax.Array, updates: int = 1500) -> jax.Array:
     """Accuracy after training the codes of 12 goals in 3 groups under a beta that is held still."""
     config = infogoal.InfoGoalConfig(loss=loss, hidden=(64, 64))
     learner = infogoal.make(config)
-    hyper = Hyperparameters(beta_start=beta, beta_step=0.0)
+    hyper = InfoGoalHyperparameters(beta_start=beta, beta_step=0.0)
     inputs = jax.random.normal(jax.random.key(0), (12, 16))
     params, state = learner.init(jax.random.key(1), hand_made.example(inputs), hyper)
     optimizer = optax.adam(1e-3)

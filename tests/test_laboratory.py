@@ -63,7 +63,7 @@ def test_poses_of_a_turntable(tmp_path, capsys):
     given = [tmp_path / "photos", tmp_path / "photos" / "poses.csv", "--out", tmp_path / "table.npz", "--wrap", "turn", "--name", "turntable"]
     run("data", "import", *given)
     run("data", "check", tmp_path / "table.npz")
-    run("train", "object_manipulation", "--method", "none", "--algorithm", "dqn", "--env.dataset", tmp_path / "table.npz", "--env.num-goals", 4, 0, 4,
+    run("train", "object_manipulation", "--method", "none", "--agent", "dqn", "--env.dataset", tmp_path / "table.npz", "--env.num-goals", 4, 0, 4,
         "--num-envs", 4, "--rollout-steps", 10, "--out", tmp_path / "run", *TINY)
     run("evaluate", tmp_path / "run", "--starts", 2)
     config = json.loads((tmp_path / "run" / "config.json").read_text())

@@ -13,7 +13,7 @@ from infogoal_jax import replay
 from infogoal_jax.envs.fetch.targets import BESIDE, FARTHEST, HELD, PRECISE, REACHED, TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
-from infogoal_jax.hindsight import her
+from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import checkpoint, command_line, files, low_level_file, pretrain_host
 from infogoal_jax.train.pretrain import COLLECT, PRESETS, make_pretrain, numbered, preset

@@ -11,9 +11,12 @@ import hand_made_frames
 import hand_made_points
 import pytest
 
-from infogoal_jax import Hyperparameters, agents, exploration, learners, presets
-from infogoal_jax.config import to_json
+from infogoal_jax import agents, exploration, learners, presets
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import NoHyperparameters
+from infogoal_jax.learners import none
+from infogoal_jax.presets.saved import from_dict, to_json, train_flags
+from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
 from infogoal_jax.train import combinations
 from infogoal_jax.train.combinations import check_combination, reasons_against, traits_seen
@@ -55,23 +58,23 @@ def test_the_table_has_a_tick_where_training_starts_and_a_reason_where_it_refuse
 def test_methods_that_bring_a_learner_or_a_relabelling_go_together_with_every_task():
     """The rows of the paper's Table I."""
     refused = {(task, name) for task, name in PAIRS if methods.against(task, name)}
-    assert {name for _, name in refused} <= {name for name, parts in presets.METHODS.items() if parts.exploration != "none"}
+    assert {name for _, name in refused} <= {name for name, parts in presets.METHODS.items() if parts.explorer != "none"}
 
 
 @pytest.mark.parametrize("explorer", [name for name in exploration.registry if name != "none"])
 def test_a_bonus_goes_together_with_object_search_alone(explorer):
-    possible = {task for task in presets.TASKS if not reasons_against(presets.load(task, "none", exploration=explorer))}
+    possible = {task for task in presets.TASKS if not reasons_against(presets.load(task, "none", explorer=explorer))}
     assert possible == {"object_search"}
-    reasons = {task: " ".join(refusal.reason for refusal in methods.against(task, "none", exploration=explorer)) for task in presets.TASKS}
+    reasons = {task: " ".join(refusal.reason for refusal in methods.against(task, "none", explorer=explorer)) for task in presets.TASKS}
     assert "recorded" in reasons["embodied_qa"] and "finite" in reasons["fetch_push"] and "continuous" in reasons["fetch_push"]
-    by_moves = presets.load("object_manipulation", "none", algorithm="dqn", exploration=explorer)
+    by_moves = presets.load("object_manipulation", "none", agent="dqn", explorer=explorer)
     assert "no finite set" in reasons_against(by_moves)[0].reason
 
 
 def test_agents_of_each_task():
     moves, drives = {"dqn", "cql"}, {"hrac"}
     taken = {task: {name for name in agents.registry if name in methods.agents_of(task)} & (moves | drives) for task in presets.TASKS}
-    assert taken == dict.fromkeys(presets.IMAGE_TASKS, drives) | {
+    assert taken == dict.fromkeys(("fetch_reach", "fetch_push", "fetch_pick_and_place"), drives) | {
         "object_search": moves, "object_manipulation": moves | drives, "embodied_qa": moves,
     }
 
@@ -79,7 +82,7 @@ def test_agents_of_each_task():
 @pytest.mark.parametrize(("task", "changes", "field"), [
     ("object_search", {"training_corruption": 0.4}, "training_corruption"), ("embodied_qa", {"training_corruption": 0.4}, "training_corruption"),
     ("fetch_reach", {"training_corruption": 0.4}, None), ("object_manipulation", {"training_corruption": 0.4}, None),
-    ("fetch_push", {"algorithm": "dqn"}, "algorithm"), ("embodied_qa", {"algorithm": "hrac"}, "algorithm"),
+    ("fetch_push", {"agent": "dqn"}, "agent"), ("embodied_qa", {"agent": "hrac"}, "agent"),
     ("object_search", {"stop_encoder_gradient": True}, "stop_encoder_gradient"),
     ("object_search", {"method": "her", "stop_encoder_gradient": True}, "stop_encoder_gradient"),
     ("object_search", {"method": "infogoal", "stop_encoder_gradient": True}, None),
@@ -102,9 +105,9 @@ def test_learners_said_to_have_no_loss_have_none(name):
     learner = combinations.make_learner(presets.load("object_search", name))
     if combinations.has_own_loss(learner):
         with pytest.raises((AttributeError, TypeError)):
-            learner.loss({}, (), None, Hyperparameters(), None)
+            learner.loss({}, (), None, NoHyperparameters(), None)
     else:
-        assert learner.loss({}, (), None, Hyperparameters(), None)[0] == 0
+        assert learner.loss({}, (), None, NoHyperparameters(), None)[0] == 0
 
 
 def test_the_table_loads_no_data_and_starts_no_device():
@@ -115,7 +118,7 @@ from infogoal_jax.train.command_line import main
 def refuse(*arguments):
     raise AssertionError("loaded an environment")
 envs.load = refuse
-envs.registry = {name: entry._replace(make=refuse) for name, entry in envs.registry.items()}
+envs.registry.update({name: entry._replace(make=refuse) for name, entry in envs.registry.items()})
 assert main(["methods"]) == 0
 from jax._src import xla_bridge
 assert not xla_bridge._backends and "mujoco" not in sys.modules
@@ -128,13 +131,13 @@ assert not xla_bridge._backends and "mujoco" not in sys.modules
 def test_one_combination_in_words(capsys):
     assert main("methods fetch_push her".split()) == 0
     assert "works" in capsys.readouterr().out
-    assert main("methods fetch_push her --algorithm dqn".split()) == 1
+    assert main("methods fetch_push her --agent dqn".split()) == 1
     printed = capsys.readouterr().out
-    assert "does not work" in printed and "algorithm = 'dqn'" in printed and "give hrac" in printed
-    assert main("methods object_search none --algorithm cql".split()) == 0
+    assert "does not work" in printed and "agent = 'dqn'" in printed and "give hrac" in printed
+    assert main("methods object_search none --agent cql".split()) == 0
     assert "meant for recorded moves" in capsys.readouterr().out
     for arguments, words in (("fetch_pusch", "Did you mean 'fetch_push'"), ("fetch_push hers", "Did you mean 'her'"),
-                             ("fetch_push her --algorithm hrak", "Did you mean 'hrac'"), ("fetch_push --algorithm dqn", "TASK METHOD")):
+                             ("fetch_push her --agent hrak", "Did you mean 'hrac'"), ("fetch_push --agent dqn", "TASK METHOD")):
         assert main(["methods", *arguments.split()]) == 2
         assert words in capsys.readouterr().err
 
@@ -149,11 +152,15 @@ def test_training_is_refused_before_anything_is_loaded(capsys, monkeypatch, tmp_
 
 def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     """As docs/own_learner.md registers one: it can be loaded, read back and named."""
-    monkeypatch.setitem(learners.registry, "mine", learners.registry["none"])
+    @dataclasses.dataclass(frozen=True)
+    class MineConfig(none.NoneConfig):
+        """A configuration of its own says which learner it is of."""
+
+    monkeypatch.setitem(learners.registry, "mine", Entry(MineConfig, none.make))
     config = presets.load("object_search", "mine")
-    assert config.method == "mine" and presets.name_of(config) == "mine"
-    assert presets.from_dict(json.loads(to_json(config))) == config
-    assert "mine" in presets.train_flags(config)
+    assert presets.names_of(config)["learner"] == presets.name_of(config) == "mine"
+    assert from_dict(json.loads(to_json(config))) == config
+    assert "mine" in train_flags(config)
 
 
 @pytest.mark.parametrize(("own", "asked", "same"), [

@@ -178,9 +178,9 @@ def test_subgoals_of_joints():
 
 
 @pytest.mark.parametrize(("task", "changes", "message"), [
-    ("fetch_reach", {"algorithm": "dqn"}, "algorithm = 'dqn'.*give hrac"),
-    ("object_search", {"algorithm": "hrac"}, "algorithm = 'hrac'.*no target states"),
-    ("object_search", {"algorithm": "cqll"}, "algorithm = 'cqll'.*Did you mean 'cql'"),
+    ("fetch_reach", {"agent": "dqn"}, "agent = 'dqn'.*give hrac"),
+    ("object_search", {"agent": "hrac"}, "agent = 'hrac'.*no target states"),
+    ("object_search", {"agent": "cqll"}, "agent = 'cqll'.*Did you mean 'cql'"),
     ("object_search", {"relabelling": "hers"}, "relabelling = 'hers'.*Did you mean 'her'"),
 ])
 def test_parts_that_do_not_go_together(task, changes, message):

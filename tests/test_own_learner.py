@@ -1,5 +1,6 @@
 """The learner that docs/own_learner.md makes is complete, short, and trains as it says."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -25,15 +26,17 @@ def block() -> str:
 @pytest.fixture(scope="module")
 def script(block) -> dict:
     """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
-    small = {"object_search": {"none": hand_made.config("none", **SMALL)}}
-    names = {"__name__": "own_learner"}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learners, "registry", dict(learners.registry))
-        patch.setattr(presets, "load", lambda task, method: small[task][method])
-        patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
-        exec(compile(block, "own_learner", "exec"), names)
+    names, load, small = {"__name__": "own_learner"}, presets.load, hand_made.config("none", **SMALL)
+    own = (*presets.REGISTRIES, "task", "hyper")
+    sizes = {field.name: getattr(small, field.name) for field in dataclasses.fields(small) if field.name not in own}
+    with pytest.MonkeyPatch.context() as kept:
+        kept.setitem(learners.registry, "mine", None)  # The script sets it; afterwards it is gone again.
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(presets, "load", lambda task, method: load(task, method, **sizes))
+            patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
+            exec(compile(block, "own_learner", "exec"), names)
+        yield names
     assert "mine" not in learners.registry
-    return names
 
 
 def test_it_takes_at_most_forty_lines(block):
@@ -49,7 +52,7 @@ def test_its_loss_is_reported_under_its_name_and_falls(script):
 def test_goals_of_one_room_come_to_lie_together(script):
     """Goals in view together are pulled together; the floor keeps the rooms apart. Under the agent's loss alone they lie about equally far."""
     result, train, config = script["result"], script["train"], script["config"]
-    assert config.method == "mine" and train.parts.method == "mine"
+    assert presets.names_of(config)["learner"] == train.parts.name == "mine"
     codes = np.asarray(script["make"](script["MineConfig"]()).encode(result.params["goal"], train.env.goals.inputs).mean)
     room = np.asarray(train.env.goals.regions)
     distance = np.linalg.norm(codes[:, None] - codes[None], axis=-1)

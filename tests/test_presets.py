@@ -1,40 +1,53 @@
 """Presets hold what the searches found, and mean one thing however a method is named."""
 
 import dataclasses
-import json
+import sys
 from pathlib import Path
 
 import pytest
 
 from infogoal_jax import presets
-from infogoal_jax.report import tuning
+from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.train import tune
 
-SEARCHES = Path(__file__).parents[1] / "docs" / "results" / "tuning"
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
+import study_numbers  # noqa: E402
+
+SEARCHES = study_numbers.load(ROOT / "docs" / "results" / "tuning" / study_numbers.FILE).runs
 
 
-def best_of(search: Path) -> dict:
-    return json.loads((search / "best.json").read_text())
+def trials_of(run: study_numbers.StudyRun) -> list[tune.Trial]:
+    """The trials of a search or final, in order; success by evaluation and seed."""
+    found, values = run.about["result"], run.evaluations.values
+    return [
+        tune.Trial(int(number), own, values[f"trial_{number}/success_rate"].T.tolist(), [], found["diverged"].get(number, []))
+        for number, own in found["values"].items()
+    ]
 
 
-@pytest.mark.parametrize("method", [name for name, parts in presets.METHODS.items() if parts.exploration == "none"])
+def best_of(run: study_numbers.StudyRun) -> dict[str, float]:
+    """The values of the best trial."""
+    return run.about["result"]["values"][str(run.about["result"]["best"])]
+
+
+@pytest.mark.parametrize("method", [name for name, parts in presets.METHODS.items() if parts.explorer == "none"])
 def test_on_fetch_reach_a_preset_is_what_won_the_final(method):
     """Of the preset of that time and the three best of the search, on eight seeds that did not choose them."""
-    folder = SEARCHES / "fetch_reach" / method
-    (searched, trials), found, hyper = tuning.read(folder), best_of(folder / "final"), presets.load("fetch_reach", method).hyper
-    ran = [json.loads(line) for line in (folder / "final" / "trials.jsonl").read_text().splitlines()]
-    assert [(line["trial"], line["values"]) for line in ran] == [(trial.number, trial.values) for trial in tune.finalists(trials, 4)]
-    assert found["finished"] and len(ran[0]["seeds"]) == 8 and not set(searched.seeds) & set(ran[0]["seeds"])
-    assert {name: getattr(hyper, name) for name in found["values"]} == found["values"]
+    searched, final = SEARCHES[f"fetch_reach/{method}"], SEARCHES[f"fetch_reach/{method}/final"]
+    ran = trials_of(final)
+    assert [(trial.number, trial.values) for trial in ran] == [(trial.number, trial.values) for trial in tune.finalists(trials_of(searched), 4)]
+    assert len(final.evaluations.seeds) == 8 and not set(searched.evaluations.seeds) & set(final.evaluations.seeds)
+    assert max(ran, key=lambda trial: trial.order).values == best_of(final)
+    assert values_of(presets.load("fetch_reach", method).hyper).items() >= best_of(final).items()
 
 
-@pytest.mark.parametrize(("task", "method"), presets.FOUND)
-def test_what_was_found_is_what_was_recorded(task, method):
-    """Without a final a preset gives way only to what is better by a tenth."""
-    folder = SEARCHES / task / method
-    found = best_of(folder / "final" if (folder / "final").exists() else folder)
-    assert presets.FOUND[task, method] == found["values"]
-    assert (folder / "final").exists() or found["score"] >= found["score_of_preset"] + 0.1
+def test_what_a_search_without_a_final_found_is_better_by_a_tenth():
+    """Else the preset does not give way to it."""
+    search = SEARCHES["object_search/cogoal"]
+    preset, *others = trials_of(search)
+    assert values_of(presets.load("object_search", "cogoal").hyper).items() >= best_of(search).items()
+    assert max(trial.score for trial in others) >= preset.score + 0.1
 
 
 @pytest.mark.parametrize("name", [name for name, parts in presets.METHODS.items() if parts.relabelling])
@@ -46,4 +59,4 @@ def test_a_relabelling_alone_is_the_method_of_its_name(name):
 def test_a_combination_without_a_name_takes_what_its_learner_has():
     combined, alone = presets.load("object_search", "infogoal", relabelling="her"), presets.load("object_search", "infogoal")
     assert combined.hyper == alone.hyper and combined.num_epochs == alone.num_epochs
-    assert dataclasses.replace(combined, relabelling="none", hindsight=alone.hindsight) == alone
+    assert dataclasses.replace(combined, relabelling=alone.relabelling) == alone

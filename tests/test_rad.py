@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from infogoal_jax import learners, make_train
-from infogoal_jax.config import Hyperparameters
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
 from infogoal_jax.learners.learner import encode_goals
 from infogoal_jax.registry import Entry
@@ -83,12 +83,12 @@ def test_same_key_same_draw_and_another_key_another(inputs):
 def test_nothing_but_the_inputs_differs_from_the_plain_learner():
     learner, plain = rad.make(rad.RADConfig(hidden=(32,))), none.make(none.NoneConfig(hidden=(32,)))
     inputs = jnp.asarray(images(5)[:, :8])
-    (params, _), (of_plain, _) = (one.init(jax.random.key(0), hand_made.example(inputs), Hyperparameters()) for one in (learner, plain))
+    (params, _), (of_plain, _) = (one.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters()) for one in (learner, plain))
     jax.tree.map(np.testing.assert_array_equal, params, of_plain)
     code = learner.encode(params, inputs)
     np.testing.assert_array_equal(code.mean, plain.encode(params, inputs).mean)
     assert code.std is None and plain.augment is None
-    assert learner.loss(params, (), hand_made.learner_batch(None), Hyperparameters(), jax.random.key(0))[0] == 0
+    assert learner.loss(params, (), hand_made.learner_batch(None), NoHyperparameters(), jax.random.key(0))[0] == 0
 
 
 @pytest.mark.parametrize("corruption", [0.0, 0.3])
@@ -115,7 +115,7 @@ def cuts(image: np.ndarray, shift: int):
 
 def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
     env, learner = hand_made.environment(), rad.make(rad.RADConfig(hidden=(32,)))
-    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), Hyperparameters())
+    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
     view = training_view(SimpleNamespace(learner=learner, training_corruption=0.0), env, augmented=True)
     same_goal = jnp.zeros(10, jnp.int32)
     varied = encode_goals(learner, params, env.goals, 32, view, jax.random.key(1))(same_goal).mean

@@ -11,7 +11,7 @@ import optax
 import pytest
 
 from infogoal_jax import networks
-from infogoal_jax.config import Hyperparameters
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import dgrl, vae
 from infogoal_jax.train.program import make_train
 
@@ -22,7 +22,7 @@ SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}
 
 def begun(learner, inputs):
     """Parameters and state of the learner for these inputs as they begin."""
-    return jax.jit(lambda key: learner.init(key, hand_made.example(inputs), Hyperparameters()))(jax.random.key(0))
+    return jax.jit(lambda key: learner.init(key, hand_made.example(inputs), NoHyperparameters()))(jax.random.key(0))
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -30,7 +30,7 @@ def loss_of(learner, inputs, params, state, key, goals=None):
     """The learner's loss on goals of these inputs, all of them or those asked for: (loss, (metrics, state))."""
     goals = jnp.arange(len(inputs)) if goals is None else goals
     batch = hand_made.learner_batch(lambda goals: learner.encode(params, inputs[goals]), inputs=inputs, goals=goals)
-    loss, metrics, state = learner.loss(params, state, batch, Hyperparameters(), key)
+    loss, metrics, state = learner.loss(params, state, batch, NoHyperparameters(), key)
     return loss, (metrics, state)
 
 

@@ -52,7 +52,7 @@ def write_run(folder: Path, seeds: int = 2, epochs: int = 4) -> None:
     """A finished run of made-up numbers that was evaluated after every second epoch."""
     draw = np.random.default_rng(0)
     folder.mkdir(parents=True)
-    (folder / "config.json").write_text(json.dumps({"config": {"method": "infogoal"}, "seeds": list(range(seeds)), "data": "made up"}))
+    (folder / "config.json").write_text(json.dumps({"config": {"learner": {"name": "infogoal"}}, "seeds": list(range(seeds)), "data": "made up"}))
     (folder / "result.json").write_text(json.dumps({"machine": "a machine", "seconds": 2.5}))
     for epoch in range(1, epochs + 1):
         files.append_rows(folder, "epochs", [{"seed": seed, "epoch": epoch, "infogoal/beta": draw.random(), "loss": 1.0} for seed in range(seeds)])

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from killed_run import chunk_config
 
-from infogoal_jax.config import to_json
 from infogoal_jax.errors import UserError
+from infogoal_jax.presets.saved import to_json
 from infogoal_jax.train import checkpoint, files, host
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
@@ -190,7 +190,7 @@ def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):
     """A field that it does not have cannot be given the same value."""
     config = json.loads(to_json(hand_made.config()))
     description = {"seeds": [0], "data": "rooms", "config": config, "epoch": 1}
-    earlier = description | {"config": {name: value for name, value in config.items() if name != "exploration"}}
+    earlier = description | {"config": {name: value for name, value in config.items() if name != "format"}}
     checkpoint.save(tmp_path / "checkpoint", earlier, {"weight": np.zeros(2)})
-    with pytest.raises(UserError, match="earlier version, which has no exploration.*start a new run"):
+    with pytest.raises(UserError, match="earlier version, which has no format.*start a new run"):
         host.resume_from(tmp_path / "checkpoint", None, description)

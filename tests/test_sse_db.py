@@ -207,7 +207,7 @@ def test_nothing_collected_gives_no_endless_bonus():
 def test_a_run_with_the_explorer(method):
     """Beside any learner: every number is finite, the explorer's have their names, and the scale is that of moves that were made."""
     config = hand_made.config(
-        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1, exploration="sse_db", explorer=SMALL)
+        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1, explorer=SMALL)
     result = jax.jit(make_train(config, hand_made.environment()))(jax.random.key(0))
     names = {name for name in result.epochs if name.startswith("explorer/")}
     assert names == {f"explorer/{name}" for name in ("kl", "prediction_loss", "contrastive_loss", "accuracy")}
@@ -217,13 +217,13 @@ def test_a_run_with_the_explorer(method):
 
 def test_method_by_its_own_name_is_the_bare_agent_with_the_explorer():
     config = presets.load("object_search", "sse_db")
-    assert (config.method, config.exploration, presets.name_of(config)) == ("none", "sse_db", "sse_db")
-    assert presets.name_of(presets.load("object_search", "infogoal", exploration="sse_db")) == "infogoal+sse_db"
+    assert (presets.names_of(config)["learner"], presets.names_of(config)["explorer"], presets.name_of(config)) == ("none", "sse_db", "sse_db")
+    assert presets.name_of(presets.load("object_search", "infogoal", explorer="sse_db")) == "infogoal+sse_db"
 
 
 def test_a_task_without_a_finite_set_of_observations_is_refused():
-    config = presets.load("fetch_reach", "none", exploration="sse_db")
-    with pytest.raises(UserError, match="exploration = 'sse_db': .*bonus is kept.*give none"):
+    config = presets.load("fetch_reach", "none", explorer="sse_db")
+    with pytest.raises(UserError, match="explorer = 'sse_db': .*bonus is kept.*give none"):
         load_environment(config)
 
 

@@ -14,11 +14,12 @@ from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import check, search_space, with_values
 from infogoal_jax.report import tuning
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
 from infogoal_jax.train.command_line import main
-from infogoal_jax.train.tune import SPACE, Trial, TuneResult, tune
+from infogoal_jax.train.tune import Trial, TuneResult, tune
 
 USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
 
@@ -69,7 +70,8 @@ def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
     assert found.config_of(found.trials[0]) == found.config
     assert found.fields == ("learning_rate", "discount", "target_rate")  # The bare agent has no other weight.
     values = found.trials[1].values
-    assert all(SPACE[field].low <= values[field] <= SPACE[field].high for field in found.fields)
+    space = search_space(found.config.hyper)
+    assert all(space[field].low <= values[field] <= space[field].high for field in found.fields)
     assert values != found.trials[0].values
 
 
@@ -97,15 +99,20 @@ def test_test_goals_are_not_evaluated(make, group, env):
     np.testing.assert_array_equal(restricted.goals.commanded, whole.goals.commanded)
 
 
+EVERY = [presets.load("fetch_reach", "infogoal").hyper, presets.load("embodied_qa", "infobot").hyper]
+"""Together all floats that are searched."""
+SPACE = {field: hyper for hyper in EVERY for field in search_space(hyper)}
+
+
 @pytest.mark.parametrize("field", list(SPACE))
 def test_draws_fill_the_range_evenly_on_its_scale(field):
     """Half of them lie below the middle of the scale, and all within the range; a discount's middle is near its upper end."""
-    found = search.draw(jax.random.key(3), Hyperparameters(), [field], 1000)
-    values, (low, high, scale, _) = np.array([trial[field] for trial in found[1:]]), SPACE[field]
+    found, space = search.draw(jax.random.key(3), SPACE[field], [field], 1000), search_space(SPACE[field])[field]
+    values, (low, high, scale, _) = np.array([trial[field] for trial in found[1:]]), space
     middle = {"linear": (low + high) / 2, "log": np.sqrt(low * high), "log of 1 - x": 1 - np.sqrt(abs((1 - low) * (1 - high)))}[scale]
     assert low <= values.min() and values.max() <= high
     assert 0.4 < (values < middle).mean() < 0.6
-    assert 0.15 < (values < SPACE[field].at(0.25)).mean() < 0.35
+    assert 0.15 < (values < space.at(0.25)).mean() < 0.35
 
 
 def test_methods_try_the_same_values_of_the_fields_that_they_share():
@@ -116,15 +123,15 @@ def test_methods_try_the_same_values_of_the_fields_that_they_share():
 
 def test_the_space_is_one_of_hyperparameters_that_can_be_had():
     """Both ends of every range; but not what only evaluations depend on."""
-    for field, (low, high, *_) in SPACE.items():
-        for value in (low, high):
-            dataclasses.replace(Hyperparameters(), **{field: value}).check()
+    for field, hyper in SPACE.items():
+        for value in search_space(hyper)[field][:2]:
+            check(with_values(hyper, {field: value}))
     assert "test_epsilon" not in SPACE
 
 
 @pytest.mark.parametrize(("method", "changes", "searched", "left_alone"), [
-    ("none", {"algorithm": "cql"}, {"conservative_weight", "epsilon"}, {"learner_weight", "intrinsic_weight", "fixed_beta", "bonus_weight", "noise"}),
-    ("infogoal", {}, {"learner_weight", "intrinsic_weight", "beta_step"}, {"fixed_beta", "conservative_weight", "adjacency_weight"}),
+    ("none", {"agent": "cql"}, {"agent.conservative_weight", "epsilon"}, {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"}),
+    ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
 ])
 def test_a_method_is_searched_in_what_it_depends_on(method, changes, searched, left_alone, env):
     matter = search.fields_that_matter(make_train(small(method, **changes), env))
@@ -239,7 +246,7 @@ def test_a_search_that_is_damaged_or_unfinished_has_no_final(changes, message, s
 
 @pytest.mark.parametrize(("task", "method", "changes"), [
     ("object_search", "her", {"num_epochs": 40, "stop_encoder_gradient": False}),
-    ("object_manipulation", "infogoal", {"algorithm": "dqn", "relabelling": "her"}),
+    ("object_manipulation", "infogoal", {"agent": "dqn", "relabelling": "her"}),
     ("embodied_qa", "none", {"relabelling": "none", "evaluation_starts": 3}),
 ])
 def test_the_flags_of_the_best_train_with_its_configuration(task, method, changes, tmp_path, monkeypatch):
@@ -269,7 +276,7 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
     asked = []
 
     def interrupted(config, trials, seeds, key, fields, watch):
-        asked.append((config.num_epochs, config.method, trials, list(seeds), fields))
+        asked.append((config.num_epochs, presets.names_of(config)["learner"], trials, list(seeds), fields))
         watch(made(config, [[0.25], [0.5]]))
         raise KeyboardInterrupt
 

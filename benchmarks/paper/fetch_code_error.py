@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax import presets
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
@@ -67,7 +68,8 @@ def main():
         if not number:
             print(f"| run | {' | '.join(found)} |\n{'|---' * (len(found) + 1)}|")
         run = read_run(path)
-        print(f"| {run.config.task}, {run.config.method} | {' | '.join(mean_interval(values).show(3) for values in found.values())} |", flush=True)
+        shown = " | ".join(mean_interval(values).show(3) for values in found.values())
+        print(f"| {run.config.task}, {presets.name_of(run.config)} | {shown} |", flush=True)
     print(f"\nDistances in m, weight {arguments.weight}; {describe_machine()}")
 
 

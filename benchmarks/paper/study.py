@@ -113,7 +113,7 @@ def describe_run(run: StudyRun, title: str) -> str:
     learned = {name.rpartition("/")[2]: mean_interval(final[name]).show(3) for name in study_numbers.learned_names(run.about) if name in final}
     amounts = [f"{len(run.evaluations.seeds)} seeds, {int(run.evaluations.epochs[-1])} epochs"]
     amounts += [f"{result['updates']:,} updates"] if "updates" in result else []
-    amounts += [f"{final['env_steps'].mean():,.0f} environment steps a seed"] if run.about["config"].get("algorithm") != "cql" else []
+    amounts += [f"{final['env_steps'].mean():,.0f} environment steps a seed"] if run.about["config"]["agent"]["name"] != "cql" else []
     costs = [f"{result['seconds']:.0f} s in all, {result['compile_seconds']:.0f} of them compiling, {result['run_seconds']:.0f} running"]
     costs += [f"{result['data_bytes'] / 2**20:.0f} MiB of data"] if "data_bytes" in result else []
     costs += [f"{result['peak_bytes'] / 2**30:.1f} GiB of device memory"] if result["peak_bytes"] else []

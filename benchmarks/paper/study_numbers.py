@@ -55,7 +55,7 @@ class Study:
 
 def learned_names(about: dict) -> list[str]:
     """Names of the metrics beta and accuracy of the run's learner, which not every learner has."""
-    return [f"{about['config']['method']}/{name}" for name in ("beta", "accuracy")]
+    return [f"{about['config']['learner']['name']}/{name}" for name in ("beta", "accuracy")]
 
 
 def read_run(folder: Path) -> StudyRun:

@@ -120,8 +120,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
             before = time.time()
             states, epochs, metrics = chunk(states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env)
             metrics = {f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"]) for kind in KINDS if f"{kind}/success_rate" in metrics}
-            metrics |= {f"learner/{part}": np.asarray(epochs[f"{config.method}/{part}"])[:, -1] for part in EPOCH_METRICS
-                        if f"{config.method}/{part}" in epochs}
+            metrics |= {f"learner/{part}": np.asarray(epochs[f"{train.parts.name}/{part}"])[:, -1] for part in EPOCH_METRICS
+                        if f"{train.parts.name}/{part}" in epochs}
             seconds = time.time() - before
             for group, goals in posed.items():
                 metrics[f"{group}/code_error"] = np.asarray(errors(states.params, goals)).mean(1)

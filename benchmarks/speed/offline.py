@@ -65,7 +65,7 @@ def peer_arrays(train) -> dict[str, np.ndarray]:
     settings = {
         **{name: getattr(config.hyper, name) for name in hyper}, "patch": config.state_encoder.patch, "channels": config.state_encoder.channels,
         "features": config.state_encoder.features, "hidden": config.agent.hidden, "goal_hidden": config.learner.hidden,
-        "latent_size": config.learner.latent_size, "future_share": config.hindsight.future_share, "random_share": config.hindsight.random_share,
+        "latent_size": config.learner.latent_size, "future_share": config.relabelling.future_share, "random_share": config.relabelling.random_share,
     }
     return {
         "images": env.images, "in_view": env.in_view, "known_goals": np.where((achieved >= 0) & usable[achieved], achieved, -1),

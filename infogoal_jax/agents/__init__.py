@@ -1,16 +1,11 @@
-"""Reinforcement-learning agents, a file a method. `registry` is the one place where a new agent is named."""
+"""Reinforcement-learning agents, a file each. `registry` is the one place where a new one is named."""
 
 from infogoal_jax.agents import cql, dqn, hrac
-from infogoal_jax.registry import Entry, find
+from infogoal_jax.registry import Entry, Registry
 
-registry: dict[str, Entry] = {
+registry = Registry("agent", {
     "dqn": Entry(dqn.DQNConfig, dqn.make),
-    "hrac": Entry(hrac.HRACConfig, hrac.make),
-    "cql": Entry(cql.CQLConfig, cql.make),
-}
+    "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters),
+    "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
+})
 """An agent is made for an environment: `make(config, env)` reads the size of its actions, and the space of its subgoals."""
-
-
-def entry(algorithm: str) -> Entry:
-    """The registered agent of this name, or a `UserError` with the nearest one."""
-    return find(registry, "algorithm", algorithm)

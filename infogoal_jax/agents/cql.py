@@ -1,20 +1,31 @@
 """Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN from recorded moves, with values of what was not done held down."""
 
 import dataclasses
+from typing import Annotated
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax.agents import dqn
 from infogoal_jax.agents.agent import Agent
+from infogoal_jax.hyperparameters import Number, Search
 
 
 @dataclasses.dataclass(frozen=True)
 class CQLConfig(dqn.DQNConfig):
-    """Sizes and switches of CQL: those of DQN. Its weight is a hyperparameter, `conservative_weight`."""
+    """Sizes and switches of CQL: those of DQN."""
 
     num_steps: int = 1
     """Steps of the return: more would learn the value of whoever recorded the moves."""
+
+
+@flax.struct.dataclass
+class CQLHyperparameters:
+    """Float hyperparameters of CQL."""
+
+    conservative_weight: Annotated[float, Number("[0, inf)", Search(0.003, 3.0, "log"))] = 1.0
+    """Weight of the penalty on the values of moves that were not recorded."""
 
 
 def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Array) -> jax.Array:

@@ -5,7 +5,9 @@ paper). Which states are k steps apart at most is learned as a distance (the adj
 """
 
 import dataclasses
+from typing import Annotated
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 
@@ -13,6 +15,7 @@ from infogoal_jax import networks, pairs
 from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import Agent, AgentBatch
 from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import Number, Search
 
 ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
 """Adjacent states lie nearer than the first, others farther than the second, and subgoals cost from the third on (HRAC's own code)."""
@@ -52,6 +55,16 @@ class HRACConfig:
             require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")
         for name in ("num_decisions", "adjacency_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
+
+
+@flax.struct.dataclass
+class HRACHyperparameters:
+    """Float hyperparameters of HRAC's high level."""
+
+    target_noise: Annotated[float, Number("[0, inf)", Search(0.05, 0.5, "linear", always=False))] = 0.2
+    """Standard deviation of the noise on the actions that TD3's targets are made from."""
+    adjacency_weight: Annotated[float, Number("[0, inf)", Search(1.0, 100.0, "log", always=False))] = 20.0
+    """Weight of the penalty for subgoals that cannot be reached in time."""
 
 
 def adjacency_loss(distance: jax.Array, adjacent: jax.Array, weight: jax.Array) -> jax.Array:

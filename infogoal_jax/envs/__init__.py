@@ -6,7 +6,7 @@ from typing import Any
 from infogoal_jax.envs import embodied_qa, object_manipulation, object_search
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.registry import Entry, find
+from infogoal_jax.registry import Entry, Registry
 
 
 def make_fetch(name: str, config: FetchConfig):
@@ -16,17 +16,12 @@ def make_fetch(name: str, config: FetchConfig):
     return (image_goals if config.goals == "images" else environment).make(name, config)
 
 
-registry: dict[str, Entry] = {
+registry = Registry("task", {
     "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
     "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
     "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make),
     **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
-}
-
-
-def entry(task: str) -> Entry:
-    """The registered task of this name, or a `UserError` with the nearest one."""
-    return find(registry, "task", task)
+})
 
 
 def load(task: str, config: Any = None):
@@ -34,5 +29,5 @@ def load(task: str, config: Any = None):
 
     config: the task's configuration record; None for its defaults. Raises `UserError` for an unknown name or an unusable dataset.
     """
-    found = entry(task)
+    found = registry.entry(task)
     return found.make(found.config() if config is None else config)

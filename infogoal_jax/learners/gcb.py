@@ -36,7 +36,7 @@ class GCBConfig(GoalEncoderConfig):
     """Weight c_r of the gap between rewards in the target distance; 1 or 10 in the authors' code."""
     reward_hidden: int = 512
     """Width of the decoder of rewards [authors' code]; 0: none."""
-    hindsight_share: float = 0.3
+    relabelled_share: float = 0.3
     """Share of the transitions that the losses see under a goal achieved later; the authors add 4 such to every 10."""
     policy_input: Literal["difference", "goal"] = "difference"
     """What the policy is given: `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
@@ -47,7 +47,7 @@ class GCBConfig(GoalEncoderConfig):
         require(all(width > 0 for width in self.paired_hidden), "learner.paired_hidden", self.paired_hidden,
                 "give widths greater than 0, for example 128 128")
         require(self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder")
-        require(0 <= self.hindsight_share <= 1, "learner.hindsight_share", self.hindsight_share, "give a share from 0 to 1")
+        require(0 <= self.relabelled_share <= 1, "learner.relabelled_share", self.relabelled_share, "give a share from 0 to 1")
         require(self.reward_weight > 0, "learner.reward_weight", self.reward_weight, "give a number greater than 0: 0 makes all pairs alike")
         require(self.policy_input in ("difference", "goal"), "learner.policy_input", self.policy_input, "give difference or goal")
 
@@ -156,4 +156,4 @@ def make(config: GCBConfig) -> Learner:
         return total, metrics, state
 
     condition_on = condition if config.policy_input == "difference" else None
-    return Learner(init, encode, loss, Request(hindsight_share=config.hindsight_share), condition=condition_on)
+    return Learner(init, encode, loss, Request(relabelled_share=config.relabelled_share), condition=condition_on)

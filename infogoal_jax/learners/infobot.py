@@ -6,6 +6,7 @@ were seldom visited, the more so the more the code tells of the goal. As in the 
 """
 
 import dataclasses
+from typing import Annotated
 
 import flax.struct
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
@@ -22,7 +24,7 @@ SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic rewa
 
 @dataclasses.dataclass(frozen=True)
 class InfoBotConfig(GoalEncoderConfig):
-    """Sizes and switches of InfoBot. Its beta is a hyperparameter, `fixed_beta`."""
+    """Sizes and switches of InfoBot."""
 
     state_conditioned: bool = False
     """Let the code depend on the state too, p(z | s, g) of the original; the comparisons of InfoGoal's paper encode the goal alone."""
@@ -33,6 +35,14 @@ class InfoBotConfig(GoalEncoderConfig):
         """Raise `UserError` for values out of range."""
         super().check(config)
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
+
+
+@flax.struct.dataclass
+class InfoBotHyperparameters:
+    """Float hyperparameters of InfoBot."""
+
+    beta: Annotated[float, Number("[0, 1]", Search(1e-6, 1e-2, "log"))] = 0.01
+    """Weight of the KL of the code, in bits, after the warm-up [A]."""
 
 
 @flax.struct.dataclass
@@ -81,7 +91,7 @@ def make(config: InfoBotConfig) -> Learner:
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
-        beta = hyper.fixed_beta * warmed_up(state.updates, config.warm_up)
+        beta = hyper.beta * warmed_up(state.updates, config.warm_up)
         metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}  # The KL in nats, as InfoGoal reports it.
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 

@@ -5,7 +5,7 @@ mutual information (Theorem 3), and squeezed towards N(0, I) by beta, which grow
 """
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 import flax.struct
 import jax
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import information
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
@@ -39,7 +40,7 @@ class InfoGoalConfig(GoalEncoderConfig):
     negatives: Literal["anchored", "independent"] = "anchored"
     """Whether a negative is compared with the positive's anchor (Algorithm 1), or with a goal of its own [A]."""
     beta_rule: Literal["linear", "sign", "fixed"] = "linear"
-    """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.fixed-beta` (ablation of Fig. 15)."""
+    """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.learner.fixed-beta` (ablation of Fig. 15)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -54,6 +55,20 @@ class InfoGoalConfig(GoalEncoderConfig):
                 "the ratio form needs the bounded score: --learner.score distance")
         require(self.negatives in ("anchored", "independent"), "learner.negatives", self.negatives, "give anchored or independent")
         require(self.beta_rule in ("linear", "sign", "fixed"), "learner.beta_rule", self.beta_rule, "give linear, sign or fixed")
+
+
+@flax.struct.dataclass
+class InfoGoalHyperparameters:
+    """Float hyperparameters of InfoGoal: how the Lagrange multiplier beta is set."""
+
+    beta_start: Annotated[float, Number("[0, 1]")] = 0.0
+    """First value of beta."""
+    beta_step: Annotated[float, Number("[0, inf)", Search(1e-5, 1e-2, "log", always=False))] = 2.5e-4
+    """rho of Eq. 15, for the linear rule only; the step of the authors' sign rule is always 1e-5. 0 holds beta still."""
+    beta_threshold: Annotated[float, Number("(0, 1)", Search(0.8, 0.99, "log of 1 - x", always=False))] = 0.96
+    """alpha of Eq. 15: the accuracy above which beta grows [A]."""
+    fixed_beta: Annotated[float, Number("[0, 1]")] = 0.01
+    """Where beta ramps to, by 1e-5 an update [A], under `--learner.beta-rule fixed`."""
 
 
 @flax.struct.dataclass

@@ -37,7 +37,7 @@ class Request(NamedTuple):
 
     num_pairs: of goals achieved within `window` steps of each other, each with `num_negatives`; anchored: whether a negative is compared with the
     pair's anchor, or with a goal of its own; dissimilar: whether negatives are taken from G_neg, or are any known goals. num_goals: known goals.
-    hindsight_share: of the transitions, which are seen under a goal achieved later in their episode; the agent learns from them as they are.
+    relabelled_share: of the transitions, which are seen under a goal achieved later in their episode; the agent learns from them as they are.
     """
 
     num_pairs: int = 0
@@ -46,7 +46,7 @@ class Request(NamedTuple):
     anchored: bool = True
     dissimilar: bool = True
     num_goals: int = 0
-    hindsight_share: float = 0.0
+    relabelled_share: float = 0.0
 
 
 class Example(NamedTuple):

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
+from infogoal_jax import learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import tables
@@ -115,7 +116,7 @@ def finish_length_axis(axes: Axes, longest: int) -> None:
 def beta_and_accuracy(subject: Subject) -> Figure | None:
     """The Lagrange multiplier and the accuracy of telling goals apart, against epochs (paper, Fig. 13); None for methods without them."""
     config, values, epochs = subject.run.config, subject.epochs.values, subject.epochs.epochs
-    names = [f"{config.method}/{name}" for name in ("beta", "accuracy")]
+    names = [f"{learners.registry.name_of(config.learner)}/{name}" for name in ("beta", "accuracy")]
     if any(name not in values for name in names):
         return None
     figure = new_figure(subject, "adaptive Lagrange multiplier", (10, 4.2))
@@ -126,7 +127,7 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     beta_axes.grid(alpha=0.3, linewidth=0.6)
     draw_curve(accuracy_axes, epochs, values[names[1]], USE_COLOURS["test"], "accuracy")
     if getattr(config.learner, "beta_rule", "fixed") != "fixed":
-        alpha = config.hyper.beta_threshold
+        alpha = config.hyper.learner.beta_threshold
         accuracy_axes.axhline(alpha, color="black", linestyle="--", linewidth=1, label=rf"threshold $\alpha$ = {alpha:g}")
     accuracy_axes.set_ylabel("accuracy, similar against dissimilar goals")
     accuracy_axes.set_ylim(min(0.48, values[names[1]].min() - 0.02), 1.01)

@@ -5,8 +5,7 @@ import inspect
 from rich.console import Console
 from rich.table import Table
 
-from infogoal_jax import agents, hindsight, learners, presets
-from infogoal_jax import exploration as explorers
+from infogoal_jax import agents, exploration, learners, presets, relabelling
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.combinations import Refusal, reasons_against, remarks
 
@@ -19,22 +18,22 @@ def parts_in_words(name: str) -> str:
     method = presets.METHODS[name]
     parts = [f"learner {method.learner}"]
     parts += [f"relabelling {method.relabelling}"] if method.relabelling else []
-    parts += [f"explorer {method.exploration}"] if method.exploration != "none" else []
+    parts += [f"explorer {method.explorer}"] if method.explorer != "none" else []
     return ", ".join(parts)
 
 
 def description(name: str) -> str:
     """What a method is, in a line: the first of the docstring of the file that it is written in."""
     method = presets.METHODS[name]
-    if method.exploration != "none":
-        entry = explorers.entry(method.exploration)
+    if method.explorer != "none":
+        entry = exploration.registry.entry(method.explorer)
     else:
-        entry = hindsight.entry(method.relabelling) if method.relabelling else learners.entry(method.learner)
+        entry = relabelling.registry.entry(method.relabelling) if method.relabelling else learners.registry.entry(method.learner)
     return (inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n")[0]
 
 
 def against(task: str, method: str, **parts: str | None) -> list[Refusal]:
-    """What speaks against a method on a task; parts: names of another agent, relabelling or explorer than its own."""
+    """What speaks against a method on a task; parts: names of other parts than its own."""
     try:
         return reasons_against(presets.load(task, method, **parts))
     except UserError as error:  # A part's own check refuses the task.
@@ -43,8 +42,8 @@ def against(task: str, method: str, **parts: str | None) -> list[Refusal]:
 
 def agents_of(task: str) -> list[str]:
     """The agents that a task takes, its own first."""
-    own = presets.ALGORITHMS[task]
-    return [own] + [name for name in agents.registry if name != own and not against(task, "none", algorithm=name)]
+    own = presets.registry[task].agent
+    return [own] + [name for name in agents.registry if name != own and not against(task, "none", agent=name)]
 
 
 def combination_table(tasks: tuple[str, ...]) -> Table:
@@ -53,7 +52,7 @@ def combination_table(tasks: tuple[str, ...]) -> Table:
     for title in ("method", "made of", "what it is"):
         table.add_column(title, no_wrap=title == "method")
     for task in tasks:
-        table.add_column(f"{task}\n{presets.ALGORITHMS[task]}", justify="center")
+        table.add_column(f"{task}\n{presets.registry[task].agent}", justify="center")
     for name in presets.METHODS:
         found = [against(task, name) for task in tasks]
         table.add_row(name, parts_in_words(name), description(name), *("; ".join(refusal.reason for refusal in refused) or "✓" for refused in found))
@@ -71,16 +70,16 @@ def print_methods(tasks: tuple[str, ...] = presets.TASKS) -> None:
     console = make_console()
     console.print(combination_table(tasks))
     for task in tasks:
-        console.print(f"{task}: --algorithm {' | '.join(agents_of(task))}", highlight=False, markup=False)
-    console.print(f"with any learner: --relabelling {' | '.join(hindsight.registry)}, and on tasks with a tick of its own "
-                  f"--exploration {' | '.join(explorers.registry)}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{task}: --agent {' | '.join(agents_of(task))}", highlight=False, markup=False)
+    console.print(f"with any learner: --relabelling {' | '.join(relabelling.registry)}, and on tasks with a tick of its own "
+                  f"--explorer {' | '.join(exploration.registry)}", highlight=False, markup=False, soft_wrap=True)
 
 
-def print_combination(task: str, method: str, algorithm: str | None = None, relabelling: str | None = None, exploration: str | None = None) -> bool:
+def print_combination(task: str, method: str, **parts: str | None) -> bool:
     """Whether one combination works, in words, and why not. Raises `UserError` for a name that does not exist."""
-    config = presets.load(task, method, algorithm, relabelling, exploration)
+    config = presets.load(task, method, **parts)
     console, found = make_console(), reasons_against(config)
-    named = f"{task} with learner {config.method}, agent {config.algorithm}, relabelling {config.relabelling}, explorer {config.exploration}"
+    named = f"{task} with {', '.join(f'{kind} {name}' for kind, name in presets.names_of(config).items())}"
     lines = [f"{named}: {'does not work' if found else 'works'}"]
     lines += [f"{refusal.field} = {refusal.value!r}: {refusal.reason}: {refusal.remedy}" for refusal in found]
     for line in lines + ([] if found else remarks(config)):

@@ -8,9 +8,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
+from infogoal_jax.presets.saved import from_dict
 from infogoal_jax.train import checkpoint
 from infogoal_jax.train.program import Train
 
@@ -32,7 +32,7 @@ def read_run(folder: Path) -> Run:
     path = folder / "config.json"
     try:
         values = json.loads(path.read_text())
-        return Run(folder, presets.from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"])
+        return Run(folder, from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"])
     except FileNotFoundError as error:
         raise UserError(f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`") from error
     except OSError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from infogoal_jax import presets
+from infogoal_jax import learners, presets
 from infogoal_jax.errors import require
 from infogoal_jax.report import tables
 from infogoal_jax.report.runs import Run, read_params, read_run, read_timing
@@ -91,7 +91,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         protocol += f"; goal images were corrupted while training too, with weight {run.config.training_corruption:g}"
     lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
-        lines[run.config.method] = f"{numbers} (mean of the last epoch)"
+        lines[learners.registry.name_of(run.config.learner)] = f"{numbers} (mean of the last epoch)"
     if times := read_timing(run.folder):
         lines["time"] = (f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
                          + f"{times['env_steps_per_second']:,.0f} environment steps/s, " * acted
@@ -105,7 +105,7 @@ def learner_numbers(run: Run, epochs: tables.Table) -> str:
     """Beta, accuracy and KL of the last epoch, for the methods that have them."""
     if not epochs.values or not epochs.seeds:
         return ""
-    last, names = epochs.last(), {f"{run.config.method}/{name}": shown for name, shown in LEARNER_NUMBERS.items()}
+    last, names = epochs.last(), {f"{learners.registry.name_of(run.config.learner)}/{name}": shown for name, shown in LEARNER_NUMBERS.items()}
     return ", ".join(f"{title} {mean_interval(last[name]).show(decimals)}" for name, (title, decimals) in names.items() if name in last)
 
 

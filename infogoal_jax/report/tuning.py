@@ -18,9 +18,11 @@ from rich.table import Table
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import search_space
+from infogoal_jax.presets.saved import train_flags
 from infogoal_jax.report.runs import Run, read_run
 from infogoal_jax.train import files
-from infogoal_jax.train.tune import SPACE, Trial, TuneResult
+from infogoal_jax.train.tune import Trial, TuneResult
 
 SHOWN = 5
 """Trials in the table, besides the preset."""
@@ -30,7 +32,8 @@ GROUPS = {"validation": "validation goals", "train": "training goals, for want o
 def save(result: TuneResult, folder: Path) -> None:
     """Write what is known so far: FOLDER/trials.jsonl, a line a trial; FOLDER/best.json, with the flags of the best; FOLDER/config.json."""
     files.make_folder(folder)
-    about = result.description | {"trials": len(result.trials), "space": {field: SPACE[field]._asdict() for field in result.fields}}
+    space = {field: search._asdict() for field, search in search_space(result.config.hyper).items() if field in result.fields}
+    about = result.description | {"trials": len(result.trials), "space": space}
     lines = [
         {"trial": trial.number, "preset": trial.number == 0, "values": trial.values, "seeds": result.seeds, "goals": result.group,
          "epochs": result.epochs, "success": trial.success, "loss": trial.loss, "score": trial.score, "diverged": trial.diverged}
@@ -40,7 +43,7 @@ def save(result: TuneResult, folder: Path) -> None:
     chosen = {
         "trial": best.number, "score": best.score, "score_of_preset": result.trials[0].score, "goals": result.group, "epoch": result.epochs[-1],
         "finished": len(result.epochs) == result.config.num_evaluations, "values": best.values, "task": result.config.task,
-        "flags": presets.train_flags(result.config_of(best)), "command": command_of(result),
+        "flags": train_flags(result.config_of(best)), "command": command_of(result),
         "compile_seconds": result.compile_seconds, "run_seconds": result.run_seconds,
     }
     contents = {"config.json": json.dumps(about, indent=2), "trials.jsonl": "\n".join(json.dumps(line) for line in lines),
@@ -74,7 +77,7 @@ def read(folder: Path) -> tuple[Run, list[Trial]]:
 
 def command_of(result: TuneResult) -> str:
     """The command that trains with the best trial's values."""
-    return shlex.join(["infogoal", "train", result.config.task, *presets.train_flags(result.config_of(result.best))])
+    return shlex.join(["infogoal", "train", result.config.task, *train_flags(result.config_of(result.best))])
 
 
 @contextmanager

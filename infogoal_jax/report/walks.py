@@ -65,7 +65,7 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     """
     env, learner = subject.train.env, subject.train.parts.learner
     example = Example(env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
-    state = learner.init(jax.random.key(0), example, subject.run.config.hyper)[1]
+    state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
     encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
     achieved = env.goals_of(jnp.arange(env.num_observations))
     every = jnp.arange(env.num_observations)[None]

@@ -1,13 +1,13 @@
 """Which tasks, methods and agents go together. Every refusal stands here once, for training and for the table of `infogoal methods`.
 
-Rules look at a configuration's names and at a few traits of its task, which are known before anything is loaded or compiled; of an environment that
-was loaded, or made by hand, `traits_seen` reads them off.
+Rules look at the parts of a configuration and at a few traits of its task, which are known before anything is loaded or compiled; of an
+environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from infogoal_jax import learners
+from infogoal_jax import agents, exploration, learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.fetch.tasks import FetchConfig
@@ -44,7 +44,7 @@ TRAITS: dict[type, Callable[[Any], Traits]] = {
     FetchConfig: lambda env: Traits(env.goals == "images", env.goals == "images", moves=False, finite_observations=False, recorded=False,
                                     target_states=True),
 }
-"""Traits of each kind of task by its configuration. A task that is not listed is judged once it is loaded."""
+"""Traits of each kind of task by its configuration. A task that is not listed is with_rewards once it is loaded."""
 
 
 def traits_seen(env) -> Traits:
@@ -70,7 +70,7 @@ class Refusal(NamedTuple):
 
 def make_learner(config: TrainConfig) -> Learner:
     """The learner that the configuration names."""
-    return learners.entry(config.method).make(config.learner)
+    return learners.registry.entry_of(config.learner).make(config.learner)
 
 
 def has_own_loss(learner: Learner) -> bool:
@@ -85,34 +85,36 @@ def has_reward(learner: Learner) -> bool:
 
 def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     """Everything that speaks against this configuration of a task with these traits."""
+    agent = agents.registry.name_of(config.agent)
     if not traits.finite_goals:
         yield Refusal("env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set of goals", "give images")
-    if config.algorithm in STEERING and not traits.target_states:
-        yield Refusal("algorithm", config.algorithm, "there are no target states that a low level could be sent to",
+    if agent in STEERING and not traits.target_states:
+        yield Refusal("agent", agent, "there are no target states that a low level could be sent to",
                       "give dqn, or cql for recorded moves")
-    if config.algorithm not in STEERING and not traits.moves:
-        yield Refusal("algorithm", config.algorithm, f"{config.task} is not acted in by a choice among a few moves", f"give {' or '.join(STEERING)}")
-    if config.exploration != "none":
-        yield from refusals_of_explorer(config, traits)
+    if agent not in STEERING and not traits.moves:
+        yield Refusal("agent", agent, f"{config.task} is not acted in by a choice among a few moves", f"give {' or '.join(STEERING)}")
+    explorer = exploration.registry.name_of(config.explorer)
+    if explorer != "none":
+        yield from refusals_of_explorer(explorer, agent, traits)
     if config.training_corruption and not traits.image_goals:
         yield Refusal("training_corruption", config.training_corruption, f"goals of {config.task} are no images that could be corrupted", "give 0")
     if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
-        yield Refusal("stop_encoder_gradient", True, f"nothing else than the agent's loss trains the goal encoder of method {config.method!r}",
-                      "give False, or another method")
+        yield Refusal("stop_encoder_gradient", True, f"nothing else than the agent's loss trains the goal encoder of learner "
+                      f"{learners.registry.name_of(config.learner)!r}", "give False, or another learner")
 
 
-def refusals_of_explorer(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
+def refusals_of_explorer(explorer: str, agent: str, traits: Traits) -> Iterator[Refusal]:
     """What speaks against a bonus, which is kept for every observation and move."""
     if traits.recorded:
-        yield Refusal("exploration", config.exploration, "a bonus cannot explore what is recorded", "give none")
-    elif not traits.moves or config.algorithm in STEERING:
-        yield Refusal("exploration", config.exploration, "actions are continuous", "its bonus is kept for each move; give none")
+        yield Refusal("explorer", explorer, "a bonus cannot explore what is recorded", "give none")
+    elif not traits.moves or agent in STEERING:
+        yield Refusal("explorer", explorer, "actions are continuous", "its bonus is kept for each move; give none")
     if not traits.finite_observations:
-        yield Refusal("exploration", config.exploration, "observations are no finite set", "its bonus is kept for each; give none")
+        yield Refusal("explorer", explorer, "observations are no finite set", "its bonus is kept for each; give none")
 
 
 def reasons_against(config: TrainConfig, env: Any = None) -> list[Refusal]:
-    """Everything that speaks against training this configuration, from names alone, or as the environment `env` shows it; empty: nothing does."""
+    """Everything that speaks against training this configuration, from its parts alone, or as the environment `env` shows it; empty: nothing does."""
     if env is not None:
         return list(refusals(config, traits_seen(env)))
     known = TRAITS.get(type(config.env))
@@ -129,9 +131,9 @@ def remarks(config: TrainConfig) -> list[str]:
     """What is allowed but unusual about a configuration."""
     known = TRAITS.get(type(config.env))
     recorded = known is not None and known(config.env).recorded
-    found = []
-    if config.algorithm == "cql" and known is not None and not recorded:
+    agent, found = agents.registry.name_of(config.agent), []
+    if agent == "cql" and known is not None and not recorded:
         found.append("cql is meant for recorded moves: acting, it holds down the values of what it has not tried")
-    if config.algorithm == "dqn" and recorded:
+    if agent == "dqn" and recorded:
         found.append("dqn is meant for acting: nothing holds down the values of moves that were not recorded")
     return found

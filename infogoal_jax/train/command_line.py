@@ -23,13 +23,13 @@ USAGE = """infogoal: goal-conditioned reinforcement learning with InfoGoal, in J
 
   infogoal train object_search                   train; progress, table, figures and checkpoint under runs/
   infogoal train fetch_push                      the same for a Fetch task, whose goals are images; also fetch_reach, fetch_pick_and_place
-  infogoal train object_manipulation             an arm turns a cube to the pose of an image; --algorithm dqn, --relabelling her
+  infogoal train object_manipulation             an arm turns a cube to the pose of an image; --agent dqn, --relabelling her
   infogoal train embodied_qa                     offline: a drone learns from recorded flights to find what a question asks about
   infogoal train object_search --method none     the bare agent, without goal-representation learning
   infogoal train object_search --seeds 16        sixteen seeds in one program
   infogoal train object_search --resume RUN      go on from the last checkpoint of a run
   infogoal methods                               what each method is, and which tasks and agents it goes together with
-  infogoal methods fetch_push her                whether one combination works and why not; --algorithm, --relabelling, --exploration
+  infogoal methods fetch_push her                whether one combination works and why not; --learner, --agent, --relabelling, --explorer
   infogoal tune object_search --method vae       look for hyperparameters on validation goals; --trials 16 --seeds 2, all in one program
   infogoal final SEARCH                          run the best of such a search again with other seeds; --trials 4 --seeds 8
   infogoal pretrain fetch_push --seeds 4         train the low level that drives the robot to target states, keep the best of four seeds
@@ -57,18 +57,64 @@ Add --help to a command for its flags; every field of the configuration is one.
 
 
 @dataclasses.dataclass(frozen=True)
+class Selection:
+    """What the configuration starts from: the preset of a task and a method, or the configuration of a run."""
+
+    task: tyro.conf.Positional[str] = ""
+    """Name of the task."""
+    method: str | None = None
+    """Name of a method, see `infogoal methods`; none: infogoal."""
+    learner: str | None = None
+    """Name of another goal-representation learner than the method's own."""
+    agent: str | None = None
+    """Name of another reinforcement-learning agent than the task's own."""
+    relabelling: str | None = None
+    """Name of another relabelling of goals than the method's own."""
+    explorer: str | None = None
+    """Name of another explorer than the method's own."""
+    resume: str = ""
+    """Folder of a run to go on with, from its last checkpoint."""
+
+    def parts(self) -> dict[str, str]:
+        """The parts that were asked for by name."""
+        return {kind: name for kind in presets.REGISTRIES if (name := getattr(self, kind)) is not None}
+
+    def config(self) -> TrainConfig:
+        """The configuration of this choice. Raises `UserError` for an unknown name, or one that is not that of the run to resume."""
+        if not self.resume:
+            return presets.load(self.task or "object_search", self.method or "infogoal", **self.parts())
+        from infogoal_jax.report.runs import read_run
+
+        config = read_run(Path(self.resume)).config
+        if self.task not in ("", config.task):
+            raise UserError(f"task = {self.task!r}: the run to resume is of task {config.task!r}")
+        if self.method is not None and not is_of_method(config, self.method):
+            raise UserError(f"method = {self.method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
+        for kind, name in self.parts().items():
+            if name != presets.names_of(config)[kind]:
+                raise UserError(f"{kind} = {name!r}: the run to resume has {presets.names_of(config)[kind]!r}; leave the flag out")
+        return config
+
+
+def selected(arguments: list[str], prog: str) -> tuple[Selection, list[str]]:
+    """What the arguments choose, and all of them with the task, which may be left out, in front."""
+    if not arguments or arguments[0].startswith("-"):
+        arguments = ["", *arguments]
+    return tyro.cli(Selection, prog=prog, args=arguments, return_unknown_args=True, add_help=False)[0], arguments
+
+
+@dataclasses.dataclass(frozen=True)
 class TrainCommand:
     """Train on a task, all seeds in one program, and leave metrics, figures and a checkpoint in a folder."""
 
     config: Annotated[TrainConfig, tyro.conf.arg(name="")]
+    start: Annotated[Selection, tyro.conf.arg(name="")] = Selection()
     seeds: int = 1
     """How many seeds to train side by side: 0, 1, 2, ..."""
     first_seed: int = 0
     """Number of the first seed."""
     out: str = ""
     """Folder of the run; empty: a new one under runs/."""
-    resume: str = ""
-    """Folder of a run to go on with, from its last checkpoint."""
     figures: bool = True
     """Draw the figures at the end."""
     tensorboard: bool = False
@@ -77,59 +123,19 @@ class TrainCommand:
     """Name of a Weights & Biases project to log to (needs `pip install wandb`)."""
 
 
-def flag(arguments: list[str], name: str) -> str | None:
-    """The value of `--name VALUE` or `--name=VALUE` among the arguments; None if it is not there."""
-    for position, argument in enumerate(arguments):
-        if argument == f"--{name}" and position + 1 < len(arguments):
-            return arguments[position + 1]
-        if argument.startswith(f"--{name}="):
-            return argument.split("=", 1)[1]
-    return None
-
-
-def default_config(arguments: list[str]) -> TrainConfig:
-    """The configuration that the flags start from: the preset of the task, method, agent and relabelling named, or that of the run to resume."""
-    from infogoal_jax.report.runs import read_run
-
-    if arguments and arguments[-1] == "--method":
-        raise UserError(f"method: give a name after --method. Known: {', '.join(presets.METHODS)}")
-    resumed = flag(arguments, "resume")
-    if resumed:
-        config, method = read_run(Path(resumed)).config, flag(arguments, "method")
-        if method is not None and not is_of_method(config, method):
-            raise UserError(f"method = {method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
-        return config
-    task = arguments[0] if arguments and not arguments[0].startswith("-") else "object_search"
-    named = (flag(arguments, part) for part in ("algorithm", "relabelling", "exploration"))
-    return presets.load(task, flag(arguments, "method") or "infogoal", *named)
-
-
 def is_of_method(config: TrainConfig, method: str) -> bool:
     """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been added to it."""
     named = presets.method_named(method)
-    parts = ((named.learner, config.method), (named.relabelling, config.relabelling))
-    return all(asked in (None, own) for asked, own in parts) and named.exploration in ("none", config.exploration)
-
-
-def without_flag(arguments: list[str], name: str) -> list[str]:
-    """The arguments without `--name VALUE` or `--name=VALUE`."""
-    kept, skipping = [], False
-    for argument in arguments:
-        if not skipping and argument != f"--{name}" and not argument.startswith(f"--{name}="):
-            kept.append(argument)
-        skipping = argument == f"--{name}"
-    return kept
+    names = presets.names_of(config)
+    parts = ((named.learner, names["learner"]), (named.relabelling, names["relabelling"]))
+    return all(asked in (None, own) for asked, own in parts) and named.explorer in ("none", names["explorer"])
 
 
 def train(arguments: list[str]) -> int:
     """`infogoal train TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with a checkpoint)."""
-    default = default_config(arguments)
-    if arguments and not arguments[0].startswith("-"):
-        if arguments[0] != default.task:
-            raise UserError(f"task = {arguments[0]!r}: the run to resume is of task {default.task!r}")
-        arguments = arguments[1:]
-    arguments = without_flag(arguments, "method")  # A method may be a relabelling or an explorer; the preset has its parts.
-    command = tyro.cli(TrainCommand, prog="infogoal train TASK", args=arguments, default=TrainCommand(config=default))
+    start, arguments = selected(arguments, "infogoal train TASK")
+    default = TrainCommand(start=start, config=start.config())
+    command = tyro.cli(TrainCommand, prog="infogoal train", args=arguments, default=default)
     if command.seeds <= 0:
         raise UserError(f"seeds = {command.seeds}: give at least 1")
     use_compilation_cache()
@@ -138,14 +144,14 @@ def train(arguments: list[str]) -> int:
     from infogoal_jax.train.listeners import make_listeners
 
     check_combination(command.config)
-    config, resuming = command.config, bool(command.resume)
+    config, resuming = command.config, bool(command.start.resume)
     seeds = list(range(command.first_seed, command.first_seed + command.seeds))
     if resuming:
         from infogoal_jax.report.runs import read_run
 
-        if flag(arguments, "seeds") is None and flag(arguments, "first-seed") is None:
-            seeds = read_run(Path(command.resume)).seeds
-    folder = Path(command.resume or command.out or f"runs/{config.task}-{presets.name_of(config)}-{time.strftime('%Y%m%d-%H%M%S')}")
+        if (command.seeds, command.first_seed) == (default.seeds, default.first_seed):
+            seeds = read_run(Path(command.start.resume)).seeds
+    folder = Path(command.start.resume or command.out or f"runs/{config.task}-{presets.name_of(config)}-{time.strftime('%Y%m%d-%H%M%S')}")
     with make_listeners(folder, config, len(seeds), tensorboard=command.tensorboard, wandb=command.wandb) as listeners:
         sweep = host.run(config, seeds, folder, resume=resuming, listeners=listeners)
     from infogoal_jax.report.summary import print_summary
@@ -167,6 +173,7 @@ class TuneCommand:
     """Look for hyperparameters by random search: all trials with all seeds in one program, scored on validation goals."""
 
     config: Annotated[TrainConfig, tyro.conf.arg(name="")]
+    start: Annotated[Selection, tyro.conf.arg(name="")] = Selection()
     trials: int = 16
     """Settings that are tried; the first is the preset."""
     seeds: int = 2
@@ -185,10 +192,9 @@ def tune(arguments: list[str]) -> int:
     """`infogoal tune TASK ...`: 0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then)."""
     from infogoal_jax.train import tune as search
 
-    default = search.same_budget(default_config(arguments))
-    named = bool(arguments) and not arguments[0].startswith("-")
-    arguments = without_flag(arguments[named:], "method")
-    command = tyro.cli(TuneCommand, prog="infogoal tune TASK", args=arguments, default=TuneCommand(config=default))
+    start, arguments = selected(arguments, "infogoal tune TASK")
+    default = TuneCommand(start=start, config=search.same_budget(start.config()))
+    command = tyro.cli(TuneCommand, prog="infogoal tune", args=arguments, default=default)
     seeds = range(command.first_seed, command.first_seed + command.seeds)
     fields = tuple(field.replace("-", "_") for field in command.fields)
     use_compilation_cache()
@@ -262,11 +268,13 @@ class MethodsCommand:
     """Name of a task; empty: all."""
     method: tyro.conf.Positional[str] = ""
     """Name of a method on that task; empty: all."""
-    algorithm: str | None = None
+    learner: str | None = None
+    """Name of another learner than the method's own."""
+    agent: str | None = None
     """Name of another agent than the task's own."""
     relabelling: str | None = None
     """Name of another relabelling than the method's own."""
-    exploration: str | None = None
+    explorer: str | None = None
     """Name of another explorer than the method's own."""
 
 
@@ -275,11 +283,11 @@ def methods(arguments: list[str]) -> int:
     command = tyro.cli(MethodsCommand, prog="infogoal methods", args=arguments)
     from infogoal_jax.report import methods as table
 
-    parts = (command.algorithm, command.relabelling, command.exploration)
+    parts = {kind: name for kind in presets.REGISTRIES if (name := getattr(command, kind)) is not None}
     if command.method:
-        return 0 if table.print_combination(command.task, command.method, *parts) else 1
-    if any(parts):
-        raise UserError(f"method = {command.method!r}: name a task and a method: infogoal methods TASK METHOD --algorithm ...")
+        return 0 if table.print_combination(command.task, command.method, **parts) else 1
+    if parts:
+        raise UserError(f"method = {command.method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
     if command.task:
         presets.load(command.task)  # Refuses a name that does not exist.
     table.print_methods((command.task,) if command.task else presets.TASKS)

@@ -18,6 +18,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.presets.saved import to_dict
 from infogoal_jax.train import checkpoint, files
 from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.program import Train, make_train
@@ -189,7 +190,7 @@ def seed_mesh(num_seeds: int) -> jax.sharding.Mesh:
 def describe(config: TrainConfig, env: Any, seeds: list[int]) -> dict[str, Any]:
     """What config.json says beside the configuration: seeds, data and versions."""
     return {
-        "config": dataclasses.asdict(config), "seeds": seeds, "data": env.source,
+        "config": to_dict(config), "seeds": seeds, "data": env.source,
         "versions": {"infogoal_jax": infogoal_jax.__version__, "jax": jax.__version__, "numpy": np.__version__, "python": platform.python_version()},
         "device": str(jax.devices()[0].device_kind),
     }

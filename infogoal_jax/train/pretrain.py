@@ -22,7 +22,7 @@ from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.targets import TargetReaching, TargetSpace
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import nearest, require
-from infogoal_jax.hindsight import her
+from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Rows
 from infogoal_jax.train.rollout import collect
 

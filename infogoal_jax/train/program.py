@@ -19,14 +19,14 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax import agents, envs, exploration, hindsight, learners, networks, pairs, replay
+from infogoal_jax import agents, envs, exploration, learners, networks, pairs, relabelling, replay
 from infogoal_jax.agents.agent import Agent, Exploration
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
-from infogoal_jax.hindsight import her
-from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
 from infogoal_jax.learners.learner import Encode, Example, GoalCode, Learner, conditioned, encode_all, encode_commanded, in_place
+from infogoal_jax.relabelling import her
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.combinations import STEERING, check_combination
@@ -41,14 +41,15 @@ INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 class Parts(NamedTuple):
     """The parts that a configuration names, put together only here.
 
-    hindsight: what relabels the agent's transitions; retelling: what relabels those that the learner's loss sees, if it asks for that.
+    name: of the learner, under which its metrics stand; relabelling: of the agent's transitions; learner_relabelling: of those that the
+    learner's loss sees, if it asks for that.
     """
 
-    method: str
+    name: str
     learner: Learner
     agent: Agent
-    hindsight: Hindsight | None
-    retelling: Hindsight | None
+    relabelling: Relabelling | None
+    learner_relabelling: Relabelling | None
     explorer: Explorer | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
@@ -109,6 +110,7 @@ class Train:
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
         """Train one seed from a typed key (`jax.random.key(0)`), with these hyperparameters or the configuration's."""
         hyper = self.config.hyper if hyper is None else hyper
+        check_hyperparameters(self.config, hyper)
         env = self.env if env is None else env
         epochs = jnp.arange(self.config.num_epochs).reshape(self.config.num_evaluations, -1)
         state, (epoch_metrics, metrics) = jax.lax.scan(
@@ -122,27 +124,26 @@ class Train:
         return state, (epoch_metrics, metrics)
 
 
-def check_names(config: TrainConfig) -> None:
-    """Raise `UserError` for a name that does not exist, or a part whose configuration is not that of its name."""
-    for named, registered, field in (("method", learners, "learner"), ("algorithm", agents, "agent"), ("relabelling", hindsight, "hindsight"),
-                                     ("exploration", exploration, "explorer")):
-        needed, given = registered.entry(getattr(config, named)).config, getattr(config, field)
-        require(type(given) is needed, field, type(given).__name__, f"{named} {getattr(config, named)!r} needs a {needed.__name__}; "
-                f"make the configuration with presets.load, and resume with the same --{named}")
+def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
+    """Raise `UserError` where float hyperparameters are not those of the configuration's parts."""
+    for registered, own, given in ((learners.registry, config.learner, hyper.learner), (agents.registry, config.agent, hyper.agent)):
+        needed = registered.entry_of(own).hyper
+        require(type(given) is needed, f"hyper.{registered.kind}", type(given).__name__,
+                f"{registered.kind} {registered.name_of(own)!r} needs {needed.__name__}; change fields of config.hyper, or take "
+                "presets.default_hyperparameters")
 
 
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
-    method, algorithm, relabelling = learners.entry(config.method), agents.entry(config.algorithm), hindsight.entry(config.relabelling)
-    learner = method.make(config.learner)
-    share = learner.request.hindsight_share
+    learner = learners.registry.entry_of(config.learner).make(config.learner)
+    share = learner.request.relabelled_share
     return Parts(
-        method=config.method,
+        name=learners.registry.name_of(config.learner),
         learner=learner,
-        agent=algorithm.make(config.agent, env),
-        hindsight=relabelling.make(config.hindsight),
-        retelling=her.make(her.HERConfig(future_share=share)) if share else None,
-        explorer=exploration.entry(config.exploration).make(config.explorer),
+        agent=agents.registry.entry_of(config.agent).make(config.agent, env),
+        relabelling=relabelling.registry.entry_of(config.relabelling).make(config.relabelling),
+        learner_relabelling=her.make(her.HERConfig(future_share=share)) if share else None,
+        explorer=exploration.registry.entry_of(config.explorer).make(config.explorer),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
         batch_size=config.batch_size,
@@ -166,12 +167,12 @@ def load_environment(config: TrainConfig, env: Any = None):
 
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
     """
-    check_names(config)
+    check_hyperparameters(config, config.hyper)
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
     check_combination(config, env)
-    if config.algorithm in STEERING and not isinstance(env, hierarchy.Steered):
+    if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.Steered):
         return hierarchy.steer(env, config.agent)
     return env
 
@@ -222,7 +223,8 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
-        params["goal"], learner_state = learner.init(keys[0], Example(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper)
+        params["goal"], learner_state = learner.init(
+            keys[0], Example(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner)
         code = conditioned(learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:
@@ -277,12 +279,12 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         achieved_count = replay.running_count(achieved)
         known = jnp.ones_like(usable) if config.known_goals == "all" else usable & state.seen
         codes = encode_all(learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.table_limit else None
-        bonus = table = retelling = None
-        if parts.hindsight is not None or parts.retelling is not None:
+        bonus = table = learner_table = None
+        if parts.relabelling is not None or parts.learner_relabelling is not None:
             achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
-            context = hindsight_context(state, number, hyper, env, buffer, written, achievements, codes)
-            table = None if parts.hindsight is None else parts.hindsight.prepare(context)
-            retelling = None if parts.retelling is None else parts.retelling.prepare(context)
+            context = relabelling_context(state, number, hyper, env, buffer, written, achievements, codes)
+            table = None if parts.relabelling is None else parts.relabelling.prepare(context)
+            learner_table = None if parts.learner_relabelling is None else parts.learner_relabelling.prepare(context)
         if parts.explorer is not None:
             features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
             bonus, explored = parts.explorer.survey(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
@@ -290,10 +292,11 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         return Experience(
             buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
             known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes,
-            hindsight=table, retelling=retelling, bonus=bonus,
+            relabelling=table, learner_relabelling=learner_table, bonus=bonus,
         ), state
 
-    def hindsight_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements, codes: GoalCode | None) -> Context:
+    def relabelling_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements,
+                            codes: GoalCode | None) -> Context:
         """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are few."""
         def positions():
             if env.goal_positions is not None:
@@ -317,7 +320,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
         if learner.request.num_pairs:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
-            metrics |= {f"{config.method}/{name}": value for name, value in left.items()}
+            metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}
 
     def chunk(state: TrainState, numbers, hyper, env):

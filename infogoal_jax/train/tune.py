@@ -8,8 +8,9 @@ The best of many trials owes something to luck: in a final the preset and the be
 
 import dataclasses
 import time
+import zlib
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import flax.struct
 import jax
@@ -17,9 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
 
-from infogoal_jax import envs, presets
+from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.hyperparameters import Search, search_space, values_of, with_values
 from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
 from infogoal_jax.train.compilation import compiler_options
@@ -29,44 +31,6 @@ from infogoal_jax.train.program import Train, TrainState, make_train
 FIRST_SEED = 1000
 """Seeds of tuning start here: reported runs have seeds 0, 1, 2, ..."""
 BUDGET = ("num_epochs", "epochs_per_evaluation", "num_envs", "rollout_steps", "updates_per_epoch")
-
-
-class Range(NamedTuple):
-    """Where a field is looked for. scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: or only if asked for."""
-
-    low: float
-    high: float
-    scale: Literal["linear", "log", "log of 1 - x"]
-    always: bool = True
-
-    def at(self, share: float) -> float:
-        """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be given as a flag."""
-        if self.scale == "linear":
-            value = self.low + share * (self.high - self.low)
-        elif self.scale == "log":
-            value = self.low * (self.high / self.low) ** share
-        else:
-            value = 1 - (1 - self.low) * ((1 - self.high) / (1 - self.low)) ** share
-        return float(f"{value:.4g}")
-
-
-SPACE = {
-    "learning_rate": Range(1e-4, 3e-3, "log"),
-    "discount": Range(0.9, 0.995, "log of 1 - x"),
-    "target_rate": Range(0.005, 0.1, "log"),
-    "learner_weight": Range(1e-3, 10.0, "log"),
-    "intrinsic_weight": Range(0.1, 10.0, "log"),
-    "fixed_beta": Range(1e-6, 1e-2, "log"),
-    "bonus_weight": Range(0.005, 0.5, "log"),
-    "conservative_weight": Range(0.003, 3.0, "log"),
-    "epsilon": Range(0.05, 0.5, "linear", always=False),
-    "noise": Range(0.05, 0.5, "linear", always=False),
-    "target_noise": Range(0.05, 0.5, "linear", always=False),
-    "adjacency_weight": Range(1.0, 100.0, "log", always=False),
-    "beta_step": Range(1e-5, 1e-2, "log", always=False),
-    "beta_threshold": Range(0.8, 0.99, "log of 1 - x", always=False),
-}
-"""The space of every method, of which each is searched in the fields that it depends on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +76,7 @@ class TuneResult:
 
     def config_of(self, trial: Trial) -> TrainConfig:
         """The configuration with a trial's values."""
-        return dataclasses.replace(self.config, hyper=dataclasses.replace(self.config.hyper, **trial.values))
+        return dataclasses.replace(self.config, hyper=with_values(self.config.hyper, trial.values))
 
 
 @flax.struct.dataclass
@@ -125,14 +89,14 @@ class Lane:
 
 def same_budget(config: TrainConfig) -> TrainConfig:
     """The configuration with the epochs and steps that the task's preset has for the bare agent: as much for one method as for another."""
-    bare = presets.load(config.task, "none", config.algorithm)
+    bare = presets.load(config.task, "none", agent=agents.registry.name_of(config.agent))
     return dataclasses.replace(config, **{name: getattr(bare, name) for name in BUDGET})
 
 
-def check_fields(fields: Sequence[str]) -> None:
+def check_fields(fields: Sequence[str], space: dict[str, Search]) -> None:
     """Raise `UserError` for a field that the space does not have, or one given twice."""
     for field in fields:
-        require(field in SPACE, "fields", field, f"is not searched.{nearest(field, list(SPACE))} Known: {', '.join(SPACE)}")
+        require(field in space, "fields", field, f"is not searched.{nearest(field, list(space))} Known: {', '.join(space)}")
     require(len(set(fields)) == len(fields), "fields", tuple(fields), "give each once")
 
 
@@ -166,17 +130,17 @@ def fields_that_matter(train: Train) -> tuple[str, ...]:
     program = jax.make_jaxpr(train.chunk)(state, jnp.arange(1), hyper, train.env).jaxpr
     _, read = partial_eval.dce_jaxpr(program, [True] * len(program.outvars))
     before = len(jax.tree.leaves(state)) + 1
-    read = dict(zip((field.name for field in dataclasses.fields(hyper)), read[before:], strict=False))
+    read = dict(zip(values_of(hyper), read[before:], strict=False))
     read["intrinsic_weight"] &= has_reward(train.parts.learner)
-    return tuple(name for name in SPACE if read[name])
+    return tuple(name for name in search_space(hyper) if read[name])
 
 
 def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials: int) -> list[dict[str, float]]:
     """The values of each trial: the preset's, then draws from the space. Those of a field depend on nothing but the key, the field and the trial."""
-    names = list(SPACE)
-    shares = {field: np.asarray(jax.random.uniform(jax.random.fold_in(key, names.index(field)), (trials,)), float) for field in fields}
-    drawn = [{field: SPACE[field].at(shares[field][number]) for field in fields} for number in range(1, trials)]
-    return [{field: float(getattr(preset, field)) for field in fields}, *drawn]
+    space, values = search_space(preset), values_of(preset)
+    shares = {field: np.asarray(jax.random.uniform(jax.random.fold_in(key, zlib.crc32(field.encode())), (trials,)), float) for field in fields}
+    drawn = [{field: space[field].at(shares[field][number]) for field in fields} for number in range(1, trials)]
+    return [{field: float(values[field]) for field in fields}, *drawn]
 
 
 def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
@@ -192,8 +156,8 @@ def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
 
 def batched_hyper(preset: Hyperparameters, values: list[dict[str, float]], seeds: int) -> Hyperparameters:
     """Hyperparameters of every lane, float32 [trials * seeds], trial by trial."""
-    settings = [dataclasses.asdict(preset) | value for value in values]
-    return Hyperparameters(**{name: jnp.repeat(jnp.asarray([setting[name] for setting in settings], jnp.float32), seeds) for name in settings[0]})
+    settings = [values_of(preset) | value for value in values]
+    return with_values(preset, {name: jnp.repeat(jnp.asarray([setting[name] for setting in settings], jnp.float32), seeds) for name in settings[0]})
 
 
 def lane_programs(train: Train, group: str) -> tuple[Callable, Callable]:
@@ -227,19 +191,19 @@ def tune(config: TrainConfig, trials: int, seeds: Sequence[int], key: jax.Array,
 
     key: of the draws; fields: those to search, empty for all that matter to the method; env: one already loaded; watch: called after each evaluation.
     """
-    check_fields(fields)
+    check_fields(fields, search_space(config.hyper))
     train, group = scored_training(config, trials, seeds, env)
     matter = fields_that_matter(train)
     for field in fields:
         require(field in matter, "fields", field, f"changes nothing about {presets.name_of(config)} on {config.task}. What does: {', '.join(matter)}")
-    drawn = draw(key, config.hyper, tuple(fields) or tuple(name for name in matter if SPACE[name].always), trials)
+    drawn = draw(key, config.hyper, tuple(fields) or tuple(name for name in matter if search_space(config.hyper)[name].always), trials)
     return side_by_side(train, group, [Trial(number, values, [], [], []) for number, values in enumerate(drawn)], seeds, watch)
 
 
 def final(config: TrainConfig, trials: Sequence[Trial], seeds: Sequence[int], env: Any = None,
           watch: Callable[[TuneResult], None] = lambda result: None) -> TuneResult:
     """Train `finalists` of a search of this configuration with each of these seeds, which should be others. Otherwise as `tune`."""
-    check_fields(tuple(trials[0].values))
+    check_fields(tuple(trials[0].values), search_space(config.hyper))
     train, group = scored_training(config, len(trials), seeds, env)
     return side_by_side(train, group, trials, seeds, watch)
 

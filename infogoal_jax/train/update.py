@@ -28,8 +28,8 @@ class Experience:
     buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
-    hindsight: the table that a relabelling made for the epoch, retelling: that of the learner's own; bonus: float32 [K, A] of each observation and
-    action; None without such a part.
+    relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus: float32 [K, A] of each
+    observation and action; None without such a part.
     """
 
     buffer: Rows
@@ -40,13 +40,13 @@ class Experience:
     usable: jax.Array
     dissimilarity: jax.Array
     codes: GoalCode | None
-    hindsight: Any = None
-    retelling: Any = None
+    relabelling: Any = None
+    learner_relabelling: Any = None
     bonus: jax.Array | None = None
 
 
 @flax.struct.dataclass
-class Retold:
+class RelabelledBatch:
     """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their rewards, as changes.
 
     goal, next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
@@ -66,7 +66,7 @@ class Sample:
     transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], the known goals that were
     achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known ones, as many as the learner asks for.
     bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B]; None without an explorer.
-    retold: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what the agent sees.
+    relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what the agent sees.
     """
 
     transitions: Transitions
@@ -76,7 +76,7 @@ class Sample:
     goals: jax.Array | None = None
     bonus: jax.Array | None = None
     move: tuple | None = None
-    retold: Retold | None = None
+    relabelled: RelabelledBatch | None = None
 
 
 def training_view(parts, env, augmented: bool) -> View | None:
@@ -120,26 +120,26 @@ def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPa
 
 
 def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
-    """Draw what one update learns from: transitions, some of them under other goals (hindsight), and goal pairs."""
+    """Draw what one update learns from: transitions, some of them under other goals, and goal pairs."""
     transition_key, relabel_key, pair_key = jax.random.split(key, 3)
     buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
-    candidates = parts.batch_size * (1 if parts.hindsight is None else parts.hindsight.candidates)
+    candidates = parts.batch_size * (1 if parts.relabelling is None else parts.relabelling.candidates)
     row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
         goal = buffer.goal[row, step]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
-    if parts.hindsight is not None:
-        row, step, goal = in_hindsight(parts.hindsight, experience, relabel_key, row, step)
-    drawn = judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
+    if parts.relabelling is not None:
+        row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
+    drawn = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
     request, goals_key = parts.learner.request, jax.random.fold_in(key, 3)
     if request.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(request, env, experience, pair_key))
     if request.num_goals:
         drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (request.num_goals,)))
-    if parts.retelling is not None:
-        other = parts.retelling.relabel(jax.random.fold_in(key, 4), experience.retelling, row, step, drawn.transitions.goal)
-        told = judged(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached))
-        kept = {name: getattr(told.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")}
-        drawn = drawn.replace(retold=Retold(**kept, external=told.external))
+    if parts.learner_relabelling is not None:
+        other = parts.learner_relabelling.relabel(jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal)
+        relabelled = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached))
+        kept = {name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")}
+        drawn = drawn.replace(relabelled=RelabelledBatch(**kept, external=relabelled.external))
     if parts.explorer is not None:
         taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
         place = row[:, None], taken
@@ -148,17 +148,18 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     return drawn
 
 
-def in_hindsight(relabelling, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def with_relabelled_goals(relabelling, experience: Experience, key: jax.Array, row: jax.Array,
+                          step: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that they are given."""
     relabel_key, choose_key = jax.random.split(key)
-    goal = relabelling.relabel(relabel_key, experience.hindsight, row, step, experience.buffer.goal[row, step])
+    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, experience.buffer.goal[row, step])
     if relabelling.choose is None:
         return row, step, goal
-    kept = relabelling.choose(choose_key, experience.hindsight, row, step, goal)
+    kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)
     return row[kept], step[kept], goal[kept]
 
 
-def judged(env, experience: Experience, transitions: Transitions) -> Sample:
+def with_rewards(env, experience: Experience, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
     external = env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
     return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs=None)
@@ -182,12 +183,12 @@ def returns(parts, params, learner_state, env, hyper, experience: Experience, dr
     return discounted(step_reward, batch, hyper), learner_state, metrics
 
 
-def discounted(step_reward: jax.Array, batch: Transitions | Retold, hyper) -> jax.Array:
+def discounted(step_reward: jax.Array, batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     """Discounted sum of the rewards [B, n] of each transition's steps, float32 [B]."""
     return (step_reward * batch.mask * hyper.discount ** jnp.arange(batch.mask.shape[1])).sum(1)
 
 
-def discount_after(batch: Transitions | Retold, hyper) -> jax.Array:
+def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     """Discount of what follows each transition, float32 [B]: 0 after termination."""
     return hyper.discount ** batch.mask.sum(1) * ~batch.terminated
 
@@ -206,7 +207,7 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way before and after the step."""
     keys = jax.random.split(key, 3)
     see, see_by_target = (encode_states(parts, given, env, 2 * parts.batch_size) for given in (params, target_params))
-    encoded = encode_commanded if parts.hindsight is None else encode_goals  # Relabelled goals are any, and not among those commanded.
+    encoded = encode_commanded if parts.relabelling is None else encode_goals  # Relabelled goals are any, and not among those commanded.
     view = training_view(parts, env, augmented=True)
     code, target_code = (
         encoded(parts.learner, given["goal"], env.goals, parts.table_limit, view, view_key)(batch.goal) for given in (params, target_params)
@@ -234,13 +235,14 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
 
 
 def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
-    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps retold; with the environment's reward alone."""
-    if drawn.retold is None:
+    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps relabelled; with the environment's reward alone."""
+    if drawn.relabelled is None:
         reward = discounted(drawn.external, drawn.transitions, hyper)
         return drawn.transitions.goal, Steps(codes.features, codes.next_features, reward, codes.discount)
-    told = drawn.retold
-    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.batch_size)(told.next_observation))
-    return told.goal, Steps(codes.features, following, discounted(told.external, told, hyper), discount_after(told, hyper))
+    relabelled = drawn.relabelled
+    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.batch_size)(relabelled.next_observation))
+    reward = discounted(relabelled.external, relabelled, hyper)
+    return relabelled.goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
 
 
 def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
@@ -267,10 +269,10 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         encode = encode_goals(learner, params["goal"], env.goals, parts.table_limit, training_view(parts, env, augmented=True), view_key)
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
         seen = LearnerBatch(encode, env.goals.inputs_of, pairs, drawn.goals, *steps_to_learn_from(parts, params, env, hyper, drawn, codes))
-        learner_loss, learner_metrics, after = learner.loss(params["goal"], learner_state, seen, hyper, loss_key)
-        agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper, agent_key)
+        learner_loss, learner_metrics, after = learner.loss(params["goal"], learner_state, seen, hyper.learner, loss_key)
+        agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper.agent, agent_key)
         total, states = agent_loss + hyper.learner_weight * learner_loss, {"learner": after}
-        metrics = named("agent", agent_metrics | reward_metrics | {"loss": agent_loss}) | named(parts.method, learner_metrics)
+        metrics = named("agent", agent_metrics | reward_metrics | {"loss": agent_loss}) | named(parts.name, learner_metrics)
         if parts.explorer is not None:
             moves = moves_of(parts, env, params, targets, drawn.move)
             explorer_loss, explorer_metrics, after = parts.explorer.loss(params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4))
@@ -286,7 +288,7 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)
     metrics |= {"agent/gradient_norm": norm}
-    return state, metrics if pairs is None else metrics | named(parts.method, positive_regions(pairs, env.goals.regions))
+    return state, metrics if pairs is None else metrics | named(parts.name, positive_regions(pairs, env.goals.regions))
 
 
 def named(part: str, metrics: dict) -> dict:
@@ -303,7 +305,7 @@ def moves_of(parts, env, params, target_params, move: tuple) -> Moves:
 
 def draws_at_once(parts, count: int) -> int:
     """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates, whose tables take memory."""
-    return count if parts.hindsight is None or parts.hindsight.choose is None else min(count, CHOICES_AT_ONCE)
+    return count if parts.relabelling is None or parts.relabelling.choose is None else min(count, CHOICES_AT_ONCE)
 
 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
-from infogoal_jax.hindsight import her
-from infogoal_jax.hindsight.relabelling import Hindsight
+from infogoal_jax.relabelling import her
+from infogoal_jax.relabelling.relabelling import Relabelling
 
 CANDIDATES = 2  # For each transition that is learned from [C].
 TRIES = 3  # Candidates compared at each pick [C].
@@ -39,10 +39,10 @@ class CHERConfig(her.HERConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(self.similarity in ("nearest", "dense"), "hindsight.similarity", self.similarity, "give nearest or dense")
-        require(self.proximity_unit in ("mean", "world"), "hindsight.proximity_unit", self.proximity_unit, "give mean or world")
+        require(self.similarity in ("nearest", "dense"), "relabelling.similarity", self.similarity, "give nearest or dense")
+        require(self.proximity_unit in ("mean", "world"), "relabelling.proximity_unit", self.proximity_unit, "give mean or world")
         for name in ("proximity_weight", "proximity_growth"):
-            require(getattr(self, name) >= 0, f"hindsight.{name}", getattr(self, name), "give 0 or more")
+            require(getattr(self, name) >= 0, f"relabelling.{name}", getattr(self, name), "give 0 or more")
 
 
 @flax.struct.dataclass
@@ -148,7 +148,7 @@ def proximity_distances(position: jax.Array, achieved: jax.Array, positions: jax
     return jnp.where(jnp.isfinite(distance), distance, jnp.where(jnp.isfinite(distance), distance, 0.0).max())
 
 
-def make(config: CHERConfig) -> Hindsight:
+def make(config: CHERConfig) -> Relabelling:
     """CHER for goals that are indices.
 
     Distances are divided by their mean unless the configuration asks for the world's unit. The authors' are metres on a table top, a few tenths each,
@@ -173,4 +173,4 @@ def make(config: CHERConfig) -> Hindsight:
     def relabel(key, table, row, step, goal):
         return proposing.relabel(key, table.proposals, row, step, goal)
 
-    return Hindsight(prepare, relabel, choose, CANDIDATES)
+    return Relabelling(prepare, relabel, choose, CANDIDATES)

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
-from infogoal_jax.hindsight import her
-from infogoal_jax.hindsight.relabelling import Context, Hindsight
+from infogoal_jax.relabelling import her
+from infogoal_jax.relabelling.relabelling import Context, Relabelling
 
 VALUES_AT_ONCE = 256  # Episodes whose first observations and goals, perhaps images, are encoded together.
 
@@ -33,10 +33,10 @@ class GHRLConfig:
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         for name in ("share", "random_share"):
-            require(0 <= getattr(self, name) <= 1, f"hindsight.{name}", getattr(self, name), "give a share from 0 to 1")
-        require(self.share + self.random_share <= 1, "hindsight.random_share", self.random_share,
+            require(0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1")
+        require(self.share + self.random_share <= 1, "relabelling.random_share", self.random_share,
                 f"must leave room for share = {self.share}: together at most 1")
-        require(self.filter in ("none", "advantage"), "hindsight.filter", self.filter, "give none or advantage")
+        require(self.filter in ("none", "advantage"), "relabelling.filter", self.filter, "give none or advantage")
 
 
 @flax.struct.dataclass
@@ -121,7 +121,7 @@ def accepted(context: Context, table: Table) -> jax.Array:
     return jax.lax.fori_loop(0, chunks, some, jnp.zeros(count.shape[0], bool)).reshape(shape)
 
 
-def make(config: GHRLConfig) -> Hindsight:
+def make(config: GHRLConfig) -> Relabelling:
     """GHRL for goals that are indices. A transition after its episode first reached the goal keeps its own: reaching a goal ends an episode."""
 
     def prepare(context):
@@ -138,4 +138,4 @@ def make(config: GHRLConfig) -> Hindsight:
         goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
 
-    return Hindsight(prepare, relabel)
+    return Relabelling(prepare, relabel)

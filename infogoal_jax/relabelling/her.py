@@ -1,4 +1,4 @@
-"""Hindsight experience replay (Andrychowicz et al. 2017): a transition is given a goal that its own episode achieved later.
+"""Relabelling experience replay (Andrychowicz et al. 2017): a transition is given a goal that its own episode achieved later.
 
 `future` is the paper's strategy: a later step, then a goal achieved there. `prefix` is that of InfoGoal's authors for graphs: each goal that the
 episode achieved is as likely as any other however long it stayed in view, then one of its occurrences, and what lies before it is given the goal.
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
-from infogoal_jax.hindsight.relabelling import Achievements, Context, Hindsight
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Rows
 
 
@@ -31,10 +31,10 @@ class HERConfig:
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         for name in ("future_share", "random_share"):
-            require(0 <= getattr(self, name) <= 1, f"hindsight.{name}", getattr(self, name), "give a share from 0 to 1")
-        require(self.future_share + self.random_share <= 1, "hindsight.random_share", self.random_share,
+            require(0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1")
+        require(self.future_share + self.random_share <= 1, "relabelling.random_share", self.random_share,
                 f"must leave room for future_share = {self.future_share}: together at most 1")
-        require(self.strategy in ("future", "prefix"), "hindsight.strategy", self.strategy, "give future or prefix")
+        require(self.strategy in ("future", "prefix"), "relabelling.strategy", self.strategy, "give future or prefix")
 
 
 @flax.struct.dataclass
@@ -135,7 +135,7 @@ def prefixes(context: Context) -> Prefixes:
     return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)
 
 
-def make(config: HERConfig) -> Hindsight:
+def make(config: HERConfig) -> Relabelling:
     """HER for goals that are indices."""
     prepare, later_goal = {"future": (lambda context: context.achievements, future_goal), "prefix": (prefixes, prefix_goal)}[config.strategy]
 
@@ -147,4 +147,4 @@ def make(config: HERConfig) -> Hindsight:
         goal = jnp.where((share < config.future_share) & (later >= 0), later, goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
 
-    return Hindsight(prepare, relabel_goals)
+    return Relabelling(prepare, relabel_goals)

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from infogoal_jax.hindsight.relabelling import Hindsight
+from infogoal_jax.relabelling.relabelling import Relabelling
 
 
 @dataclasses.dataclass(frozen=True)
@@ -13,6 +13,6 @@ class NoneConfig:
         """Always right."""
 
 
-def make(config: NoneConfig) -> Hindsight | None:
+def make(config: NoneConfig) -> Relabelling | None:
     """None: nothing is relabelled."""
     return None

@@ -42,7 +42,7 @@ class Context(NamedTuple):
     updates: jax.Array
 
 
-class Hindsight(NamedTuple):
+class Relabelling(NamedTuple):
     """A relabelling.
 
     prepare(context: Context) -> table: what the epoch's draws need, a pytree.

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from hand_made_rows import GOALS, STEPS, context, episodes, later_goals, random_rows, rows_of
 
-from infogoal_jax import hindsight, make_train, replay
+from infogoal_jax import make_train, replay
+from infogoal_jax import relabelling as relabellings
 from infogoal_jax.errors import UserError
-from infogoal_jax.hindsight.cher import CHERConfig
-from infogoal_jax.hindsight.ghrl import GHRLConfig
-from infogoal_jax.hindsight.her import HERConfig
 from infogoal_jax.learners.gcb import GCBConfig
+from infogoal_jax.relabelling.cher import CHERConfig
+from infogoal_jax.relabelling.ghrl import GHRLConfig
+from infogoal_jax.relabelling.her import HERConfig
 from infogoal_jax.replay import Rows
 from infogoal_jax.train import update
 
@@ -32,7 +33,7 @@ def rows() -> Rows:
 
 def relabelled(rows: Rows, config, known=None, name: str = "her"):
     """Draws of transitions and the goals that they are given."""
-    relabelling = hindsight.entry(name).make(config)
+    relabelling = relabellings.registry.entry(name).make(config)
 
     @jax.jit
     def drawn(rows, known):
@@ -91,7 +92,7 @@ def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
 def test_prefixes_come_up_as_often_as_they_should(several):
     """Each goal of an episode is equally likely, then each of its occurrences; only what lies before that occurrence is given the goal."""
     rows, times = random_rows(several), 3000
-    relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy="prefix"))
+    relabelling = relabellings.registry.entry("her").make(HERConfig(future_share=1.0, strategy="prefix"))
     places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
     row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
     relabel = jax.jit(lambda rows: relabelling.relabel(jax.random.key(2), relabelling.prepare(context(rows)), row, step, jnp.zeros_like(row)))
@@ -111,7 +112,7 @@ def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
     rows = rows_of(np.ones((1, 10)), np.array([[-1, *[1] * 9, 2]])[..., None])
     shares, start = {}, jnp.zeros(2000, jnp.int32)
     for strategy in ("future", "prefix"):
-        relabelling = hindsight.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
+        relabelling = relabellings.registry.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
         relabel = jax.jit(lambda rows, made=relabelling: made.relabel(jax.random.key(0), made.prepare(context(rows)), start, start, start))
         shares[strategy] = float((np.asarray(relabel(rows)) == 2).mean())
     np.testing.assert_allclose([shares["future"], shares["prefix"]], [0.1, 0.5], atol=0.05)
@@ -120,7 +121,7 @@ def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
 def test_rows_too_long_for_the_prefixes_name_the_remedy():
     """Steps, episodes and goals are sorted by one number of 31 bits; more do not fit, and nothing is sorted wrongly in silence."""
     rows = rows_of(np.ones((1, 600)), np.full((1, 601, 1), -1))
-    relabelling = hindsight.entry("her").make(HERConfig(strategy="prefix"))
+    relabelling = relabellings.registry.entry("her").make(HERConfig(strategy="prefix"))
     jax.eval_shape(lambda rows: relabelling.prepare(context(rows, num_goals=5000)), rows)
     with pytest.raises(UserError, match=r"rollout_steps = 600"):
         relabelling.prepare(context(rows, num_goals=6000))
@@ -132,22 +133,22 @@ def test_rows_too_long_for_the_prefixes_name_the_remedy():
 ])
 def test_shares_that_cannot_be(config):
     """Shares beyond 1, or below 0, name their field."""
-    with pytest.raises(UserError, match=r"hindsight\.(future|random)_share"):
+    with pytest.raises(UserError, match=r"relabelling\.(future|random)_share"):
         config.check(None)
 
 
 def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them; the agent's draws stay."""
     env, drawn = hand_made.environment(), {}
-    plain, train = (make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(hindsight_share=share)), env) for share in (0.0, 1.0))
+    plain, train = (make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(relabelled_share=share)), env) for share in (0.0, 1.0))
     hyper = train.config.hyper
     state = jax.jit(lambda key: train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0])(jax.random.key(0))
     for share, made in ((0.0, plain), (1.0, train)):
         draw = jax.jit(lambda state, made=made: update.sample(
             made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)))
         drawn[share] = draw(state)
-    plain, told = drawn[0.0], drawn[1.0].retold
-    assert plain.retold is None
+    plain, told = drawn[0.0], drawn[1.0].relabelled
+    assert plain.relabelled is None
     jax.tree.map(np.testing.assert_array_equal, plain.transitions, drawn[1.0].transitions)
     changed = np.asarray(told.goal != plain.transitions.goal)
     assert changed.mean() > 0.3 and told.terminated.sum() > plain.transitions.terminated.sum()
@@ -168,7 +169,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
 
 
 @pytest.mark.parametrize(("method", "changes"), [
-    ("cher", {}), pytest.param("ghrl", {"hindsight": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
+    ("cher", {}), pytest.param("ghrl", {"relabelling": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
     pytest.param("infogoal", {"relabelling": "her"}, marks=pytest.mark.long),
 ])
 def test_training_goes_through(method, changes):

@@ -1,0 +1,109 @@
+"""How float hyperparameters are declared: once, beside the part that they belong to.
+
+    @flax.struct.dataclass
+    class VAEHyperparameters:
+        kl_weight: Annotated[float, Number("[0, inf)", Search(1e-3, 10.0, "log"))] = 1.0
+        \"\"\"Weight of the KL divergence beside the reconstruction error [M].\"\"\"
+
+Validation, the help text of the command line and the space of `infogoal tune` are read off this declaration. A record of floats is a pytree, and an
+argument of every compiled program: sweep it with `jax.vmap`, change it without compiling again.
+"""
+
+import dataclasses
+import functools
+import math
+import typing
+from collections.abc import Iterator
+from typing import Any, Literal, NamedTuple
+
+import flax.struct
+
+from infogoal_jax.errors import require
+
+
+class Search(NamedTuple):
+    """Where a search looks for a number.
+
+    scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: in every search, or only where it is asked for.
+    """
+
+    low: float
+    high: float
+    scale: Literal["linear", "log", "log of 1 - x"]
+    always: bool = True
+
+    def at(self, share: float) -> float:
+        """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be given as a flag."""
+        if self.scale == "linear":
+            value = self.low + share * (self.high - self.low)
+        elif self.scale == "log":
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = 1 - (1 - self.low) * ((1 - self.high) / (1 - self.low)) ** share
+        return float(f"{value:.4g}")
+
+
+class Number(NamedTuple):
+    """What a hyperparameter may be: an interval such as "(0, 1]", and where a search looks for it, if it does."""
+
+    interval: str
+    search: Search | None = None
+
+    def allows(self, value: float) -> bool:
+        """Whether the value lies in the interval."""
+        low, high = (float(end) for end in self.interval[1:-1].split(","))
+        above = value >= low if self.interval[0] == "[" else value > low
+        below = value <= high if self.interval[-1] == "]" else value < high
+        return above and below
+
+
+@flax.struct.dataclass
+class NoHyperparameters:
+    """Of a part without float hyperparameters."""
+
+
+@functools.cache
+def numbers_of(record_type: type) -> dict[str, Number]:
+    """The declarations of a record's own floats, by field."""
+    hints = typing.get_type_hints(record_type, include_extras=True)
+    declared = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: number for name, metadata in declared.items() for number in metadata if isinstance(number, Number)}
+
+
+def floats(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Number]]:
+    """(dotted name, value, declaration) of every float of a record and of the records in it."""
+    declared = numbers_of(type(record))
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from floats(value, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", value, declared[field.name]
+
+
+def check(record: Any) -> None:
+    """Raise `UserError` for a value outside of its interval. For Python floats only, never for traced values."""
+    for name, value, number in floats(record):
+        require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{name}", value, "give a finite number")
+        require(number.allows(value), f"hyper.{name}", value, f"give a number in {number.interval}")
+
+
+def with_values(record: Any, values: dict[str, Any]) -> Any:
+    """The record with the floats of these dotted names replaced."""
+    own = {name: value for name, value in values.items() if "." not in name}
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        part, _, field = name.partition(".")
+        if field:
+            parts.setdefault(part, {})[field] = value
+    return dataclasses.replace(record, **own, **{part: with_values(getattr(record, part), inner) for part, inner in parts.items()})
+
+
+def values_of(record: Any) -> dict[str, Any]:
+    """Every float of a record by its dotted name."""
+    return {name: value for name, value, _ in floats(record)}
+
+
+def search_space(record: Any) -> dict[str, Search]:
+    """Where a search looks, by dotted name, for every float of a record that can be searched."""
+    return {name: number.search for name, _, number in floats(record) if number.search is not None}

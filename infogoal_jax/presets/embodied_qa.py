@@ -1,0 +1,30 @@
+"""Embodied question answering: a drone learns from recorded flights; goals are texts."""
+
+from infogoal_jax.config import StateEncoderConfig
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
+
+SIMILAR = {"window": 0, "num_pairs": 128}
+"""Which goals count as similar [M]: those that are seen at the same moment."""
+SHARES = {"future_share": 0.6, "random_share": 0.2}
+"""Goals that the flight sees later, and any known ones: failures, which a recorded flight never shows [M]."""
+UNIT_VARIANCE = {"vector_std": 1.0}
+"""Of what is reconstructed: text embeddings are scaled to numbers of the order of 1."""
+
+PRESET = Preset(
+    agent="cql",  # [P]
+    relabelling="her",  # [P]
+    relabellings={"her": SHARES, "cher": SHARES, "ghrl": {"share": 0.6, "random_share": 0.2}},
+    training={
+        "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 60, "epochs_per_evaluation": 10, "evaluation_starts": 5,
+        "state_encoder": StateEncoderConfig(features=128),
+    },
+    hyper={"discount": 0.95, "intrinsic_weight": 0.0, "agent.conservative_weight": 0.02},  # [M]
+    methods={
+        "infogoal": Changes(learner=SIMILAR, hyper={"intrinsic_weight": 1.0, "agent.conservative_weight": 0.01}),  # [M]
+        "infobot": Changes(hyper=INFOBOT),
+        "cogoal": Changes(learner=SIMILAR),
+        "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
+        "vae": Changes(learner=UNIT_VARIANCE),
+        "dgrl": Changes(learner=UNIT_VARIANCE),
+    },
+)

@@ -1,0 +1,52 @@
+"""The Fetch tasks with goal images, tuned on goal sets of other seeds than those that results are shown on."""
+
+from infogoal_jax.config import StateEncoderConfig
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
+
+TRAINING = {
+    "num_envs": 256, "rollout_steps": 50, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 60, "epochs_per_evaluation": 20,
+    "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=128),
+}
+HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
+
+
+def preset(window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
+    """The preset of a task.
+
+    window, num_pairs: of similar goals [M], those that a few steps take less far apart than the 20 cm between test and training goals.
+    found: floats of each method that a search found [T].
+    """
+    similar = {"window": window, "num_pairs": num_pairs}
+    measured = {"infogoal": {"intrinsic_weight": 1.0}, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
+    learners = {"infogoal": similar, "cogoal": similar}
+    return Preset(
+        agent="hrac",  # [P]
+        env={"goals": "images"},
+        learner={"standardise_images": True},  # For corrupted goals (docs/hrac.md).
+        relabellings={"ghrl": {"share": 0.8}},
+        training=training,
+        hyper=HYPER,
+        methods={
+            method: Changes(learner=learners.get(method, {}), hyper=measured.get(method, {}) | found.get(method, {}))
+            for method in {**learners, **measured, **found}
+        },
+    )
+
+
+FOUND_FOR_REACH = {
+    "infogoal": {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164, "intrinsic_weight": 3.768},
+    "infobot": {"learning_rate": 7.555e-4, "discount": 0.9493, "target_rate": 0.01356, "intrinsic_weight": 0.4549, "learner.beta": 1.064e-6},
+    "cogoal": {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287, "learner_weight": 1.817},
+    "vae": {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287, "learner_weight": 1.817},
+    "dgrl": {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164},
+    "gcb": {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858, "learner_weight": 1.453e-3},
+    "rad": {"learning_rate": 2.614e-3, "discount": 0.9654, "target_rate": 0.05371},
+    "her": {"learning_rate": 1.859e-4, "discount": 0.9061, "target_rate": 0.07689},
+    "cher": {"learning_rate": 1.859e-4, "discount": 0.9061, "target_rate": 0.07689},
+    "ghrl": {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287},
+    "none": {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858},
+}
+
+REACH = preset(5, 128, TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH)  # Sizes for two cores.
+PUSH = preset(3, 128, TRAINING, {})
+PICK_AND_PLACE = preset(3, 256, TRAINING, {})
