@@ -13,6 +13,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pytest
 
 from infogoal_jax import compiler_options, make_train, presets
 from infogoal_jax.train.combinations import reasons_against
