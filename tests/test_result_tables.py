@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infogoal_jax.config import Hyperparameters
 from infogoal_jax.train import files
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
 import study_numbers  # noqa: E402
 import tables  # noqa: E402
+import trial_numbers  # noqa: E402
+import trials  # noqa: E402
 import tuning_study  # noqa: E402
 
 MOST_FILES, MOST_BYTES = 60, 3_000_000
@@ -39,7 +42,7 @@ def test_a_changed_number_is_noticed(written, monkeypatch, tmp_path):
 def test_every_table_for_pages_is_on_one():
     text = "".join(page.read_text() for page in tables.PAGES)
     for name, module in tables.STUDIES.items():
-        for table in module.tables(study_numbers.load(tables.RESULTS / name / study_numbers.FILE)):
+        for table in module.tables(tables.load(name)):
             assert f"<!-- table: {name}/{table} -->" in text, table
 
 
@@ -97,3 +100,43 @@ def test_trials_of_a_search_are_kept(tmp_path):
     (folder / "trials.jsonl").write_text("".join(json.dumps(trial) + "\n" for trial in trials))
     study_numbers.save(tuning_study.collect(tmp_path), tmp_path / study_numbers.FILE)
     assert "| VAE | 0.38 | 0.75 | 3 | discount 0.93 | 20 of 20 |" in tuning_study.report(study_numbers.load(tmp_path / study_numbers.FILE))
+
+
+def write_trial(folder: Path, name: str, success: float, kl: str = "20", seeds: int = 2) -> None:
+    """A trial's file with three evaluations of made-up numbers: seeds are 0.2 apart, evaluations 0.1."""
+    folder.mkdir(exist_ok=True)
+    lines = [f"{name},preset,{seed},{updates},{success + 0.2 * seed + number / 10:.4g},{kl},a machine"
+             for number, updates in enumerate((1000, 2000, 3000)) for seed in range(seeds)]
+    (folder / f"{name}.csv").write_text("\n".join(["trial,lane,seed,updates,test_goal/success_rate,learner/kl,machine", *lines]) + "\n")
+
+
+def test_a_trial_that_is_run_again_replaces_its_rows(tmp_path):
+    write_trial(tmp_path / "first", "cube_her", 0.1, kl="")
+    write_trial(tmp_path / "first", "another", 0.2, kl="")
+    write_trial(tmp_path / "second", "cube_her", 0.5, seeds=3)
+    path = tmp_path / "kept" / trial_numbers.FILE
+    assert trial_numbers.merge(tmp_path / "first", path, trials.QUEUE) == ["another", "cube_her"]
+    assert "learner/kl" not in trial_numbers.read(path)[0]  # An empty column is not kept.
+    trial_numbers.merge(tmp_path / "second", path, trials.QUEUE)
+    rows = trial_numbers.read(path)
+    assert [row["trial"] for row in rows] == ["cube_her"] * 9 + ["another"] * 6  # In the queue's order.
+    assert rows[:9] == trial_numbers.read(tmp_path / "second" / "cube_her.csv") and rows[9]["learner/kl"] == ""
+    before = path.read_bytes()
+    trial_numbers.merge(tmp_path / "second", path, trials.QUEUE)
+    assert path.read_bytes() == before
+
+
+def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
+    write_trial(tmp_path / "first", "two", 0.1)
+    write_trial(tmp_path / "first", "three", 0.1, seeds=3)
+    trial_numbers.merge(tmp_path / "first", tmp_path / trial_numbers.FILE, trials.QUEUE)
+    text = trial_numbers.table(trial_numbers.read(tmp_path / trial_numbers.FILE), ["two", "three"], None)
+    assert "| `two` | preset | 2 | 1,000 to 3,000 |  |  | 0.30 |" in text and "| `three` | preset | 3 | 1,000 to 3,000 |  |  | 0.40 ± 0.50 |" in text
+
+
+@pytest.mark.parametrize("name", trials.QUEUE)
+def test_every_trial_is_legal(name, monkeypatch, tmp_path):
+    monkeypatch.setattr(trials, "tuning_house", lambda folder: ["--env.dataset", "house", "--env.split", "split.json"])
+    config = trials.configuration(trials.QUEUE[name], tmp_path)
+    for values in trials.QUEUE[name].lanes.values():
+        Hyperparameters(**vars(config.hyper) | values).check()

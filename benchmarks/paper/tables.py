@@ -4,7 +4,8 @@
 
 A table stands in README.md or docs/*.md between `<!-- table: STUDY/NAME -->` and `<!-- end -->`; what is between them is replaced by what
 docs/results/STUDY/numbers.npz gives, and docs/results/STUDY/study.md is written anew. To show new numbers, run the study's script with
-`--out FOLDER`, copy FOLDER/numbers.npz there, and then run this. (A numbers.npz that lies in FOLDER beforehand is added to.)
+`--out FOLDER`, copy FOLDER/numbers.npz there, and then run this. (A numbers.npz that lies in FOLDER beforehand is added to.) The trials have a
+numbers.csv, which `trials.py --merge FOLDER` adds to, and no study.md.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import frames_study
 import house_study
 import methods_study
 import study_numbers
+import trials
 import tuning_study
 
 ROOT = Path(__file__).parents[2]
@@ -23,13 +25,19 @@ RESULTS = ROOT / "docs" / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 STUDIES = {
     "house_study": house_study, "fetch_study": fetch_study, "frames_study": frames_study, "methods_study": methods_study, "tuning": tuning_study,
+    "trials": trials,
 }
 MARKED = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.S)
 
 
+def load(name: str):
+    """The numbers of a study."""
+    return trials.load(trials.NUMBERS) if STUDIES[name] is trials else study_numbers.load(RESULTS / name / study_numbers.FILE)
+
+
 def written(studies: list[str]) -> dict[Path, str]:
     """What every page and every study.md should be, by its path; tables of other studies stay as they are."""
-    results = {name: study_numbers.load(RESULTS / name / study_numbers.FILE) for name in studies}
+    results = {name: load(name) for name in studies}
     tables = {f"{name}/{table}": text for name in studies for table, text in STUDIES[name].tables(results[name]).items()}
 
     def replace(match: re.Match) -> str:
@@ -37,7 +45,7 @@ def written(studies: list[str]) -> dict[Path, str]:
         return f"{before}{tables[name]}\n{after}" if name.split("/")[0] in studies else match[0]
 
     pages = {page: MARKED.sub(replace, page.read_text()) for page in PAGES}
-    return pages | {RESULTS / name / "study.md": STUDIES[name].report(results[name]) for name in studies}
+    return pages | {RESULTS / name / "study.md": STUDIES[name].report(results[name]) for name in studies if STUDIES[name] is not trials}
 
 
 def main():

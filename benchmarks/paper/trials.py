@@ -1,10 +1,14 @@
 """Trials: short, cheap experiments that decide what a method needs, several settings of floats and several seeds side by side in one program.
 
-    python benchmarks/paper/trials.py --out FOLDER [--trials cube_her cube_infogoal_window_1 ...] [--list] [--minutes 9]
+    python benchmarks/paper/trials.py --list
+    python benchmarks/paper/trials.py --out FOLDER [--trials cube_her cube_infogoal_her_window_1 ...] [--minutes 9]
+    python benchmarks/paper/trials.py --merge FOLDER
 
 `QUEUE` is the list of what is to be run, in order of what it would tell. A trial is a preset, what is changed in it, and *lanes*: settings of
 the float hyperparameters that are trained in the same compiled program. Every evaluation of every lane and seed is a row of FOLDER/TRIAL.csv,
-written as it comes, so that a run that is cut keeps what it found; --minutes stops the last one in time. A finished trial is not run again.
+written as it comes, so that a run that is cut keeps what it found; --minutes stops the last one in time. A trial whose file lies in FOLDER is not run
+again. --merge puts the files of FOLDER into docs/results/trials/numbers.csv, in place of what was there of the same trials; `tables.py trials` then
+writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has come in that file.
 """
 
 import argparse
@@ -18,18 +22,32 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import trial_numbers
+from trial_numbers import Row
+from tuning_study import tuning_house
 
 from infogoal_jax import compiler_options, presets, use_compilation_cache
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.data import questions
 from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.program import make_train
 
 KINDS = ("train_goal", "validation_goal", "test_goal", "corrupted_train_goal", "corrupted_test_goal", "train_goal_mean_code", "test_goal_mean_code")
 EPOCH_METRICS = ("beta", "accuracy", "kl")
+NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "trials" / trial_numbers.FILE
+TABLES = {
+    "cube": (("object_manipulation",), ("degrees", 1)), "fetch": (presets.IMAGE_TASKS, ("m", 3)), "house": (("object_search",), None),
+    "shelf": (("embodied_qa",), None),
+}
+"""Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
 
 
 class Trial(NamedTuple):
-    """task, method, relabelling: of the preset. settings: dotted fields that are changed in it. lanes: names and float hyperparameters of each."""
+    """task, method, relabelling: of the preset. settings: dotted fields that are changed in it. lanes: names and float hyperparameters of each.
+
+    by_name: evaluate embodied question answering with the names of the objects in place of the questions about them.
+    """
 
     task: str
     method: str
@@ -37,6 +55,7 @@ class Trial(NamedTuple):
     settings: dict[str, Any]
     lanes: dict[str, dict[str, float]]
     seeds: int = 2
+    by_name: bool = False
 
 
 CUBE = {
@@ -48,9 +67,26 @@ CUBE = {
 FETCH = {"num_epochs": 200, "epochs_per_evaluation": 20}
 """Fetch with 20,000 updates, on the goals that are shipped: settings are to be compared by their validation goals."""
 
+SHELF = {"env.generator_seed": 100}
+COMMANDS = {"": False, "_by_name": True}
+"""Endings of the shelf's trials, and whether the evaluation commands names."""
+
+HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
+"""Object search in the house of the tuning, with its validation goals: 16,000 updates."""
+
 THRESHOLDS = {f"threshold {value}": {"beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 UNCOMPRESSED = {"no compression": {"beta_step": 0.0, "beta_start": 0.0}}
 NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "beta_threshold": 0.99}}
+SEARCHING = {f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "fixed_beta": beta} for weight in (0.0, 0.1, 1.0)
+             for beta in (3e-5, 1e-3, 1e-2)}
+NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
+BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
+
+
+def confirmation(dataset: int) -> dict[str, Any]:
+    """The cube with 120,000 updates, on a dataset that results are shown on."""
+    return CUBE | {"env.generator_seed": dataset, "env.goal_seed": dataset, "num_epochs": 120, "epochs_per_evaluation": 10}
+
 
 QUEUE = {
     "cube_her": Trial("object_manipulation", "her", None, CUBE, {"preset": {}}, seeds=4),
@@ -64,11 +100,35 @@ QUEUE = {
     "pick_and_place_infogoal_her_window_1": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"learner.window": 1}, THRESHOLDS, seeds=3),
     "pick_and_place_infogoal_her_corruption": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"training_corruption": 0.4}, THRESHOLDS,
                                                     seeds=3),
+    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to: the same without InfoGoal.
+    "pick_and_place_her_corruption": Trial("fetch_pick_and_place", "her", None, FETCH | {"training_corruption": 0.4}, {"preset": {}}, seeds=3),
     "reach_infogoal": Trial("fetch_reach", "infogoal", None, FETCH, THRESHOLDS, seeds=3),
     "reach_infogoal_her": Trial("fetch_reach", "infogoal", "her", FETCH, THRESHOLDS, seeds=3),
     "reach_infogoal_corruption": Trial("fetch_reach", "infogoal", None, FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3),
+    # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer, before it can become the preset.
+    **{f"cube_{dataset}_her": Trial("object_manipulation", "her", None, confirmation(dataset), {"preset": {}}, seeds=5) for dataset in (0, 1, 2)},
+    **{f"cube_{dataset}_infogoal_her_window_1": Trial("object_manipulation", "infogoal", "her", confirmation(dataset) | {"learner.window": 1},
+                                                      {"threshold 0.999": THRESHOLDS["threshold 0.999"]}, seeds=5) for dataset in (0, 1, 2)},
+    # Test questions of the shelf: is the loss in the way from a question to its object, or in the policy? Commanding names leaves only the policy.
+    **{f"shelf_infogoal{ending}": Trial("embodied_qa", "infogoal", None, SHELF, THRESHOLDS | UNCOMPRESSED, seeds=3, by_name=by_name)
+       for ending, by_name in COMMANDS.items()},
+    **{f"shelf_cql{ending}": Trial("embodied_qa", "none", None, SHELF, {"preset": {}}, seeds=3, by_name=by_name)
+       for ending, by_name in COMMANDS.items()},
+    # InfoBot claims that its reward leads to where decisions are made. Its authors' beta of 0.01 is beside rewards of 10; the preset's is 3e-5.
+    "house_infobot": Trial("object_search", "infobot", None, HOUSE, SEARCHING),
+    # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss help, and is it loss or bonus?
+    "house_sse_db": Trial("object_search", "sse_db", None, HOUSE, {"preset": {}} | NO_EXPLORER | BONUSES),
 }
-"""What is run, in order. The cube's seeds of dataset and goals are 100: results are shown on others."""
+"""What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are shown on others."""
+
+
+def configuration(trial: Trial, folder: Path) -> TrainConfig:
+    """What is trained. Object search is in the house of the tuning, which is built in FOLDER unless it is there."""
+    settings = trial.settings
+    if trial.task == "object_search":
+        _, dataset, _, split = tuning_house(folder)
+        settings = {"env.dataset": dataset, "env.split": split} | settings
+    return with_settings(presets.load(trial.task, trial.method, relabelling=trial.relabelling), settings)
 
 
 def with_settings(config: TrainConfig, settings: dict[str, Any]) -> TrainConfig:
@@ -81,6 +141,15 @@ def with_settings(config: TrainConfig, settings: dict[str, Any]) -> TrainConfig:
         else:
             changes[field] = value
     return dataclasses.replace(config, **changes)
+
+
+def commanded_by_name(env):
+    """Embodied question answering in which questions of validation and test sound like the name of their object. (They take part in no training.)"""
+    asked = questions.load(questions.SHIPPED).goals()
+    names = {goal.text: number for number, goal in enumerate(asked)}
+    rows = jnp.asarray([names[goal.object] for goal in asked])
+    heard = env.goals.inputs[jnp.where(env.goals.train_mask, jnp.arange(len(asked)), rows)]
+    return env.replace(goals=env.goals.replace(inputs=heard))
 
 
 def code_errors(train, params, goals: jax.Array) -> jax.Array:
@@ -100,11 +169,13 @@ def code_errors(train, params, goals: jax.Array) -> jax.Array:
 
 def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     """Train every lane and seed of a trial, one row for each evaluation of each."""
-    config = with_settings(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
+    config = configuration(trial, folder)
     train = make_train(config)
-    env, lanes = train.env, [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
+    env = commanded_by_name(train.env) if trial.by_name else train.env
+    lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
     values = [dataclasses.asdict(config.hyper) | trial.lanes[lane] for lane, _ in lanes]
     hyper = Hyperparameters(**{field: jnp.asarray([value[field] for value in values], jnp.float32) for field in values[0]})
+    machine = describe_machine()
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
     states = jax.jit(jax.vmap(train.initial, in_axes=(0, 0, None)), compiler_options=compiler_options())(keys, hyper, env)
@@ -127,7 +198,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
                 metrics[f"{group}/code_error"] = np.asarray(errors(states.params, goals)).mean(1)
             for lane, (label, seed) in enumerate(lanes):
                 row = {"trial": name, "lane": label, "seed": seed, "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch}
-                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()}
+                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()} | {"machine": machine}
                 table = table or csv.DictWriter(file, row)
                 if not file.tell():
                     table.writeheader()
@@ -142,18 +213,42 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     path.with_suffix(".partial").rename(path)
 
 
+def load(path: Path) -> list[Row]:
+    """What is kept of the trials."""
+    return trial_numbers.read(path)
+
+
+def tables(rows: list[Row]) -> dict[str, str]:
+    """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
+    done = {row["trial"] for row in rows}
+    grouped = {name: [trial for trial in QUEUE if trial in done and QUEUE[trial].task in tasks] for name, (tasks, _) in TABLES.items()}
+    return {name: trial_numbers.table(rows, trials, TABLES[name][1]) for name, trials in grouped.items() if trials}
+
+
+def list_queue() -> None:
+    """Print the queue, and how many of its updates each trial has made in the numbers that are kept."""
+    done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
+    for name, trial in QUEUE.items():
+        config = with_settings(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
+        updates = f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates" if name in done else "to be run"
+        print(f"{name}: {trial.task}, {presets.name_of(config)}, {len(trial.lanes)} lane(s) of {trial.seeds} seeds; {updates}")
+
+
 def main():
     """Run what is not there yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
-    parser.add_argument("--list", action="store_true", help="print the queue and stop")
+    parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
+    parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--set", nargs="*", default=[], metavar="FIELD=JSON", help="further fields, for a try at a small size")
     arguments = parser.parse_args()
+    if arguments.merge is not None:
+        print(f"{NUMBERS.name}: {', '.join(trial_numbers.merge(arguments.merge, NUMBERS, QUEUE))}")
+        return
     if arguments.list or arguments.out is None:
-        for name, trial in QUEUE.items():
-            print(f"{name}: {trial.task}, {trial.method}, {len(trial.lanes)} lanes of {trial.seeds} seeds")
+        list_queue()
         return
     use_compilation_cache()
     arguments.out.mkdir(parents=True, exist_ok=True)
