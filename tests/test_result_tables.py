@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from infogoal_jax.config import Hyperparameters
+from infogoal_jax.hyperparameters import check, with_values
 from infogoal_jax.train import files
 
 ROOT = Path(__file__).parent.parent
@@ -139,4 +139,4 @@ def test_every_trial_is_legal(name, monkeypatch, tmp_path):
     monkeypatch.setattr(trials, "tuning_house", lambda folder: ["--env.dataset", "house", "--env.split", "split.json"])
     config = trials.configuration(trials.QUEUE[name], tmp_path)
     for values in trials.QUEUE[name].lanes.values():
-        Hyperparameters(**vars(config.hyper) | values).check()
+        check(with_values(config.hyper, values))

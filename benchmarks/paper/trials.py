@@ -27,8 +27,9 @@ from trial_numbers import Row
 from tuning_study import tuning_house
 
 from infogoal_jax import compiler_options, presets, use_compilation_cache
-from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
+from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.program import make_train
@@ -74,10 +75,10 @@ COMMANDS = {"": False, "_by_name": True}
 HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""
 
-THRESHOLDS = {f"threshold {value}": {"beta_threshold": value} for value in (0.96, 0.99, 0.999)}
-UNCOMPRESSED = {"no compression": {"beta_step": 0.0, "beta_start": 0.0}}
-NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "beta_threshold": 0.99}}
-SEARCHING = {f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "fixed_beta": beta} for weight in (0.0, 0.1, 1.0)
+THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
+UNCOMPRESSED = {"no compression": {"learner.beta_step": 0.0, "learner.beta_start": 0.0}}
+NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "learner.beta_threshold": 0.99}}
+SEARCHING = {f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "learner.beta": beta} for weight in (0.0, 0.1, 1.0)
              for beta in (3e-5, 1e-3, 1e-2)}
 NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
@@ -173,8 +174,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     train = make_train(config)
     env = commanded_by_name(train.env) if trial.by_name else train.env
     lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
-    values = [dataclasses.asdict(config.hyper) | trial.lanes[lane] for lane, _ in lanes]
-    hyper = Hyperparameters(**{field: jnp.asarray([value[field] for value in values], jnp.float32) for field in values[0]})
+    values = [values_of(config.hyper) | trial.lanes[lane] for lane, _ in lanes]
+    hyper = with_values(config.hyper, {name: jnp.asarray([value[name] for value in values], jnp.float32) for name in values[0]})
     machine = describe_machine()
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
