@@ -79,7 +79,7 @@ def test_lengths_have_a_finite_gradient_at_0():
     assert np.isfinite(jax.grad(lambda vector: hrac.length(vector))(jnp.zeros(3))).all()
 
 
-@pytest.mark.parametrize("task", presets.IMAGE_TASKS)
+@pytest.mark.parametrize("task", presets.FETCH_TASKS)
 @pytest.mark.parametrize("side", [0.05, 0.07])
 def test_a_position_lies_in_the_cell_whose_centre_is_nearest(task, side):
     space = TargetSpace(TASKS[task])
@@ -95,7 +95,7 @@ def test_a_position_lies_in_the_cell_whose_centre_is_nearest(task, side):
     assert (cells.of(jnp.asarray(beyond)) == -1).all()
 
 
-@pytest.mark.parametrize("task", presets.IMAGE_TASKS)
+@pytest.mark.parametrize("task", presets.FETCH_TASKS)
 def test_robot_and_object_at_rest_do_not_waver_between_cells(task):
     """All grips start at one place, and all objects lie at one height: neither may be a border."""
     space, grip, height = TargetSpace(TASKS[task]), np.array(TASKS[task].start_grip), TASKS[task].object_height

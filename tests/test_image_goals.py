@@ -32,7 +32,7 @@ from infogoal_jax.train.update import training_view
 GRIDS = {}
 
 
-@pytest.fixture(params=presets.IMAGE_TASKS)
+@pytest.fixture(params=presets.FETCH_TASKS)
 def grid(request):
     """The shipped goals of each task over a robot that is only a point, and the positions [N, 3] of the grid among them."""
     if request.param not in GRIDS:
@@ -108,7 +108,7 @@ def test_episodes_are_for_training_goals_each_as_often_as_the_others(env):
     np.testing.assert_array_equal(states.robot.goal, env.positions[states.goal])
 
 
-@pytest.mark.parametrize("task", presets.IMAGE_TASKS)
+@pytest.mark.parametrize("task", presets.FETCH_TASKS)
 def test_networks_see_numbers_of_the_order_of_one(task):
     robot = SimpleNamespace(task=TASKS[task])
     centre, scale = observation_units(robot)

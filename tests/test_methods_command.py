@@ -74,7 +74,7 @@ def test_a_bonus_goes_together_with_object_search_alone(explorer):
 def test_agents_of_each_task():
     moves, drives = {"dqn", "cql"}, {"hrac"}
     taken = {task: {name for name in agents.registry if name in methods.agents_of(task)} & (moves | drives) for task in presets.TASKS}
-    assert taken == dict.fromkeys(("fetch_reach", "fetch_push", "fetch_pick_and_place"), drives) | {
+    assert taken == dict.fromkeys(presets.FETCH_TASKS, drives) | {
         "object_search": moves, "object_manipulation": moves | drives, "embodied_qa": moves,
     }
 

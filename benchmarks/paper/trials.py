@@ -38,7 +38,7 @@ KINDS = ("train_goal", "validation_goal", "test_goal", "corrupted_train_goal", "
 EPOCH_METRICS = ("beta", "accuracy", "kl")
 NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "trials" / trial_numbers.FILE
 TABLES = {
-    "cube": (("object_manipulation",), ("degrees", 1)), "fetch": (presets.IMAGE_TASKS, ("m", 3)), "house": (("object_search",), None),
+    "cube": (("object_manipulation",), ("degrees", 1)), "fetch": (presets.FETCH_TASKS, ("m", 3)), "house": (("object_search",), None),
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""

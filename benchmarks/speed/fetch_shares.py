@@ -94,7 +94,7 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
 def main():
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", default="fetch_reach", choices=presets.IMAGE_TASKS)
+    parser.add_argument("--task", default="fetch_reach", choices=presets.FETCH_TASKS)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--updates", type=int, default=100)
     parser.add_argument("--out", type=Path, help="file to write the numbers to (json)")

@@ -13,14 +13,12 @@ from infogoal_jax.presets.preset import Changes, Preset
 registry: dict[str, Preset] = {
     "object_search": object_search.PRESET,
     "object_manipulation": object_manipulation.PRESET,
-    "fetch_reach": fetch.REACH,
-    "fetch_push": fetch.PUSH,
-    "fetch_pick_and_place": fetch.PICK_AND_PLACE,
+    **fetch.PRESETS,
     "embodied_qa": embodied_qa.PRESET,
 }
-TASKS = tuple(registry)
+TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)
 
-__all__ = ["METHODS", "TASKS", "Changes", "Method", "Preset", "default_hyperparameters", "load", "method_named", "name_of", "registry"]
+__all__ = ["FETCH_TASKS", "METHODS", "TASKS", "Changes", "Method", "Preset", "default_hyperparameters", "load", "method_named", "name_of", "registry"]
 
 
 def preset_of(task: str) -> Preset:

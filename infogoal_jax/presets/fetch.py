@@ -47,6 +47,8 @@ FOUND_FOR_REACH = {
     "none": {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858},
 }
 
-REACH = preset(5, 128, TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH)  # Sizes for two cores.
-PUSH = preset(3, 128, TRAINING, {})
-PICK_AND_PLACE = preset(3, 256, TRAINING, {})
+PRESETS = {
+    "fetch_reach": preset(5, 128, TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH),  # Sizes for two cores.
+    "fetch_push": preset(3, 128, TRAINING, {}),
+    "fetch_pick_and_place": preset(3, 256, TRAINING, {}),
+}
