@@ -11,6 +11,7 @@ from matplotlib.image import imread
 
 from infogoal_jax import envs, presets
 from infogoal_jax.errors import UserError
+from infogoal_jax.presets.saved import to_dict
 from infogoal_jax.report.comparison_figures import check_same_task, comparison, draw_comparison, read_compared
 from infogoal_jax.train import files
 from infogoal_jax.train.command_line import main
@@ -28,7 +29,7 @@ def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
     """A run's folder as training leaves it, with random results; the success rates are those of the steps that were needed."""
     folder.mkdir()
     (folder / "config.json").write_text(json.dumps(
-        {"config": dataclasses.asdict(config), "seeds": list(seeds), "data": DATA, "versions": {}, "device": "cpu"}))
+        {"config": to_dict(config), "seeds": list(seeds), "data": DATA, "versions": {}, "device": "cpu"}))
     random, evaluations, epochs = np.random.default_rng(len(str(folder))), [], []
     for seed in seeds:
         for epoch in EPOCHS:

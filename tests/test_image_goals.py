@@ -22,7 +22,6 @@ from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
-from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.command_line import main
 from infogoal_jax.train.evaluation import evaluate, goal_starts
@@ -120,8 +119,9 @@ def test_networks_see_numbers_of_the_order_of_one(task):
 
 @pytest.mark.parametrize("method", ["infogoal", "none"])
 def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
-    learner = make_train(hand_made_points.config(method), hand_made_points.steered(env)).parts.learner
-    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
+    train = make_train(hand_made_points.config(method), hand_made_points.steered(env))
+    learner = train.parts.learner
+    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), train.config.hyper.learner)
     goals = env.goals.commanded[jnp.array([[3, 0], [1, 1]])]
     one_by_one = learner.encode(params, env.goals.inputs[goals])
 
@@ -246,7 +246,7 @@ MISTAKES = [
     ("train fetch_reach --env.goal-images nothing.npz", ["'nothing.npz'", "no such file", "infogoal data build fetch"]),
     ("train fetch_reach --env.backgrounds empty", ["backgrounds = 'empty'", "is empty"]),
     ("train fetch_reach --env.backgrounds nothing", ["backgrounds = 'nothing'", "no such folder"]),
-    ("train fetch_slide", ["task = 'fetch_slide'", "no agent"]),
+    ("train fetch_slide", ["task = 'fetch_slide'", "no preset"]),
 ]
 
 
@@ -275,9 +275,9 @@ def test_a_mistake_ends_a_process_with_status_2_and_no_traceback(tmp_path):
 def test_an_agent_and_an_environment_that_do_not_fit_are_refused(env):
     with pytest.raises(UserError, match="env.goals = 'pictures'"):
         presets.load("fetch_reach", env=FetchConfig(goals="pictures"))
-    with pytest.raises(UserError, match="agent = 'DQNConfig'.*HRACConfig"):
+    with pytest.raises(UserError, match="agent = 'dqn'.*give hrac"):
         make_train(hand_made_points.config(agent=DQNConfig()), env)
-    with pytest.raises(UserError, match="agent = 'HRACConfig'"):
+    with pytest.raises(UserError, match="agent = 'hrac'"):
         make_train(presets.load("object_search", agent=HRACConfig()))
 
 

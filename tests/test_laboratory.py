@@ -67,7 +67,7 @@ def test_poses_of_a_turntable(tmp_path, capsys):
         "--num-envs", 4, "--rollout-steps", 10, "--out", tmp_path / "run", *TINY)
     run("evaluate", tmp_path / "run", "--starts", 2)
     config = json.loads((tmp_path / "run" / "config.json").read_text())
-    assert config["data"].startswith("turntable, content") and config["config"]["algorithm"] == "dqn"
+    assert config["data"].startswith("turntable, content") and config["config"]["agent"]["name"] == "dqn"
     assert "stand-in, content" not in config["data"]  # Recorded: only the backgrounds are stand-ins.
     assert "test" in capsys.readouterr().out
 

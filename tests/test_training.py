@@ -34,10 +34,14 @@ def sweep(train, sweep_function):
     return sweep_function(jax.random.split(jax.random.key(0), 3), repeated(train.config.hyper, 3))
 
 
-def test_a_part_has_the_configuration_of_its_name_and_none_made_from_it():
-    """CQL's configuration is DQN's and more, and would be taken for it in silence, with its own fields without effect."""
-    with pytest.raises(UserError, match=r"agent = 'CQLConfig'.*needs a DQNConfig"):
-        make_train(dataclasses.replace(hand_made.config("none"), agent=CQLConfig()), hand_made.environment())
+def test_floats_are_those_of_the_part_that_the_configuration_is_of():
+    """A configuration says which part it is; the floats of another part would be read in vain."""
+    other = dataclasses.replace(hand_made.config("none"), agent=CQLConfig())
+    with pytest.raises(UserError, match=r"hyper.agent = 'NoHyperparameters'.*'cql' needs CQLHyperparameters"):
+        make_train(other, hand_made.environment())
+    train = make_train(hand_made.config("infogoal"), hand_made.environment())
+    with pytest.raises(UserError, match=r"hyper.learner = 'NoHyperparameters'.*'infogoal' needs InfoGoalHyperparameters"):
+        train(jax.random.key(0), Hyperparameters(discount=0.9))
 
 
 def plain(tree):

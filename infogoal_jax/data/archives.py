@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import platformdirs
 
 from infogoal_jax.errors import UserError, require
 
@@ -108,6 +109,4 @@ def content_of(*parts: np.ndarray) -> str:
 
 def user_cache() -> Path:
     """The user's cache folder of this package, where downloads and generated datasets are kept."""
-    import pooch
-
-    return Path(pooch.os_cache("infogoal"))
+    return Path(platformdirs.user_cache_dir("infogoal", appauthor=False))

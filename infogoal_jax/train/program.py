@@ -167,11 +167,11 @@ def load_environment(config: TrainConfig, env: Any = None):
 
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
     """
-    check_hyperparameters(config, config.hyper)
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
     check_combination(config, env)
+    check_hyperparameters(config, config.hyper)
     if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.Steered):
         return hierarchy.steer(env, config.agent)
     return env
