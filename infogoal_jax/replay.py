@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 
 @flax.struct.dataclass
-class Rows:
+class Trajectories:
     """R rows of T transitions.
 
     observation, record: pytrees of [R, T + 1, ...] (what the agent saw; what was achieved there).
@@ -49,12 +49,12 @@ class Transitions:
     terminated: jax.Array
 
 
-def empty(example: Rows, buffer_epochs: int) -> Rows:
+def empty(example: Trajectories, buffer_epochs: int) -> Trajectories:
     """A buffer with room for `buffer_epochs` times the rows of `example` (shapes only are read), all invalid."""
     return jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0] * buffer_epochs, *leaf.shape[1:]), leaf.dtype), example)
 
 
-def add(buffer: Rows, rows: Rows, epoch: jax.Array) -> Rows:
+def add(buffer: Trajectories, rows: Trajectories, epoch: jax.Array) -> Trajectories:
     """The buffer with the rows of this epoch in place of its oldest. The place follows from `epoch`, which is not batched over seeds."""
     capacity, new = buffer.valid.shape[0], rows.valid.shape[0]
     start = (epoch * new) % capacity
@@ -73,7 +73,8 @@ def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Ar
     return flat // width, flat % width
 
 
-def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None, reached=None) -> Transitions:
+def transitions_at(buffer: Trajectories, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None,
+                   reached=None) -> Transitions:
     """The transitions that start at these rows and steps, int32 [B] each, followed for at most `num_steps` steps of the same episode.
 
     goal: other goals [B] than those of the rows; `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then says where an episode ends.
@@ -104,7 +105,7 @@ def transitions_at(buffer: Rows, row: jax.Array, first: jax.Array, num_steps: in
     )
 
 
-def sample_transitions(key: jax.Array, buffer: Rows, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
+def sample_transitions(key: jax.Array, buffer: Trajectories, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
     """Transitions whose first step is uniform over those that `count` was made from, followed for at most `num_steps` steps of the same episode.
 
     count: `running_count` of a mask [R, T] of valid transitions.
@@ -122,7 +123,7 @@ def steps_left(valid: jax.Array) -> jax.Array:
     return jax.lax.scan(back, start, valid.T, reverse=True)[1].T
 
 
-def sample_within_window(key: jax.Array, buffer: Rows, achieved: jax.Array, count: jax.Array, num: int, window: int):
+def sample_within_window(key: jax.Array, buffer: Trajectories, achieved: jax.Array, count: jax.Array, num: int, window: int):
     """Pairs of steps of one episode at most `window` apart, at both of which a goal was achieved (Algorithm 1, lines 16 and 17).
 
     achieved: bool [R, T + 1], where some goal was achieved; count: `running_count(achieved)`.

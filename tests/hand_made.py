@@ -15,7 +15,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
-from infogoal_jax.learners.learner import Example, LearnerBatch, Visited
+from infogoal_jax.learners.learner import InputSpec, LearnerBatch, Visited
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -72,9 +72,9 @@ def config(method: str = "infogoal", **changes) -> TrainConfig:
     return presets.load("object_search", method, **(small | changes))
 
 
-def example(inputs, features: int = 4, num_cells: int = 3) -> Example:
+def example(inputs, features: int = 4, num_cells: int = 3) -> InputSpec:
     """What a learner's networks are made for: these goal inputs, and states of so many features."""
-    return Example(jnp.asarray(inputs), jnp.zeros(features), num_cells)
+    return InputSpec(jnp.asarray(inputs), jnp.zeros(features), num_cells)
 
 
 def visited(desired: int, achieved, mask) -> Visited:

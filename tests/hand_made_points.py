@@ -18,7 +18,7 @@ from infogoal_jax.data.goal_images import grid_positions
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.fetch.image_goals import ImageGoals, lay_out
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.train.hierarchy import Steered
+from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.program import Train
 
 SPEED = 0.05
@@ -105,10 +105,10 @@ def points(train_backgrounds: np.ndarray | None = None, test_backgrounds: np.nda
     return lay_out(Point(), bank, SimpleNamespace(train=train, test=test, source="noise"), uses)
 
 
-def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> Steered:
+def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> SubgoalEnv:
     """The task as HRAC acts in it."""
     env = points() if env is None else env
-    return Steered(env, Straight(jnp.ones(())), env.space, interval, HRACConfig.subgoal_scale)
+    return SubgoalEnv(env, Straight(jnp.ones(())), env.space, interval, HRACConfig.subgoal_scale)
 
 
 def config(method: str = "infogoal", **changes) -> TrainConfig:

@@ -5,19 +5,19 @@ import numpy as np
 
 from infogoal_jax import replay
 from infogoal_jax.relabelling.relabelling import Achievements, Context
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 ROWS, STEPS, GOALS = 6, 12, 9
 
 
-def rows_of(valid, achieved) -> Rows:
+def rows_of(valid, achieved) -> Trajectories:
     """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too; goal 0 is commanded."""
     valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved, jnp.int32)
     zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
-    return Rows(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
+    return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
 
 
-def random_rows(several: int = 1) -> Rows:
+def random_rows(several: int = 1) -> Trajectories:
     """Rows of several episodes, with up to `several` different goals achieved at each step, never goal 0."""
     random = np.random.default_rng(0)
     valid = random.random((ROWS, STEPS)) < 0.85
@@ -25,7 +25,7 @@ def random_rows(several: int = 1) -> Rows:
     return rows_of(valid, np.where(random.random(goals.shape) < 0.6, goals, -1))
 
 
-def context(rows: Rows, num_goals: int = GOALS, known=None, **changes) -> Context:
+def context(rows: Trajectories, num_goals: int = GOALS, known=None, **changes) -> Context:
     """What a relabelling may look at of these rows, all of them written, before the first update."""
     known = jnp.ones(num_goals, bool) if known is None else known
     achieved = Achievements(rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known)
@@ -35,7 +35,7 @@ def context(rows: Rows, num_goals: int = GOALS, known=None, **changes) -> Contex
     return Context(**(plain | changes))
 
 
-def episodes(rows: Rows) -> list[tuple[int, int, int]]:
+def episodes(rows: Trajectories) -> list[tuple[int, int, int]]:
     """Row, first and last observation of each episode that has transitions."""
     found = []
     for row, valid in enumerate(np.asarray(rows.valid)):
@@ -47,7 +47,7 @@ def episodes(rows: Rows) -> list[tuple[int, int, int]]:
     return found
 
 
-def later_goals(rows: Rows, row: int, step: int) -> set[int]:
+def later_goals(rows: Trajectories, row: int, step: int) -> set[int]:
     """Goals achieved after this step in its episode."""
     found = set()
     while step < rows.valid.shape[1] and rows.valid[row, step]:

@@ -14,9 +14,9 @@ from infogoal_jax import make_train, pairs, replay
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import cogoal
-from infogoal_jax.learners.learner import GoalCode, Request
+from infogoal_jax.learners.learner import GoalCode, SampleSpec
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.update import Experience, sample_pairs
 
 GROUPS, SIZE = 3, 4
@@ -137,7 +137,8 @@ def experience(known: np.ndarray) -> Experience:
     record = jnp.where(record == UNKNOWN, row_group[:, None], record)
     steps = jnp.zeros((len(row_group), STEPS), jnp.int32)
     nothing = jnp.zeros(steps.shape, bool)
-    rows = Rows(observation=record, record=record, action=steps, goal=steps, valid=~nothing, terminated=nothing, truncated=nothing, decided=~nothing)
+    rows = Trajectories(
+        observation=record, record=record, action=steps, goal=steps, valid=~nothing, terminated=nothing, truncated=nothing, decided=~nothing)
     achieved = jnp.ones(record.shape, bool)
     return Experience(
         buffer=rows, decision_count=replay.running_count(rows.valid), achieved=achieved, achieved_count=replay.running_count(achieved),
@@ -149,8 +150,8 @@ def experience(known: np.ndarray) -> Experience:
 @pytest.mark.parametrize("dissimilar", [True, False])
 def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never(dissimilar):
     known = np.arange(GOALS) != UNKNOWN
-    request = Request(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)
-    drawn = jax.jit(lambda key: sample_pairs(request, ENV, experience(known), key))(jax.random.key(0))
+    spec = SampleSpec(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)
+    drawn = jax.jit(lambda key: sample_pairs(spec, ENV, experience(known), key))(jax.random.key(0))
     anchor, negative, weight = np.asarray(drawn.anchor), np.asarray(drawn.negative)[:, 0], np.asarray(drawn.negative_weight)[:, 0]
     used = weight > 0
     assert known[negative[used]].all() and (negative != anchor)[used].all()
@@ -165,14 +166,14 @@ def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never
 
 
 def test_no_random_negative_carries_weight_while_no_goal_is_known():
-    request = Request(num_pairs=20, window=STEPS, num_negatives=2, dissimilar=False)
-    drawn = jax.jit(lambda key: sample_pairs(request, ENV, experience(np.zeros(GOALS, bool)), key))(jax.random.key(0))
+    spec = SampleSpec(num_pairs=20, window=STEPS, num_negatives=2, dissimilar=False)
+    drawn = jax.jit(lambda key: sample_pairs(spec, ENV, experience(np.zeros(GOALS, bool)), key))(jax.random.key(0))
     assert not drawn.negative_weight.any()
 
 
 def test_the_learner_asks_for_random_negatives_and_gives_no_intrinsic_reward():
     learner = cogoal.make(cogoal.CoGoalConfig(window=2, num_pairs=5, num_negatives=3))
-    assert learner.request == Request(num_pairs=5, window=2, num_negatives=3, anchored=True, dissimilar=False, num_goals=0)
+    assert learner.sample_spec == SampleSpec(num_pairs=5, window=2, num_negatives=3, anchored=True, dissimilar=False, num_goals=0)
     reward, _ = learner.intrinsic_reward((), GoalCode(jnp.ones((2, 4))).__getitem__, hand_made.visited(0, jnp.ones((1, 3, 1), int), jnp.ones((1, 3))))
     assert not reward.any()
 

@@ -11,7 +11,7 @@ import pytest
 from infogoal_jax import networks, pairs
 from infogoal_jax.agents import hrac
 from infogoal_jax.envs.cells import Cells
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 FIXTURE = np.load(Path(__file__).parent / "fixtures" / "hrac_adjacency.npz", allow_pickle=False)
 INTERVAL = int(FIXTURE["interval"])
@@ -73,11 +73,11 @@ def high_level(interval: int):
     return hrac.make(hrac.HRACConfig(interval=interval, cell=1.0), SimpleNamespace(space=space)), cells
 
 
-def rows_of(trajectories) -> Rows:
+def rows_of(trajectories) -> Trajectories:
     """Trajectories [R, T, 2] as rows of which each is one episode that does not end."""
     going_on = jnp.ones((trajectories.shape[0], trajectories.shape[1] - 1), bool)
-    others = dict.fromkeys(Rows.__dataclass_fields__)
-    return Rows(**(others | {"observation": jnp.asarray(trajectories), "valid": going_on}))
+    others = dict.fromkeys(Trajectories.__dataclass_fields__)
+    return Trajectories(**(others | {"observation": jnp.asarray(trajectories), "valid": going_on}))
 
 
 def remembered(interval: int, trajectories) -> np.ndarray:

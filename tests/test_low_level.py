@@ -14,7 +14,7 @@ from infogoal_jax.envs.fetch.targets import BESIDE, FARTHEST, HELD, PRECISE, REA
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import checkpoint, command_line, files, low_level_file, pretrain_host
 from infogoal_jax.train.pretrain import COLLECT, PRESETS, make_pretrain, numbered, preset
 
@@ -22,7 +22,7 @@ each_task = pytest.mark.parametrize("task", PRESETS)
 
 
 @pytest.fixture(scope="module")
-def rows() -> Rows:
+def rows() -> Trajectories:
     """Four rows of 30 transitions, several episodes in each. A record is (episode, step, 0) in m: no two are within a tolerance."""
     generator = np.random.default_rng(0)
     record, valid = np.zeros((4, 31, 3), np.float32), np.zeros((4, 30), bool)
@@ -38,7 +38,7 @@ def rows() -> Rows:
             column += length + 1
     never = np.zeros_like(valid)
     goal = record[:, :-1] + [0.0, 0.0, 100.0]
-    return jax.tree.map(jnp.asarray, Rows(record, record, np.zeros((4, 30, 4), np.float32), goal, valid, never, never, ~never))
+    return jax.tree.map(jnp.asarray, Trajectories(record, record, np.zeros((4, 30, 4), np.float32), goal, valid, never, never, ~never))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def reaching():
     return program, jax.jit(program.run)
 
 
-def drawn(rows: Rows, num: int = 2000):
+def drawn(rows: Trajectories, num: int = 2000):
     """Valid transitions, and what each achieved later."""
     row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), num, rows.valid.shape[1])
     later = her.future_record(jax.random.key(1), rows, replay.steps_left(rows.valid), row, step)

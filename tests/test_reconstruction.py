@@ -41,7 +41,7 @@ def trained(learner, inputs, updates, params=None, rate=3e-3, part=None):
 
     def step(carry, key):
         params, state, optimizer_state = carry
-        goals = jax.random.randint(key, (learner.request.num_goals,), 0, len(inputs))
+        goals = jax.random.randint(key, (learner.sample_spec.num_goals,), 0, len(inputs))
         gradient, (metrics, state) = jax.grad(lambda params: loss_of(learner, inputs, params, state, key, goals), has_aux=True)(params)
         gradient = {name: leaf if part in (None, name) else jax.tree.map(jnp.zeros_like, leaf) for name, leaf in gradient.items()}
         change, optimizer_state = optimizer.update(gradient, optimizer_state)

@@ -17,7 +17,7 @@ from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import update
 
 DRAWS = 4000
@@ -27,11 +27,11 @@ ALWAYS = [("her", HERConfig(future_share=1.0)), ("her", HERConfig(future_share=1
 
 
 @pytest.fixture(scope="module")
-def rows() -> Rows:
+def rows() -> Trajectories:
     return random_rows()
 
 
-def relabelled(rows: Rows, config, known=None, name: str = "her"):
+def relabelled(rows: Trajectories, config, known=None, name: str = "her"):
     """Draws of transitions and the goals that they are given."""
     relabelling = relabellings.registry.entry(name).make(config)
 

@@ -7,11 +7,11 @@ import pytest
 import scipy.stats
 
 from infogoal_jax import replay
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 
 @pytest.fixture
-def rows() -> Rows:
+def rows() -> Trajectories:
     """Six rows of 25 transitions; an observation is 1000 * episode + step, episodes numbered through all rows; some end by reaching the goal.
 
     Every third step of an episode is decided, also those that only a reset follows.
@@ -33,7 +33,7 @@ def rows() -> Rows:
                     truncated[row, column + step - 1] = not reached and step == length
             column += length + 1
     goal, decided = observation[:, :-1] // 1000, observation[:, :-1] % 1000 % 3 == 0
-    return jax.tree.map(jnp.asarray, Rows(observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided))
+    return jax.tree.map(jnp.asarray, Trajectories(observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided))
 
 
 def test_transitions_stay_within_their_episode_and_step_by_one(rows):

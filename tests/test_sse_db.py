@@ -13,7 +13,7 @@ from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.exploration import sse_db
 from infogoal_jax.exploration.explorer import Moves
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.program import load_environment, make_train
 
 STATES, ACTIONS, FEATURES, DISCOUNT = 24, 4, 16, 0.9
@@ -38,21 +38,21 @@ def make_world(key: jax.Array) -> World:
     return World(features, jax.random.randint(following_key, (STATES, ACTIONS), 0, STATES))
 
 
-def rows_of(observation, action, valid) -> Rows:
+def rows_of(observation, action, valid) -> Trajectories:
     """Rows in which nothing matters but what was seen and done."""
     nothing = jnp.zeros(valid.shape, bool)
-    return Rows(observation, observation, action, jnp.zeros(valid.shape, jnp.int32), valid, nothing, nothing, nothing)
+    return Trajectories(observation, observation, action, jnp.zeros(valid.shape, jnp.int32), valid, nothing, nothing, nothing)
 
 
-def random_rows(key: jax.Array, num_rows: int = 6, steps: int = 15) -> Rows:
+def random_rows(key: jax.Array, num_rows: int = 6, steps: int = 15) -> Trajectories:
     keys = jax.random.split(key, 3)
     return rows_of(jax.random.randint(keys[0], (num_rows, steps + 1), 0, STATES), jax.random.randint(keys[1], (num_rows, steps), 0, ACTIONS),
                    jax.random.bernoulli(keys[2], 0.9, (num_rows, steps)))
 
 
-def survey(explorer, params, state, world: World, rows: Rows, written=None):
+def compute_bonus(explorer, params, state, world: World, rows: Trajectories, written=None):
     written = jnp.ones(rows.valid.shape[0], bool) if written is None else written
-    return explorer.survey(params, state, world.features, rows, written, DISCOUNT)
+    return explorer.compute_bonus(params, state, world.features, rows, written, DISCOUNT)
 
 
 def trained(explorer, params, state, world: World, share: jax.Array, key: jax.Array, updates: int):
@@ -95,7 +95,7 @@ def test_bonus_falls_with_familiarity():
         after, _ = trained(explorer, params, state, world, often / often.sum(), train_key, 200)
         tables = []
         for each in (params, after):
-            table, surveyed = survey(explorer, each, state, world, rows)
+            table, surveyed = compute_bonus(explorer, each, state, world, rows)
             tables.append(table * surveyed.scale)  # In nats again: two scales could not be compared.
         return [(table * moves).sum() / moves.sum() for table, moves in zip([tables[0]] + [tables[1]] * 3, (often, often, new_state, new_action),
                                                                           strict=True)]
@@ -153,7 +153,7 @@ def test_gradient_reaches_the_state_and_never_the_next_state():
     assert all(leaf.any() for leaf in jax.tree.leaves(own))
 
 
-def returns_by_hand(bonus: np.ndarray, rows: Rows, written: np.ndarray) -> list[float]:
+def returns_by_hand(bonus: np.ndarray, rows: Trajectories, written: np.ndarray) -> list[float]:
     """Discounted returns of the bonus at every valid step of the written rows, an episode at a time."""
     found = []
     for row in np.flatnonzero(written):
@@ -167,17 +167,17 @@ def returns_by_hand(bonus: np.ndarray, rows: Rows, written: np.ndarray) -> list[
 
 
 def test_returns_of_the_bonus_have_deviation_one():
-    """After every survey, over valid steps of written rows. Both kinds of bonus have one order of moves."""
+    """After every compute_bonus, over valid steps of written rows. Both kinds of bonus have one order of moves."""
     world, rows, tables = make_world(jax.random.key(0)), random_rows(jax.random.key(1)), []
     written = jnp.arange(6) < 4
     for square_root in (False, True):
         explorer = sse_db.make(dataclasses.replace(SMALL, square_root=square_root))
         params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
-        bonus, after = survey(explorer, params, state, world, rows, written)
+        bonus, after = compute_bonus(explorer, params, state, world, rows, written)
         assert bonus.shape == (STATES, ACTIONS) and (bonus >= 0).all()
         np.testing.assert_allclose(np.std(returns_by_hand(np.asarray(bonus), rows, np.asarray(written))), 1.0, rtol=1e-4)
         wider = jax.tree.map(lambda leaf: 3.0 * leaf, params)
-        later, _ = survey(explorer, wider, after, world, rows, written)
+        later, _ = compute_bonus(explorer, wider, after, world, rows, written)
         np.testing.assert_allclose(np.std(returns_by_hand(np.asarray(later), rows, np.asarray(written))), 1.0, rtol=1e-4)
         tables.append(bonus * after.scale)
     np.testing.assert_allclose(tables[1] ** 2, tables[0], rtol=1e-3, atol=1e-5)
@@ -192,15 +192,15 @@ def test_steps_that_were_not_taken_do_not_enter_the_scale():
     counted = rows.valid & written[:, None]
     changed = rows.replace(action=jnp.where(counted, rows.action, other.action), valid=jnp.where(written[:, None], rows.valid, other.valid))
     assert (changed.action != rows.action).any() and (changed.valid != rows.valid).any()
-    np.testing.assert_array_equal(*(survey(explorer, params, state, world, each, written)[0] for each in (rows, changed)))
-    assert not np.allclose(*(survey(explorer, params, state, world, rows, each)[0] for each in (written, jnp.ones(6, bool))))
+    np.testing.assert_array_equal(*(compute_bonus(explorer, params, state, world, each, written)[0] for each in (rows, changed)))
+    assert not np.allclose(*(compute_bonus(explorer, params, state, world, rows, each)[0] for each in (written, jnp.ones(6, bool))))
 
 
 def test_nothing_collected_gives_no_endless_bonus():
     explorer, world, rows = sse_db.make(SMALL), make_world(jax.random.key(0)), random_rows(jax.random.key(1))
     params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
-    bonus, after = survey(explorer, params, state, world, rows, jnp.zeros(6, bool))
-    assert np.isfinite(bonus).all() and after.scale == 0  # The next survey is the first.
+    bonus, after = compute_bonus(explorer, params, state, world, rows, jnp.zeros(6, bool))
+    assert np.isfinite(bonus).all() and after.scale == 0  # The next compute_bonus is the first.
 
 
 @pytest.mark.parametrize("method", ["none", pytest.param("infogoal", marks=pytest.mark.long)])

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import flax.struct
 import jax
 
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 
 @flax.struct.dataclass
@@ -49,7 +49,7 @@ class Agent(NamedTuple):
     value(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B]: of acting greedily from there.
     act(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration) -> action int32 [B] or float32 [B, A].
     loss(params, target_params, batch: AgentBatch, state, hyper, key) -> (loss, metrics).
-    observe(state, rows: Rows) -> state: with the rows that were collected.
+    observe(state, rows: Trajectories) -> state: with the rows that were collected.
     num_steps: environment steps that a sampled transition spans at most.
     """
 
@@ -57,5 +57,5 @@ class Agent(NamedTuple):
     act: Callable[..., jax.Array]
     value: Callable[..., jax.Array]
     loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]
-    observe: Callable[[Any, Rows], Any]
+    observe: Callable[[Any, Trajectories], Any]
     num_steps: int

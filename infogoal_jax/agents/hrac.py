@@ -84,7 +84,7 @@ def length(vectors: jax.Array) -> jax.Array:
 
 
 def make(config: HRACConfig, env) -> Agent:
-    """HRAC's high level over the target states of this environment (`train.hierarchy.Steered`)."""
+    """HRAC's high level over the target states of this environment (`train.hierarchy.SubgoalEnv`)."""
     space = env.space
     actor, critic = td3.Actor(config.hidden, space.size), td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)

@@ -15,7 +15,7 @@ from infogoal_jax.data import frames, questions, text
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, GoalSet
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.stand_ins import shelf
 
 
@@ -52,7 +52,7 @@ class EmbodiedQA(DetectionWalk):
         return self.images[observation]
 
 
-def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Rows:
+def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Trajectories:
     """The trajectories of a dataset as rows, each flown for one of the training goals, drawn at random: whoever flew had none of them in mind.
 
     Trajectories shorter than the longest are padded with transitions that are not valid.
@@ -72,7 +72,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
         "observation": observation, "record": observation, "action": action, "goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
         "valid": valid, "terminated": np.zeros(shape, bool), "truncated": truncated, "decided": valid,
     }
-    return Rows(**{name: jnp.asarray(part) for name, part in parts.items()})
+    return Trajectories(**{name: jnp.asarray(part) for name, part in parts.items()})
 
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:

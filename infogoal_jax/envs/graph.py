@@ -12,7 +12,7 @@ import numpy as np
 from infogoal_jax.data import frames
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 UNREACHABLE = np.iinfo(np.int16).max
 
@@ -57,7 +57,7 @@ class GraphWalk:
 
     discrete = True
     """An action is a choice among a few moves."""
-    recorded: Rows | None = flax.struct.field(default=None, kw_only=True)
+    recorded: Trajectories | None = flax.struct.field(default=None, kw_only=True)
     """What was recorded beforehand, to learn from without acting; None: the agent acts."""
     train_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     """Background images uint8 [B, H, W, C] that training goals may be corrupted with; None where goals are no images."""

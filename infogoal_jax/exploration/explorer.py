@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import flax.struct
 import jax
 
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 
 @flax.struct.dataclass
@@ -23,11 +23,11 @@ class Explorer(NamedTuple):
     """An explorer of a finite set of K observations with A actions.
 
     init(key, features [F], num_actions) -> (params, state): parameters are trained by gradient, state is everything else.
-    survey(params, state, features [K, F], rows: Rows, written bool [R], discount) -> (bonus float32 [K, A], state): once an epoch, from what was
-    collected; what is not stored with a move is looked up when it is drawn.
+    compute_bonus(params, state, features [K, F], rows: Trajectories, written bool [R], discount) -> (bonus float32 [K, A], state): once an epoch,
+    from what was collected. It is not stored with a move but looked up when the move is sampled.
     loss(params, state, moves: Moves, key) -> (loss, metrics, state).
     """
 
     init: Callable[[jax.Array, jax.Array, int], tuple[Any, Any]]
-    survey: Callable[[Any, Any, jax.Array, Rows, jax.Array, jax.Array], tuple[jax.Array, Any]]
+    compute_bonus: Callable[[Any, Any, jax.Array, Trajectories, jax.Array, jax.Array], tuple[jax.Array, Any]]
     loss: Callable[[Any, Any, Moves, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]

@@ -16,7 +16,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer, Moves
 from infogoal_jax.learners.information import kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import GoalCode
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 NUM_BLOCKS = 2
 MINIMUM_SCALE = 0.1  # Of predictions: exact ones would earn without end.
@@ -53,8 +53,8 @@ class SSEDBConfig:
 
 @flax.struct.dataclass
 class SSEDBState:
-    """scale: deviation of the discounted returns of the bonus at the last survey, 0 before the first; actions: float32 [A, A], one-hot, which say how
-    many there are."""
+    """scale: deviation of the discounted returns of the last bonus, 0 before the first; actions: float32 [A, A], one-hot, which say how many there
+    are."""
 
     scale: jax.Array
     actions: jax.Array
@@ -134,7 +134,7 @@ def make(config: SSEDBConfig) -> Explorer:
     def code_of(params, features, action):
         return GoalCode(*transition.apply(params["transition"], features, action))
 
-    def survey(params, state, features, rows: Rows, written, discount):
+    def compute_bonus(params, state, features, rows: Trajectories, written, discount):
         """Bonus KL(g(z|s, a) || N(0, I)) of every move, over the deviation of its discounted returns in all that was collected."""
         bonus = kl_to_standard_normal(code_of(params, features[:, None], state.actions))
         bonus = jnp.sqrt(jnp.maximum(bonus, 0.0)) if config.square_root else bonus
@@ -164,4 +164,4 @@ def make(config: SSEDBConfig) -> Explorer:
         weights = {"kl": config.kl_weight, "prediction_loss": config.prediction_weight, "contrastive_loss": config.contrastive_weight}
         return sum(weight * metrics[name] for name, weight in weights.items()), metrics, state
 
-    return Explorer(init, survey, loss)
+    return Explorer(init, compute_bonus, loss)

@@ -13,7 +13,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.learners import none
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
-from infogoal_jax.learners.learner import Learner, LearnerBatch, Request, encode_each
+from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec, encode_each
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,5 +60,5 @@ def make(config: CoGoalConfig) -> Learner:
         }
         return contrastive + config.norm_penalty * squared_norm, metrics, state
 
-    request = Request(config.num_pairs, config.window, config.num_negatives, dissimilar=False)
-    return none.make(config)._replace(loss=loss, request=request)
+    sample_spec = SampleSpec(config.num_pairs, config.window, config.num_negatives, dissimilar=False)
+    return none.make(config)._replace(loss=loss, sample_spec=sample_spec)

@@ -14,7 +14,7 @@ from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners import vae
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
-from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
 USAGE_RATE = 0.01  # Rate of the running share of segments that each code vector stands for.
 PATIENCE = 100  # Updates after which a code vector that nothing was nearest to is revived.
@@ -168,4 +168,4 @@ def make(config: DGRLConfig) -> Learner:
         }
         return reconstruction + codebook_loss + config.commitment * commitment_loss + config.revival * revival, metrics, state
 
-    return Learner(init, encode, loss, Request(num_goals=config.num_goals))
+    return Learner(init, encode, loss, SampleSpec(num_goals=config.num_goals))

@@ -23,7 +23,7 @@ import optax
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
-from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,4 +156,4 @@ def make(config: GCBConfig) -> Learner:
         return total, metrics, state
 
     condition_on = condition if config.policy_input == "difference" else None
-    return Learner(init, encode, loss, Request(relabelled_share=config.relabelled_share), condition=condition_on)
+    return Learner(init, encode, loss, SampleSpec(relabelled_share=config.relabelled_share), condition=condition_on)

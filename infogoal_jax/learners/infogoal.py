@@ -17,7 +17,7 @@ from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import information
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Request, Visited, encode_each
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, SampleSpec, Visited, encode_each
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
@@ -155,5 +155,5 @@ def make(config: InfoGoalConfig) -> Learner:
         scale = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
         return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
 
-    request = Request(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
-    return Learner(init, encode, loss, request, intrinsic_reward)
+    sample_spec = SampleSpec(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
+    return Learner(init, encode, loss, sample_spec, intrinsic_reward)

@@ -32,7 +32,7 @@ Encode = Callable[[jax.Array], GoalCode]
 """Goal indices int32 [...] to their codes, for one set of parameters: a table for small goal sets, the network itself for large ones."""
 
 
-class Request(NamedTuple):
+class SampleSpec(NamedTuple):
     """What a learner wants sampled for each of its losses.
 
     num_pairs: of goals achieved within `window` steps of each other, each with `num_negatives`; anchored: whether a negative is compared with the
@@ -49,7 +49,7 @@ class Request(NamedTuple):
     relabelled_share: float = 0.0
 
 
-class Example(NamedTuple):
+class InputSpec(NamedTuple):
     """What a learner's networks are made for: goal_inputs [M, ...] of training goals, features [F] of a state, and how many cells visits count in."""
 
     goal_inputs: jax.Array
@@ -73,7 +73,7 @@ class Steps(NamedTuple):
 class LearnerBatch(NamedTuple):
     """What a learner's loss may look at.
 
-    encode: by the goal encoder that is trained; inputs_of: goals [...] to what the encoder sees of them; pairs: as requested, or None;
+    encode: by the goal encoder that is trained; inputs_of: goals [...] to what the encoder sees of them; pairs: as asked for, or None;
     goals: int32 [num_goals], known goals; desired: int32 [B], the goals of the transitions, which are those of the agent's batch, but for the share
     of them that was asked for in hindsight.
     """
@@ -118,11 +118,11 @@ def keep(state: Any, cell: jax.Array, valid: jax.Array) -> Any:
 class Learner(NamedTuple):
     """A goal-representation learner.
 
-    init(key, example: Example, hyper) -> (params, state): parameters are trained by gradient, state is everything else.
+    init(key, example: InputSpec, hyper) -> (params, state): parameters are trained by gradient, state is everything else.
     encode(params, goal_inputs) -> GoalCode; inputs are vectors float32 [..., D] or images uint8 [..., H, W, C].
     loss(params, state, batch: LearnerBatch, hyper, key) -> (loss, metrics, state): the state is that of the next update (the Lagrange multiplier,
     running means).
-    request: what the learner wants sampled for its loss.
+    sample_spec: what the learner wants sampled for its loss.
     intrinsic_reward(state, encode, visited: Visited) -> (float32 [B, n], state).
     observe(state, cell int32 [R, T], valid bool [R, T]) -> state: with the transitions that were collected, by the cell that each led to.
     condition(params, code: GoalCode [B], features [B, F]) -> GoalCode: what the agent is given, where that depends on the state too; or None.
@@ -130,10 +130,10 @@ class Learner(NamedTuple):
     mean_at_test: whether a policy that is tested is given the mean of a code, not a draw.
     """
 
-    init: Callable[[jax.Array, Example, Any], tuple[Any, Any]]
+    init: Callable[[jax.Array, InputSpec, Any], tuple[Any, Any]]
     encode: Callable[[Any, jax.Array], GoalCode]
     loss: Callable[[Any, Any, LearnerBatch, Any, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]
-    request: Request = Request()
+    sample_spec: SampleSpec = SampleSpec()
     intrinsic_reward: Callable[[Any, Encode, Visited], tuple[jax.Array, Any]] = no_reward
     observe: Callable[[Any, jax.Array, jax.Array], Any] = keep
     condition: Callable[[Any, GoalCode, jax.Array], GoalCode] | None = None
@@ -179,7 +179,7 @@ def encode_all(learner: Learner, params: Any, goals: GoalSet) -> GoalCode:
     return jax.lax.map(lambda goal: learner.encode(params, goals.inputs_of(goal)), jnp.arange(goals.num_goals), batch_size=GOALS_AT_ONCE)
 
 
-def in_place(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
+def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     """Codes of the goals `which`, in their order, looked up by goal."""
     place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which)))
     return lambda indices: codes[place[indices]]
@@ -189,4 +189,4 @@ def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: 
     """How to encode goals that are commanded while training: they are few, so each is encoded once however large the goal space is."""
     if view is not None or goals.num_goals <= batch_size:
         return encode_goals(learner, params, goals, batch_size, view, key)
-    return in_place(learner.encode(params, goals.inputs_of(goals.commanded)), goals, goals.commanded)
+    return lookup(learner.encode(params, goals.inputs_of(goals.commanded)), goals, goals.commanded)

@@ -13,7 +13,7 @@ from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
-from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Request
+from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,4 +83,4 @@ def make(config: VAEConfig) -> Learner:
         metrics = {"elbo": -(surprise + kl), "reconstruction_error": error.mean() / size, "kl": kl}
         return (surprise + weight * kl) / size, metrics, state + 1
 
-    return Learner(init, encode, loss, Request(num_goals=config.num_goals), mean_at_test=True)
+    return Learner(init, encode, loss, SampleSpec(num_goals=config.num_goals), mean_at_test=True)

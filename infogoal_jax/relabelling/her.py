@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Prefixes:
     known: jax.Array
 
 
-def future_record(key: jax.Array, buffer: Rows, steps_left: jax.Array, row: jax.Array, step: jax.Array):
+def future_record(key: jax.Array, buffer: Trajectories, steps_left: jax.Array, row: jax.Array, step: jax.Array):
     """What was achieved at a step uniform among those after `step` in the same episode: records [B, ...].
 
     steps_left: int32 [R, T] of `replay.steps_left`; row, step: int32 [B], valid transitions.
@@ -94,13 +94,13 @@ def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step
     return jnp.where(until > before, pairs.choose_goal(choose_goal, goals), -1)
 
 
-def episode_starts(rows: Rows) -> jax.Array:
+def episode_starts(rows: Trajectories) -> jax.Array:
     """The first step of the episode that each observation belongs to, int32 [R, T + 1]."""
     begins = jnp.pad(~rows.valid, ((0, 0), (1, 0)), constant_values=True)
     return jax.lax.cummax(jnp.where(begins, jnp.arange(begins.shape[1]), 0), axis=1)
 
 
-def occurrences(goals: jax.Array, rows: Rows, num_goals: int) -> Occurrences:
+def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurrences:
     """Where each episode of these rows achieved each goal. goals: int32 [R, T + 1, K], padded with -1."""
     length, several = goals.shape[1:]
     require(length**2 * (num_goals + 1) < 2**31, "rollout_steps", length - 1, f"with {num_goals} goals too long for this relabelling: give less")

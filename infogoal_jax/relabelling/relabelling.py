@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import flax.struct
 import jax
 
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 
 @flax.struct.dataclass
@@ -32,7 +32,7 @@ class Context(NamedTuple):
     discount: of a step; updates: int32, how many were made before this epoch.
     """
 
-    rows: Rows
+    rows: Trajectories
     written: jax.Array
     achievements: Achievements
     positions: Callable[[], jax.Array]

@@ -15,7 +15,7 @@ from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.video import LAST_PICTURE, write_video
 from infogoal_jax.train.evaluation import corrupted_images, goal_starts, has_image_goals, run_side_by_side
-from infogoal_jax.train.hierarchy import Steered
+from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.rollout import Episodes, Policy
 
 PICTURES_A_FRAME = 8
@@ -49,7 +49,7 @@ class Watched:
 def with_evaluated(env: Any, which: np.ndarray) -> Any:
     """The same environment, of whose goals only these [M] are evaluated, in this order."""
     goals = env.goals.replace(evaluated=jnp.asarray(which, jnp.int32))
-    return env.replace(env=env.env.replace(goals=goals)) if isinstance(env, Steered) else env.replace(goals=goals)
+    return env.replace(env=env.env.replace(goals=goals)) if isinstance(env, SubgoalEnv) else env.replace(goals=goals)
 
 
 def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:

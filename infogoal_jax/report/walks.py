@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.learners.learner import Example, Visited, encode_goals
+from infogoal_jax.learners.learner import InputSpec, Visited, encode_goals
 from infogoal_jax.report.canvas import Subject, in_words
 from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
 from infogoal_jax.train.rollout import run_episodes
@@ -64,7 +64,7 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view takes its place.
     """
     env, learner = subject.train.env, subject.train.parts.learner
-    example = Example(env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
+    example = InputSpec(env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
     state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
     encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
     achieved = env.goals_of(jnp.arange(env.num_observations))

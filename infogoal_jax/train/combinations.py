@@ -15,7 +15,7 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Learner, no_loss, no_reward
-from infogoal_jax.train.hierarchy import Steered
+from infogoal_jax.train.hierarchy import SubgoalEnv
 
 STEERING = ("hrac",)
 """Agents whose actions are target states, for a low level to reach. The others choose among a few moves."""
@@ -55,7 +55,7 @@ def traits_seen(env) -> Traits:
     return Traits(
         finite_goals=has("goals"), image_goals=has("train_backgrounds"), moves=bool(getattr(env, "discrete", False)),
         finite_observations=has("num_observations"), recorded=has("recorded"),
-        target_states=isinstance(env, Steered) or hasattr(type(env), "space"),  # Not of the instance: some can say only when asked.
+        target_states=isinstance(env, SubgoalEnv) or hasattr(type(env), "space"),  # Not of the instance: some can say only when asked.
     )
 
 

@@ -27,7 +27,7 @@ class SteeredState:
 
 
 @flax.struct.dataclass
-class Steered:
+class SubgoalEnv:
     """An environment whose actions are subgoals, each followed for `interval` steps by a frozen policy over target states.
 
     A step is still one step of the environment inside; the action of a step between two decisions is not looked at. A pytree.
@@ -96,7 +96,7 @@ class Steered:
         return self.env.achieved(state.inner)
 
 
-def steer(env, config) -> Steered:
+def steer(env, config) -> SubgoalEnv:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
     from infogoal_jax.train import low_level_file  # With it comes MuJoCo, which takes half a second that no other task needs.
 
@@ -106,4 +106,4 @@ def steer(env, config) -> Steered:
     else:
         header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
     name = f"low level, content {header['sha256'][:8]}"
-    return Steered(env, low_level, env.space, config.interval, config.subgoal_scale, name)
+    return SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)

@@ -23,7 +23,7 @@ from infogoal_jax.envs.fetch.targets import TargetReaching, TargetSpace
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import nearest, require
 from infogoal_jax.relabelling import her
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.rollout import collect
 
 INITIAL, COLLECT, UPDATE, EVALUATE = range(4)
@@ -128,7 +128,7 @@ class PretrainState:
     target_params: dict
     optimizer_state: Any
     moments: jax.Array
-    buffer: Rows
+    buffer: Trajectories
     key: jax.Array
 
     def statistics(self) -> tuple[jax.Array, jax.Array]:
@@ -151,8 +151,8 @@ class Pretrain:
     env: TargetReaching
     initial: Callable[[jax.Array, PretrainHyperparameters], PretrainState]
     policy: Callable[[PretrainState], LowLevel]
-    run: Callable[[LowLevel, jax.Array, jax.Array, PretrainHyperparameters], tuple[Rows, dict[str, jax.Array]]]
-    learn: Callable[[PretrainState, Rows, jax.Array, PretrainHyperparameters], tuple[PretrainState, dict[str, jax.Array]]]
+    run: Callable[[LowLevel, jax.Array, jax.Array, PretrainHyperparameters], tuple[Trajectories, dict[str, jax.Array]]]
+    learn: Callable[[PretrainState, Trajectories, jax.Array, PretrainHyperparameters], tuple[PretrainState, dict[str, jax.Array]]]
     epoch: Callable[[PretrainState, jax.Array, PretrainHyperparameters], tuple[PretrainState, dict[str, jax.Array]]]
 
 
@@ -202,7 +202,7 @@ def make_pretrain(config: PretrainConfig) -> Pretrain:
             "following_rate": robot.reached(robot.achieved(ends.robot), ends.robot.goal).mean(where=led),
         }
 
-    def draws(buffer: Rows, key):
+    def draws(buffer: Trajectories, key):
         """Rows and steps of the transitions of all updates of an epoch, and the records achieved later that each may be relabelled with: [U, B]."""
         draw_key, future_key = jax.random.split(key)
         row, step = replay.draw(draw_key, replay.running_count(buffer.valid), config.updates_per_epoch * config.batch_size, length)
@@ -233,7 +233,7 @@ def make_pretrain(config: PretrainConfig) -> Pretrain:
         target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
         return state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state), {"value": value, "td_error": error}
 
-    def learn(state: PretrainState, rows: Rows, number, hyper):
+    def learn(state: PretrainState, rows: Trajectories, number, hyper):
         seen = rows.observation.reshape(-1, robot.observation_size)
         moments = state.moments + jnp.stack([jnp.full(seen.shape[1], float(len(seen))), seen.sum(0), (seen**2).sum(0)])
         state = state.replace(buffer=replay.add(state.buffer, rows, number), moments=moments)

@@ -24,10 +24,10 @@ from infogoal_jax.agents.agent import Agent, Exploration
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
-from infogoal_jax.learners.learner import Encode, Example, GoalCode, Learner, conditioned, encode_all, encode_commanded, in_place
+from infogoal_jax.learners.learner import Encode, GoalCode, InputSpec, Learner, conditioned, encode_all, encode_commanded, lookup
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.combinations import STEERING, check_combination
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, evaluate, has_image_goals
@@ -64,7 +64,7 @@ class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
     params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer: their states;
-    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Rows; env_states: [num_envs]; both None offline.
+    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Trajectories; env_states: [num_envs]; both None offline.
     key: the seed's key, never consumed; env_steps: int32, collected or recorded.
     """
 
@@ -76,7 +76,7 @@ class TrainState:
     explorer: Any
     dissimilarity: jax.Array
     seen: jax.Array
-    buffer: Rows | None
+    buffer: Trajectories | None
     env_states: Any
     key: jax.Array
     env_steps: jax.Array
@@ -136,7 +136,7 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
     learner = learners.registry.entry_of(config.learner).make(config.learner)
-    share = learner.request.relabelled_share
+    share = learner.sample_spec.relabelled_share
     return Parts(
         name=learners.registry.name_of(config.learner),
         learner=learner,
@@ -172,7 +172,7 @@ def load_environment(config: TrainConfig, env: Any = None):
         env = envs.load(config.task, config.env)
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
-    if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.Steered):
+    if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.SubgoalEnv):
         return hierarchy.steer(env, config.agent)
     return env
 
@@ -202,7 +202,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         They act on the episodes of `evaluation.goal_starts` with this number of starts. corruption: weight, None for the configuration's.
         """
         exploration = Exploration(hyper.test_epsilon, 0.0)
-        views = {"": in_place(learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated)}
+        views = {"": lookup(learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated)}
         if has_image_goals(env):
             weight = config.test_corruption if corruption is None else corruption
             codes = learner.encode(params["goal"], corrupted_images(env, num_starts, weight, seed))
@@ -224,7 +224,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
         params["goal"], learner_state = learner.init(
-            keys[0], Example(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner)
+            keys[0], InputSpec(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner)
         code = conditioned(learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:
@@ -235,7 +235,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             seen=jnp.zeros(env.goals.num_goals, bool), buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
         )
         if env.recorded is not None:
-            return witness(state, env.recorded, env)
+            return update_statistics(state, env.recorded, env)
         example = rows_shape(env, env_states, training_policy(params, hyper, env, key), config.rollout_steps)
         return state.replace(buffer=replay.empty(example, config.buffer_epochs), env_states=env_states)
 
@@ -243,7 +243,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved: bool [N]."""
         return env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
 
-    def witness(state: TrainState, rows: Rows, env) -> TrainState:
+    def update_statistics(state: TrainState, rows: Trajectories, env) -> TrainState:
         """The state that has seen these rows: goals achieved, pairs that are no longer dissimilar, and what the agent makes of them."""
         achieved = env.goals_of(rows.record)
         state = state.replace(
@@ -251,10 +251,10 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             learner=learner.observe(state.learner, env.cell_of(rows.record)[:, 1:], rows.valid),
             seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
         )
-        if not learner.request.num_pairs:
+        if not learner.sample_spec.num_pairs:
             return state
         similar = usable_goals(env, rows.record, usable_mask(env))
-        return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.request.window))
+        return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window))
 
     def gather(state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
         """Collect the rows of an epoch into the buffer."""
@@ -262,7 +262,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         corruption_key = jax.random.fold_in(jax.random.fold_in(state.key, CORRUPT), number)
         acting = training_policy(state.params, hyper, env, corruption_key)
         env_states, rows = collect(env, state.env_states, acting, collect_key, config.rollout_steps)
-        state = witness(state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env)
+        state = update_statistics(state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env)
         ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
         return state, {
             "collect/success_rate": rows.terminated.sum() / ended, "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(),
@@ -287,7 +287,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             learner_table = None if parts.learner_relabelling is None else parts.learner_relabelling.prepare(context)
         if parts.explorer is not None:
             features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
-            bonus, explored = parts.explorer.survey(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
+            bonus, explored = parts.explorer.compute_bonus(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
             state = state.replace(explorer=explored)
         return Experience(
             buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
@@ -295,7 +295,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             relabelling=table, learner_relabelling=learner_table, bonus=bonus,
         ), state
 
-    def relabelling_context(state: TrainState, number, hyper, env, rows: Rows, written, achievements: Achievements,
+    def relabelling_context(state: TrainState, number, hyper, env, rows: Trajectories, written, achievements: Achievements,
                             codes: GoalCode | None) -> Context:
         """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are few."""
         def positions():
@@ -318,7 +318,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
         metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
-        if learner.request.num_pairs:
+        if learner.sample_spec.num_pairs:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}

@@ -6,7 +6,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.replay import Rows
+from infogoal_jax.replay import Trajectories
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 """Stored observations [E], goals int32 [E] and a key to actions int32 [E]."""
@@ -39,17 +39,19 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
     rows = {name: jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), value) for name, value in outcomes.items()}
     for name, final in last.items():
         rows[name] = jax.tree.map(lambda leaf, end: jnp.concatenate([leaf, end[:, None]], axis=1), rows[name], final)
-    return env_states, Rows(**rows)
+    return env_states, Trajectories(**rows)
 
 
-def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Rows:
+def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
     """The shapes of the rows that `collect` returns, without tracing the environment's step."""
     def row(states):
         actions = policy(env.observe(states), states.goal, jax.random.key(0))
         flag = states.terminated
         steps = {"action": actions, "goal": states.goal, "valid": flag, "terminated": flag, "truncated": flag, "decided": flag}
         ends = {"observation": env.observe(states), "record": env.achieved(states)}
-        return Rows(**jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps), **jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends))
+        steps = jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps)
+        ends = jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends)
+        return Trajectories(**steps, **ends)
 
     def repeated(leaf, times):
         return jnp.broadcast_to(leaf[:, None], (leaf.shape[0], times, *leaf.shape[1:]))

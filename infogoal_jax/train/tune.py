@@ -25,7 +25,7 @@ from infogoal_jax.hyperparameters import Search, search_space, values_of, with_v
 from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
 from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.hierarchy import Steered
+from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.program import Train, TrainState, make_train
 
 FIRST_SEED = 1000
@@ -111,7 +111,7 @@ def check_seeds(seeds: Sequence[int], trials: int) -> None:
 
 def scored_goals_only(env) -> tuple[Any, str]:
     """The environment with no other goals evaluated than those that trials are scored on, and their group."""
-    if isinstance(env, Steered):
+    if isinstance(env, SubgoalEnv):
         inner, group = scored_goals_only(env.env)
         return env.replace(env=inner), group
     group = "validation" if "validation" in env.goals.groups else "train"

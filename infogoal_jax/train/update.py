@@ -16,7 +16,7 @@ from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.learners.learner import GoalCode, LearnerBatch, Steps, View, Visited, conditioned, encode_commanded, encode_goals
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.replay import Rows, Transitions
+from infogoal_jax.replay import Trajectories, Transitions
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
@@ -25,14 +25,14 @@ CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 class Experience:
     """What an epoch's updates sample from; fixed while they run.
 
-    buffer: Rows; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
+    buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
     known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
     relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus: float32 [K, A] of each
     observation and action; None without such a part.
     """
 
-    buffer: Rows
+    buffer: Trajectories
     decision_count: jax.Array
     achieved: jax.Array
     achieved_count: jax.Array
@@ -98,20 +98,20 @@ def usable_goals(env, record, usable: jax.Array) -> jax.Array:
     return jnp.where((goals >= 0) & usable[goals], goals, -1)
 
 
-def sample_pairs(request, env, experience: Experience, key: jax.Array) -> GoalPairs:
-    """Goal pairs for the contrastive bound, as the learner's `Request` asks (Algorithm 1, lines 16 to 20)."""
+def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs:
+    """Goal pairs for the contrastive bound, as the learner's `SampleSpec` asks (Algorithm 1, lines 16 to 20)."""
     keys = jax.random.split(key, 5)
     records = replay.sample_within_window(
-        keys[0], experience.buffer, experience.achieved, experience.achieved_count, request.num_pairs, request.window
+        keys[0], experience.buffer, experience.achieved, experience.achieved_count, spec.num_pairs, spec.window
     )
     anchor, positive = (goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable)) for k, record in zip(keys[1:3], records, strict=True))
     any_achieved = experience.achieved_count[-1] > 0  # Else the draw has nothing to choose from, and returned a row not written yet.
     positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)
     anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
-    contrast = jnp.broadcast_to(anchor[:, None], (request.num_pairs, request.num_negatives))
-    if not request.anchored:
+    contrast = jnp.broadcast_to(anchor[:, None], (spec.num_pairs, spec.num_negatives))
+    if not spec.anchored:
         contrast = goal_pairs.choose_from_mask(keys[3], experience.known, contrast.shape)
-    if request.dissimilar:
+    if spec.dissimilar:
         negative, negative_weight = goal_pairs.sample_negatives(keys[4], experience.dissimilarity, experience.known, contrast)
     else:  # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
         negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
@@ -130,11 +130,11 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     if parts.relabelling is not None:
         row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
     drawn = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
-    request, goals_key = parts.learner.request, jax.random.fold_in(key, 3)
-    if request.num_pairs:
-        drawn = drawn.replace(pairs=sample_pairs(request, env, experience, pair_key))
-    if request.num_goals:
-        drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (request.num_goals,)))
+    spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
+    if spec.num_pairs:
+        drawn = drawn.replace(pairs=sample_pairs(spec, env, experience, pair_key))
+    if spec.num_goals:
+        drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,)))
     if parts.learner_relabelling is not None:
         other = parts.learner_relabelling.relabel(jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal)
         relabelled = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached))
