@@ -14,7 +14,7 @@ from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
-from infogoal_jax.train.update import sample
+from infogoal_jax.train.sampling import sample
 
 
 @pytest.fixture(scope="module")

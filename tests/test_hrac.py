@@ -1,6 +1,8 @@
 """HRAC's high level: transitions from decision to decision, adjacency and gradients, on a task without physics."""
 
 
+import dataclasses
+
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -17,8 +19,10 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
+from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.update import Experience, agent_batch, returns, with_rewards
+from infogoal_jax.train.sampling import with_rewards
+from infogoal_jax.train.update import agent_batch, returns
 
 K = 5
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
@@ -214,7 +218,7 @@ def gradients(train, rows):
     apart = train.parts.agent.observe(pairs.initial_dissimilarity(cells.count)[None], rows)
 
     def gradient(params, target_params, hyper, stop=False):
-        parts = train.parts._replace(stop_encoder_gradient=stop)
+        parts = train.parts._replace(config=dataclasses.replace(train.config, stop_encoder_gradient=stop))
 
         def loss(params):
             codes = agent_batch(parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1))

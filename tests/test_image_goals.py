@@ -24,9 +24,9 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.command_line import main
+from infogoal_jax.train.encoding import training_view
 from infogoal_jax.train.evaluation import evaluate, goal_starts
 from infogoal_jax.train.low_level_file import shipped
-from infogoal_jax.train.update import training_view
 
 GRIDS = {}
 

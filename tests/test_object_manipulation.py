@@ -146,7 +146,7 @@ def test_agents_see_the_codes_of_their_goals(env, relabelling):
     train = make_train(hand_made_frames.manipulation_config("none", relabelling=relabelling), env)
     parts, hyper = train.parts, train.config.hyper
     state = jax.jit(train.initial)(jax.random.key(0), hyper, env)
-    count, goals = parts.batch_size, env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals)
+    count, goals = parts.config.batch_size, env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals)
     assert env.goals.num_goals > count
     goal = jax.random.choice(jax.random.key(1), goals, (count,))
     observation = env.observe_frame(jnp.zeros(count, jnp.int32))

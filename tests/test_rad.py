@@ -15,7 +15,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
 from infogoal_jax.learners.learner import encode_goals
 from infogoal_jax.registry import Entry
-from infogoal_jax.train.update import training_view
+from infogoal_jax.train.encoding import training_view
 
 AUGMENT = rad.make(rad.RADConfig()).augment
 
@@ -116,7 +116,7 @@ def cuts(image: np.ndarray, shift: int):
 def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
     env, learner = hand_made.environment(), rad.make(rad.RADConfig(hidden=(32,)))
     params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
-    view = training_view(SimpleNamespace(learner=learner, training_corruption=0.0), env, augmented=True)
+    view = training_view(SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True)
     same_goal = jnp.zeros(10, jnp.int32)
     varied = encode_goals(learner, params, env.goals, 32, view, jax.random.key(1))(same_goal).mean
     plain = encode_goals(learner, params, env.goals, 32)(same_goal).mean

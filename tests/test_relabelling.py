@@ -18,7 +18,7 @@ from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import update
+from infogoal_jax.train import encoding, sampling, update
 
 DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
@@ -144,7 +144,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     hyper = train.config.hyper
     state = jax.jit(lambda key: train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0])(jax.random.key(0))
     for share, made in ((0.0, plain), (1.0, train)):
-        draw = jax.jit(lambda state, made=made: update.sample(
+        draw = jax.jit(lambda state, made=made: sampling.sample(
             made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)))
         drawn[share] = draw(state)
     plain, told = drawn[0.0], drawn[1.0].relabelled
@@ -163,7 +163,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
     np.testing.assert_allclose(steps.discount, np.where(told.terminated, 0.0, 0.98**taken), rtol=1e-5)
-    seen = jax.jit(lambda params: update.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
+    seen = jax.jit(lambda params: encoding.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
     np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(steps.features, features)
 

@@ -10,7 +10,8 @@ import pytest
 
 from infogoal_jax import Hyperparameters, UserError, make_train, pairs, replay
 from infogoal_jax.agents.cql import CQLConfig
-from infogoal_jax.train.update import Experience, sample_pairs
+from infogoal_jax.train.experience import Experience
+from infogoal_jax.train.sampling import sample_pairs
 
 
 @pytest.fixture(scope="session")

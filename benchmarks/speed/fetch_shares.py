@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from infogoal_jax import make_train, presets, replay
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.update import Experience
 from infogoal_jax.train.update import updates as updates_of
 
 REPEATS = 3

@@ -13,7 +13,7 @@ from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import ROOM_COLOURS, USE_TITLES, draw_curve, empty_figure, finish_share_axis, save
 from infogoal_jax.report.figures import evaluated_mask, finish_length_axis, finish_progress_axis, progress, success_within
 from infogoal_jax.report.runs import Run, read_run
-from infogoal_jax.train.program import load_environment
+from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
 """One a run: Okabe and Ito's, then Tol's."""

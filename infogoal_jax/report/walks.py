@@ -66,7 +66,7 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     env, learner = subject.train.env, subject.train.parts.learner
     example = InputSpec(env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
     state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
-    encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.parts.table_limit)
+    encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.config.batch_size)
     achieved = env.goals_of(jnp.arange(env.num_observations))
     every = jnp.arange(env.num_observations)[None]
     visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), jnp.ones(every.shape))

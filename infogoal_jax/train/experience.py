@@ -1,0 +1,94 @@
+"""What the updates of an epoch sample from: the replay buffer, what was achieved in it, and the tables of relabelling and exploration."""
+
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import replay
+from infogoal_jax.learners.learner import GoalCode, conditioned, encode_all
+from infogoal_jax.relabelling.relabelling import Achievements, Context
+from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.encoding import encode_states
+from infogoal_jax.train.state import TrainState
+
+
+@flax.struct.dataclass
+class Experience:
+    """What an epoch's updates sample from; fixed while they run.
+
+    buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
+    known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
+    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
+    relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus: float32 [K, A] of each
+    observation and action; None without such a part.
+    """
+
+    buffer: Trajectories
+    decision_count: jax.Array
+    achieved: jax.Array
+    achieved_count: jax.Array
+    known: jax.Array
+    usable: jax.Array
+    dissimilarity: jax.Array
+    codes: GoalCode | None
+    relabelling: Any = None
+    learner_relabelling: Any = None
+    bonus: jax.Array | None = None
+
+
+def usable_mask(config, env) -> jax.Array:
+    """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved: bool [N]."""
+    return env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
+
+
+def usable_goals(env, record, usable: jax.Array) -> jax.Array:
+    """Goals achieved in these records that may enter representation learning: int32 [..., K], padded with -1."""
+    goals = env.goals_of(record)
+    return jnp.where((goals >= 0) & usable[goals], goals, -1)
+
+
+def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experience, TrainState]:
+    """What the updates of an epoch draw from, and the state with what the explorer made of it."""
+    offline, usable = env.recorded is not None, usable_mask(parts.config, env)
+    buffer = env.recorded if offline else state.buffer
+    written = jnp.arange(buffer.valid.shape[0]) < (buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs)
+    goals = usable_goals(env, buffer.record, usable)
+    achieved = (goals >= 0).any(-1) & written[:, None]
+    achieved_count = replay.running_count(achieved)
+    known = jnp.ones_like(usable) if parts.config.known_goals == "all" else usable & state.seen
+    codes = encode_all(parts.learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.config.batch_size else None
+    bonus = table = learner_table = None
+    if parts.relabelling is not None or parts.learner_relabelling is not None:
+        achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
+        context = relabelling_context(parts, state, number, hyper, env, buffer, written, achievements, codes)
+        table = None if parts.relabelling is None else parts.relabelling.prepare(context)
+        learner_table = None if parts.learner_relabelling is None else parts.learner_relabelling.prepare(context)
+    if parts.explorer is not None:
+        features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
+        bonus, explored = parts.explorer.compute_bonus(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
+        state = state.replace(explorer=explored)
+    return Experience(
+        buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
+        known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes,
+        relabelling=table, learner_relabelling=learner_table, bonus=bonus,
+    ), state
+
+
+def relabelling_context(parts, state: TrainState, number, hyper, env, rows: Trajectories, written, achievements: Achievements,
+                        codes: GoalCode | None) -> Context:
+    """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are few."""
+    learner, agent = parts.learner, parts.agent
+
+    def positions():
+        if env.goal_positions is not None:
+            return env.goal_positions
+        return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
+
+    def value(observation, goal):
+        features = encode_states(parts, state.params, env, goal.shape[0])(observation)
+        code = conditioned(learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features)
+        return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
+
+    return Context(rows, written, achievements, positions, value, env.reached, hyper.discount, number * parts.config.updates_per_epoch)

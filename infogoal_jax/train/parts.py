@@ -1,0 +1,84 @@
+"""The parts of a program: learner, agent, relabelling, explorer and state encoder of a configuration, and the environment that goes with them."""
+
+from typing import Any, NamedTuple
+
+import jax
+import optax
+
+from infogoal_jax import agents, envs, exploration, learners, networks, relabelling
+from infogoal_jax.agents.agent import Agent
+from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.errors import require
+from infogoal_jax.exploration.explorer import Explorer
+from infogoal_jax.learners.learner import Learner
+from infogoal_jax.relabelling import her
+from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.train import hierarchy
+from infogoal_jax.train.combinations import STEERING, check_combination
+
+
+class Parts(NamedTuple):
+    """The parts that a configuration is of, put together only here."""
+
+    config: TrainConfig
+    name: str
+    """Of the learner; its metrics stand under this name."""
+    learner: Learner
+    agent: Agent
+    relabelling: Relabelling | None
+    """Of the agent's transitions."""
+    learner_relabelling: Relabelling | None
+    """Of the transitions that the learner's loss sees, if it asks for that."""
+    explorer: Explorer | None
+    state_encoder: networks.PatchEncoder | networks.VectorEncoder
+    optimizer: optax.GradientTransformation
+
+
+def make_parts(config: TrainConfig, env) -> Parts:
+    """The learner, agent, relabelling and encoders that the configuration names."""
+    learner = learners.registry.entry_of(config.learner).make(config.learner)
+    share = learner.sample_spec.relabelled_share
+    return Parts(
+        config=config,
+        name=learners.registry.name_of(config.learner),
+        learner=learner,
+        agent=agents.registry.entry_of(config.agent).make(config.agent, env),
+        relabelling=relabelling.registry.entry_of(config.relabelling).make(config.relabelling),
+        learner_relabelling=her.make(her.HERConfig(future_share=share)) if share else None,
+        explorer=exploration.registry.entry_of(config.explorer).make(config.explorer),
+        state_encoder=make_state_encoder(config.state_encoder, env),
+        optimizer=optax.scale_by_adam(),
+    )
+
+
+def make_state_encoder(size: StateEncoderConfig, env):
+    """psi(s) for what the network sees of a state: an image, or a vector."""
+    seen = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
+    if seen.ndim > 1:
+        require(seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0, "state_encoder.patch", size.patch,
+                f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}")
+    return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
+
+
+def load_environment(config: TrainConfig, env: Any = None):
+    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions are subgoals.
+
+    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
+    """
+    if env is None:
+        check_combination(config)
+        env = envs.load(config.task, config.env)
+    check_combination(config, env)
+    check_hyperparameters(config, config.hyper)
+    if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.SubgoalEnv):
+        return hierarchy.steer(env, config.agent)
+    return env
+
+
+def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
+    """Raise `UserError` where float hyperparameters are not those of the configuration's parts."""
+    for registered, own, given in ((learners.registry, config.learner, hyper.learner), (agents.registry, config.agent, hyper.agent)):
+        needed = registered.entry_of(own).hyper
+        require(type(given) is needed, f"hyper.{registered.kind}", type(given).__name__,
+                f"{registered.kind} {registered.name_of(own)!r} needs {needed.__name__}; change fields of config.hyper, or take "
+                "presets.default_hyperparameters")
