@@ -95,7 +95,7 @@ def test_nothing_but_the_inputs_differs_from_the_plain_learner():
 def test_updates_see_varied_goals_and_acting_sees_them_as_collecting_does(corruption):
     """Under the corruption of training, if any, which both see."""
     env, key = hand_made_points.points(), jax.random.key(0)
-    parts = SimpleNamespace(learner=rad.make(rad.RADConfig()), training_corruption=corruption)
+    parts = SimpleNamespace(learner=rad.make(rad.RADConfig()), config=SimpleNamespace(training_corruption=corruption))
     acting, updating = (training_view(parts, env, augmented) for augmented in (False, True))
     if corruption:
         seen, varied = (view(key, env.goals.inputs) for view in (acting, updating))
