@@ -45,7 +45,7 @@ def rows(train):
     env = train.env
 
     def policy(observation, goal, key):
-        ahead = (env.positions[goal] - observation[:, :3]) / env.subgoal_scale
+        ahead = (env.unwrapped.positions[goal] - observation[:, :3]) / env.subgoal_scale
         astray = jax.random.uniform(key, ahead.shape, minval=-1.0)
         return jnp.clip(jnp.where((jnp.arange(24) % 2 == 0)[:, None], ahead, astray), -1.0, 1.0)
 
@@ -183,7 +183,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     reward, after, metrics, made = transitions()
 
     record, mean = np.asarray(rows.record), np.asarray(codes.mean)
-    goal, position = np.asarray(rows.goal), np.asarray(env.positions)
+    goal, position = np.asarray(rows.goal), np.asarray(env.unwrapped.positions)
     grid = position[: len(position) - len(env.goals.evaluated)]
     achieved = np.linalg.norm(record[:, :, None] - grid, axis=-1).argmin(-1)
     assert (env.goals_of(rows.record) >= 0).all()

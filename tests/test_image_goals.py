@@ -84,7 +84,7 @@ def test_a_goal_is_reached_within_5_cm_of_it_whatever_grid_goal_is_nearest(grid)
     goals = np.repeat(np.asarray(env.goals.evaluated), 20)
     direction = np.random.default_rng(0).normal(size=(len(goals), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    at = env.positions[goals]
+    at = env.unwrapped.positions[goals]
     near, far = at + 0.99 * DISTANCE_THRESHOLD * direction, at + 1.01 * DISTANCE_THRESHOLD * direction
     assert env.reached(near, goals).all() and not env.reached(far, goals).any()
     assert (env.goals_of(near) != env.goals_of(at)).any()
@@ -104,7 +104,7 @@ def test_episodes_are_for_training_goals_each_as_often_as_the_others(env):
     goals, count = np.unique(states.goal, return_counts=True)
     np.testing.assert_array_equal(goals, env.goals.commanded)
     assert count.min() > 60
-    np.testing.assert_array_equal(states.robot.goal, env.positions[states.goal])
+    np.testing.assert_array_equal(states.robot.goal, env.unwrapped.positions[states.goal])
 
 
 @pytest.mark.parametrize("task", presets.FETCH_TASKS)
@@ -138,8 +138,8 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     env = hand_made_points.points(levels, np.full((1, 16, 16, 3), 255, np.uint8))
     pixels = SimpleNamespace(encode=lambda params, images: GoalCode(images.astype(jnp.float32), jnp.zeros(())))
     goals = jnp.repeat(env.goals.commanded, 50)
-    parts = SimpleNamespace(training_corruption=0.5, learner=SimpleNamespace(augment=None))
-    assert training_view(SimpleNamespace(training_corruption=0.0, learner=parts.learner), env, augmented=True) is None
+    parts = SimpleNamespace(config=SimpleNamespace(training_corruption=0.5), learner=SimpleNamespace(augment=None))
+    assert training_view(SimpleNamespace(config=SimpleNamespace(training_corruption=0.0), learner=parts.learner), env, augmented=True) is None
     view = training_view(parts, env, augmented=True)
     for encode in (encode_commanded, encode_goals):
         seen = encode(pixels, None, env.goals, 1000, view, jax.random.key(0))(goals).mean
@@ -215,7 +215,7 @@ def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none(env):
     steered = hand_made_points.steered(env)
 
     def straight(observation, goal, key):
-        return jnp.clip((env.positions[goal] - observation[:, :3]) / steered.subgoal_scale, -1.0, 1.0)
+        return jnp.clip((env.unwrapped.positions[goal] - observation[:, :3]) / steered.subgoal_scale, -1.0, 1.0)
 
     def stay(observation, goal, key):
         return jnp.zeros((len(goal), steered.action_size))

@@ -305,13 +305,13 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
     env = points.train.env
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
     clean, again, corrupted = image_goal_episodes.policy_episodes(points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED)
-    path = np.asarray(env.robot.achieved(clean.observations))
+    path = np.asarray(env.unwrapped.robot.achieved(clean.observations))
     assert path.shape == (4, env.episode_length + 1, 3)
-    nearest = np.linalg.norm(path - np.asarray(env.positions)[goals][:, None], axis=-1).min(1)
+    nearest = np.linalg.norm(path - np.asarray(env.unwrapped.positions)[goals][:, None], axis=-1).min(1)
     np.testing.assert_array_equal(nearest < 0.05, clean.success)
-    np.testing.assert_array_equal(np.asarray(clean.observations.goal)[:, 0], np.asarray(env.positions)[goals])
-    np.testing.assert_array_equal(path, env.robot.achieved(again.observations))
-    assert not np.array_equal(path, env.robot.achieved(corrupted.observations))
+    np.testing.assert_array_equal(np.asarray(clean.observations.goal)[:, 0], np.asarray(env.unwrapped.positions)[goals])
+    np.testing.assert_array_equal(path, env.unwrapped.robot.achieved(again.observations))
+    assert not np.array_equal(path, env.unwrapped.robot.achieved(corrupted.observations))
 
 
 @pytest.mark.long

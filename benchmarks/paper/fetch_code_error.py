@@ -45,7 +45,7 @@ def errors(path: Path, weight: float) -> dict[str, np.ndarray]:
         "clean": clean, "grey": np.asarray(corrupt(clean, jnp.full_like(clean, GREY), weight)), "corrupted": corrupted,
         "corrupted, contrast restored": contrast_of(corrupted.astype(float), clean.astype(float)),
     }
-    grid, positions = int(np.prod(env.grid_shape)), np.asarray(env.positions)
+    grid, positions = int(np.prod(env.unwrapped.grid_shape)), np.asarray(env.unwrapped.positions)
     found = {name: [] for name in images}
     for seed in range(len(run.seeds)):
         params = jax.tree.map(lambda leaf, seed=seed: jnp.asarray(leaf[seed]), read_params(run, train)["goal"])

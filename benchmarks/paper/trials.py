@@ -29,6 +29,7 @@ from tuning_study import tuning_house
 from infogoal_jax import compiler_options, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
+from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
@@ -162,9 +163,10 @@ def code_errors(train, params, goals: jax.Array) -> jax.Array:
     table = encode_all(learner, params["goal"], env.goals).mean
     drawn = learner.encode(params["goal"], env.goals.inputs_of(goals)).sample(jax.random.key(0))
     nearest = jax.lax.map(lambda code: jnp.abs(table - code).mean(-1).argmin(), drawn)
-    if not hasattr(env, "goal_quaternion"):
+    if not isinstance(env.unwrapped, ObjectManipulation):
         return jnp.linalg.norm(env.goal_positions[goals] - env.goal_positions[nearest], axis=-1)
-    cosine_of_half = jnp.abs((env.goal_quaternion[goals] * env.goal_quaternion[nearest]).sum(-1))
+    pose = env.unwrapped.goal_quaternion
+    cosine_of_half = jnp.abs((pose[goals] * pose[nearest]).sum(-1))
     return jnp.degrees(2 * jnp.arccos(jnp.minimum(cosine_of_half, 1.0)))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from infogoal_jax.data import frames
 from infogoal_jax.data.frames import FrameDataset
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.replay import Trajectories
 
@@ -38,7 +39,7 @@ class GraphState:
 
 
 @flax.struct.dataclass
-class GraphWalk:
+class GraphWalk(Environment):
     """Static arrays and pure functions over them; a pytree, to be passed to compiled programs as an argument. Tasks add `reached` and `goals_of`.
 
     next_node: int32 [K, A] (its own index where there is no edge); goals: N goals, of which M are evaluated.
@@ -55,16 +56,10 @@ class GraphWalk:
     episode_length: int = flax.struct.field(pytree_node=False)
     source: str = flax.struct.field(pytree_node=False)
 
-    discrete = True
-    """An action is a choice among a few moves."""
+    has_shortest_path = True
     recorded: Trajectories | None = flax.struct.field(default=None, kw_only=True)
-    """What was recorded beforehand, to learn from without acting; None: the agent acts."""
     train_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
-    """Background images uint8 [B, H, W, C] that training goals may be corrupted with; None where goals are no images."""
     test_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
-    """The same for the evaluation: other images."""
-    goal_positions = None
-    """Where goals lie, float32 [N, D]; None where only the graph knows how far they are apart."""
     views: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     """Images int32 [K, V] that show the same state as each, one of which is seen at random on arriving; None: every state has one image."""
 
@@ -120,10 +115,6 @@ class GraphWalk:
         node = self.node_of(observation)
         mask = self.next_node[node] != node[..., None]
         return mask | ~mask.any(-1, keepdims=True)
-
-    def decides(self, state: GraphState) -> jax.Array:
-        """Whether the next step follows a decision of the agent: always, bool."""
-        return jnp.ones_like(state.terminated)
 
     def shortest_path(self, state: GraphState) -> jax.Array:
         """Steps to the nearest node at which the goal is reached, int32."""

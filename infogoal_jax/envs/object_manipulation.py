@@ -79,8 +79,7 @@ class ObjectManipulation(GraphWalk):
     orientation: jax.Array
     goal_quaternion: jax.Array
 
-    num_observations = None
-    """There are more images than a rollout looks at: they are not encoded beforehand."""
+    has_target_states = True
 
     @property
     def space(self) -> JointSpace:

@@ -18,13 +18,14 @@ VERTICAL_LABEL = "y (m)"
 
 def distances_of_goals(env: Any) -> np.ndarray:
     """Metres between any two training goals, [R, R]."""
-    centres = np.asarray(env.positions)[np.asarray(env.goals.commanded)]
+    centres = np.asarray(env.unwrapped.positions)[np.asarray(env.goals.commanded)]
     return np.linalg.norm(centres[:, None] - centres, axis=-1)
 
 
 def draw_trajectories(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episodes) -> None:
     """Episodes from above, one to each of the goals `chosen` [E], in the colours of their regions."""
-    path, positions, regions = np.asarray(env.robot.achieved(episodes.observations)), np.asarray(env.positions), np.asarray(env.goals.regions)
+    path, positions = np.asarray(env.unwrapped.robot.achieved(episodes.observations)), np.asarray(env.unwrapped.positions)
+    regions = np.asarray(env.goals.regions)
     for goal, steps, success, way in zip(chosen, episodes.steps, episodes.success, path, strict=True):
         colour, outcome, way = room_colour(regions[goal]), SUCCESS if success else FAILURE, way[: steps + 1]
         axes.add_patch(Circle(positions[goal, :2], DISTANCE_THRESHOLD, facecolor=outcome, edgecolor="none", alpha=0.22, zorder=1))
@@ -42,7 +43,7 @@ def draw_trajectories(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episod
 
 def trajectory_legend(env: Any, chosen: np.ndarray) -> list[Line2D]:
     """What the marks of `draw_trajectories` mean."""
-    mover = "gripper" if env.robot.task.object_height is None else "object"
+    mover = "gripper" if env.unwrapped.robot.task.object_height is None else "object"
     round_mark = {"linestyle": "", "marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgewidth": 1.6}
     return [
         Line2D([], [], linestyle="", marker="o", markerfacecolor="white", markeredgecolor="black", label=f"start of the {mover}"),

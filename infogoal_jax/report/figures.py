@@ -156,7 +156,7 @@ def success_by_length(subject: Subject) -> Figure:
     first_reached = subject.evaluations.last()["first_reached"]
     num_starts, longest = first_reached.shape[-1], env.episode_length
     shortest = None
-    if hasattr(env, "shortest_path"):
+    if env.has_shortest_path:
         shortest = np.asarray(jax.vmap(env.shortest_path)(goal_starts(env, num_starts))).reshape(-1, num_starts)
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()

@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.fetch.image_goals import ImageGoals
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.video import LAST_PICTURE, write_video
 from infogoal_jax.train.evaluation import corrupted_images, goal_starts, has_image_goals, run_side_by_side
-from infogoal_jax.train.hierarchy import SubgoalEnv
+from infogoal_jax.train.hierarchy import SubgoalState
 from infogoal_jax.train.rollout import Episodes, Policy
 
 PICTURES_A_FRAME = 8
@@ -39,7 +40,7 @@ class Watched:
 
     def observe(self, state):
         """The robot's state, `FetchState`."""
-        return getattr(state, "inner", state).robot
+        return (state.inner if isinstance(state, SubgoalState) else state).robot
 
     def policy(self, policy: Policy) -> Policy:
         """The policy on these observations."""
@@ -48,8 +49,12 @@ class Watched:
 
 def with_evaluated(env: Any, which: np.ndarray) -> Any:
     """The same environment, of whose goals only these [M] are evaluated, in this order."""
-    goals = env.goals.replace(evaluated=jnp.asarray(which, jnp.int32))
-    return env.replace(env=env.env.replace(goals=goals)) if isinstance(env, SubgoalEnv) else env.replace(goals=goals)
+    return env.with_goals(env.goals.replace(evaluated=jnp.asarray(which, jnp.int32)))
+
+
+def is_fetch(env: Any) -> bool:
+    """Whether a robot can be drawn."""
+    return isinstance(env.unwrapped, ImageGoals)
 
 
 def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
@@ -69,7 +74,7 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
         test_policies, hyper = subject.train.test_policies, subject.run.config.hyper
         policies = [test_policies(params, hyper, env, 1, weight, seed)["corrupted_{group}_goal"] for weight in weights]
         starts, key = goal_starts(env, 1, seed), jax.random.key(seed + 1)
-        if not hasattr(env, "robot"):
+        if not is_fetch(env):
             return run_side_by_side(env, policies, starts, key)
         watched = Watched(env)
         return run_side_by_side(watched, [watched.policy(policy) for policy in policies], starts, key)
@@ -104,7 +109,7 @@ def policy_video(
             for step in range(steps + 1):
                 observation = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
                 picture = with_inset(draw_observation(env, observation, size), image)
-                for _ in range(1 if hasattr(env, "robot") else PICTURES_A_FRAME):
+                for _ in range(1 if is_fetch(env) else PICTURES_A_FRAME):
                     yield picture
             for _ in range(LAST_PICTURE):
                 yield picture
@@ -115,8 +120,8 @@ def policy_video(
 
 def draw_observation(env: Any, observation: Any, size: tuple[int, int]) -> np.ndarray:
     """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as it fits, on the left."""
-    if hasattr(env, "robot"):
-        return draw_fetch(env.robot, observation, size)
+    if is_fetch(env):
+        return draw_fetch(env.unwrapped.robot, observation, size)
     frame = np.asarray(env.render(observation))
     scale = min(size[0] / frame.shape[0], size[1] / frame.shape[1])
     frame = cv2.resize(frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 
-from infogoal_jax.envs.object_manipulation import REACHED
+from infogoal_jax.envs.object_manipulation import REACHED, ObjectManipulation
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour
 from infogoal_jax.report.image_goal_episodes import seen_images, with_evaluated
 from infogoal_jax.train.evaluation import EVALUATION_SEED
@@ -26,7 +26,7 @@ IMAGES = 7
 
 def has_poses(env: Any) -> bool:
     """Whether goals of this environment are poses."""
-    return hasattr(env, "goal_quaternion")
+    return isinstance(env.unwrapped, ObjectManipulation)
 
 
 def turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -36,13 +36,13 @@ def turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def angles_between_goals(env: Any) -> np.ndarray:
     """Degrees between any two training goals, [R, R]."""
-    pose = np.asarray(env.goal_quaternion)[np.asarray(env.goals.commanded)]
+    pose = np.asarray(env.unwrapped.goal_quaternion)[np.asarray(env.goals.commanded)]
     return turn(pose[:, None], pose)
 
 
 def angles_to_goals(env: Any, chosen: np.ndarray, episodes: Episodes) -> list[np.ndarray]:
     """Degrees to its goal at every step of each episode, one to each of the goals `chosen` [E]: [steps + 1]."""
-    pose, goal_pose = np.asarray(env.quaternion), np.asarray(env.goal_quaternion)
+    pose, goal_pose = np.asarray(env.unwrapped.quaternion), np.asarray(env.unwrapped.goal_quaternion)
     frames = np.asarray(episodes.observations.frame)
     return [turn(pose[way[: steps + 1]], goal_pose[goal]) for goal, steps, way in zip(chosen, episodes.steps, frames, strict=True)]
 

@@ -15,7 +15,6 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Learner, no_loss, no_reward
-from infogoal_jax.train.hierarchy import SubgoalEnv
 
 STEERING = ("hrac",)
 """Agents whose actions are target states, for a low level to reach. The others choose among a few moves."""
@@ -49,13 +48,9 @@ TRAITS: dict[type, Callable[[Any], Traits]] = {
 
 def traits_seen(env) -> Traits:
     """The traits of an environment that was loaded or made by hand."""
-    def has(name: str) -> bool:
-        return getattr(env, name, None) is not None
-
     return Traits(
-        finite_goals=has("goals"), image_goals=has("train_backgrounds"), moves=bool(getattr(env, "discrete", False)),
-        finite_observations=has("num_observations"), recorded=has("recorded"),
-        target_states=isinstance(env, SubgoalEnv) or hasattr(type(env), "space"),  # Not of the instance: some can say only when asked.
+        finite_goals=env.goals is not None, image_goals=env.train_backgrounds is not None, moves=env.discrete,
+        finite_observations=env.num_observations is not None, recorded=env.recorded is not None, target_states=env.has_target_states,
     )
 
 

@@ -34,7 +34,7 @@ def summarise(env, starts, episodes: Episodes, name: str) -> dict[str, jax.Array
     name: of the metrics, with `{group}` for train, validation or test. SPL is success * shortest / max(steps, shortest) (Anderson et al. 2018).
     """
     scores = {"success_rate": episodes.success, "episode_length": episodes.steps}
-    if hasattr(env, "shortest_path"):
+    if env.has_shortest_path:
         shortest = jax.vmap(env.shortest_path)(starts)
         scores["spl"] = episodes.success * shortest / jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
     by_goal = jax.tree.map(lambda leaf: leaf.reshape(len(env.goals.evaluated), -1).mean(1), scores)

@@ -25,7 +25,6 @@ from infogoal_jax.hyperparameters import Search, search_space, values_of, with_v
 from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
 from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.program import Train, TrainState, make_train
 
 FIRST_SEED = 1000
@@ -111,12 +110,9 @@ def check_seeds(seeds: Sequence[int], trials: int) -> None:
 
 def scored_goals_only(env) -> tuple[Any, str]:
     """The environment with no other goals evaluated than those that trials are scored on, and their group."""
-    if isinstance(env, SubgoalEnv):
-        inner, group = scored_goals_only(env.env)
-        return env.replace(env=inner), group
     group = "validation" if "validation" in env.goals.groups else "train"
     scored = np.flatnonzero(getattr(env.goals, f"{group}_mask"))
-    return env.replace(goals=env.goals.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))), group
+    return env.with_goals(env.goals.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))), group
 
 
 def fields_that_matter(train: Train) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
 from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
@@ -47,7 +48,7 @@ class FetchState:
 
 
 @flax.struct.dataclass
-class Fetch:
+class Fetch(Environment):
     """A Fetch task: pure functions over `FetchState`. A pytree without leaves: all it knows is compiled in."""
 
     task: Task = flax.struct.field(pytree_node=False)
@@ -56,6 +57,8 @@ class Fetch:
     ends_at_goal: bool = flax.struct.field(pytree_node=False)
 
     action_size = 4
+    discrete = False
+    goals = None
 
     @property
     def observation_size(self) -> int:
@@ -141,10 +144,6 @@ class Fetch:
         time = state.time + 1
         terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
         return state.replace(time=time, terminated=terminated, truncated=((time >= self.episode_length) | diverged) & ~terminated, diverged=diverged)
-
-    def decides(self, state: FetchState) -> jax.Array:
-        """Whether the next step follows a decision of the agent: always, bool."""
-        return jnp.ones_like(state.terminated)
 
     def observe(self, state: FetchState) -> jax.Array:
         """What is stored of the observation: all of it, float32 [10 or 25]."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from infogoal_jax.data import archives, backgrounds, goal_images
 from infogoal_jax.envs.cells import Cells
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import environment, targets
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.goals import GoalSet
@@ -39,7 +40,7 @@ class ImageGoalState:
 
 
 @flax.struct.dataclass
-class ImageGoals:
+class ImageGoals(Environment):
     """A Fetch task with image goals. A pytree of the goal images and what belongs to them.
 
     positions: float32 [N, 3] of each goal (m). train_backgrounds, test_backgrounds: uint8 [M, 64, 64, 3], to corrupt goal images with.
@@ -49,19 +50,15 @@ class ImageGoals:
     robot: environment.Fetch
     goals: GoalSet
     positions: jax.Array
-    train_backgrounds: jax.Array
-    test_backgrounds: jax.Array
+    train_backgrounds: jax.Array = flax.struct.field(kw_only=True)  # The contract's default, None, is not one here.
+    test_backgrounds: jax.Array = flax.struct.field(kw_only=True)
     grid_low: jax.Array
     spacing: jax.Array
     grid_shape: tuple[int, int, int] = flax.struct.field(pytree_node=False)
     source: str = flax.struct.field(pytree_node=False)
 
-    num_observations = None
-    """Observations are vectors, not indices."""
     discrete = False
-    """An action is a vector."""
-    recorded = None
-    """Nothing was recorded beforehand: the agent acts."""
+    has_target_states = True
 
     @property
     def space(self) -> targets.TargetSpace:
@@ -90,10 +87,6 @@ class ImageGoals:
     def step(self, state: ImageGoalState, action: jax.Array) -> ImageGoalState:
         """40 ms under an action [4] in [-1, 1]."""
         return state.replace(robot=self.robot.step(state.robot, action))
-
-    def decides(self, state: ImageGoalState) -> jax.Array:
-        """Whether the next step follows a decision of the agent: always, bool."""
-        return self.robot.decides(state.robot)
 
     def observe(self, state: ImageGoalState) -> jax.Array:
         """What is stored of the observation: all of it, float32 [10 or 25]."""

@@ -1,0 +1,110 @@
+"""The contract for environments: what a task has to be, to be trained on. Derive from `Environment` and write what has no default.
+
+An environment is a pytree (`flax.struct.dataclass`): its arrays travel to compiled programs as arguments. Its functions are pure, and take one state;
+`jax.vmap` batches them. Functions of *stored* observations and records take any leading axes, because they are also applied to the replay buffer.
+docs/own_task.md makes a task of one's own, from nothing to a trained policy.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.replay import Trajectories
+
+
+class Environment:
+    """A task. Members without a value must be given; the others have the value that most tasks need.
+
+    A state is a pytree with at least `goal` (the desired goal), `time` (int32, steps taken), `terminated` (bool, the goal is reached), `truncated`
+    (bool, time is up; never together with terminated) and `diverged` (bool, the last step of a simulation was thrown away and is not stored).
+    """
+
+    goals: GoalSet | None
+    """The finite goal space. A goal is an int32 index into it. None: goals are not a finite set; such a task can be stepped, but not trained on."""
+    action_size: int
+    """Number of actions, or the size of an action vector."""
+    episode_length: int
+    """Steps after which an episode is truncated."""
+    source: str
+    """What the data is, in words, for reports; stand-in data is called so."""
+    space: Any
+    """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py, envs/joints.py)."""
+
+    discrete = True
+    """Whether an action is a choice among a few, int32; False: a vector float32 [action_size] in [-1, 1]."""
+    recorded: Trajectories | None = None
+    """Recorded trajectories to learn from without acting; None: the agent acts."""
+    num_observations: int | None = None
+    """Number of different observations, where each is an index int32; None: observations are vectors, or too many to be listed."""
+    train_backgrounds: jax.Array | None = None
+    """Images uint8 [B, H, W, C] that goal images may be corrupted with in training; None where goals are not images."""
+    test_backgrounds: jax.Array | None = None
+    """The same for evaluation: other images."""
+    goal_positions: jax.Array | None = None
+    """Where goals lie, float32 [N, D], for relabellings that ask how far goals are apart; None: unknown."""
+    num_cells: int = 1
+    """Number of cells in which visits are counted."""
+    has_target_states = False
+    """Whether a low level can be sent to target states (HRAC); then `space` says which."""
+    has_shortest_path = False
+    """Whether `shortest_path` is known."""
+
+    def reset(self, key: jax.Array) -> Any:
+        """The state of a new episode: a training goal (`goals.commanded`) and a start at which it is not reached, drawn anew."""
+        raise NotImplementedError
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> Any:
+        """The state of a new episode for this desired goal, int32."""
+        raise NotImplementedError
+
+    def step(self, state: Any, action: jax.Array) -> Any:
+        """The state after one action. What a finished episode does is of no interest: it is reset by the loop."""
+        raise NotImplementedError
+
+    def observe(self, state: Any) -> Any:
+        """What is stored of the observation: an index int32 where there is a dataset of images, else a vector; or a pytree of these."""
+        raise NotImplementedError
+
+    def render(self, observation: Any) -> jax.Array:
+        """What the state encoder sees of stored observations [...]: images uint8 [..., H, W, C] or vectors float32 [..., D]."""
+        raise NotImplementedError
+
+    def achieved(self, state: Any) -> jax.Array:
+        """The record of what was achieved in a state, to be stored: a node, or a position [D]."""
+        raise NotImplementedError
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether records achieve goals, bool [...]: by true distance, never by the cell of a grid."""
+        raise NotImplementedError
+
+    def goals_of(self, record: jax.Array) -> jax.Array:
+        """The goals that records [...] achieve, for relabelling and representation learning: int32 [..., K], padded with -1."""
+        raise NotImplementedError
+
+    def cell_of(self, record: jax.Array) -> jax.Array:
+        """The cell in which a visit to each record [...] is counted, int32 [...] below `num_cells`."""
+        return jnp.zeros(self.goals_of(record).shape[:-1], jnp.int32)
+
+    def action_mask(self, observation: Any) -> jax.Array:
+        """The actions that can be taken after stored observations [...], bool [..., A]."""
+        leading = self.render(observation).shape[: jax.tree.leaves(observation)[0].ndim]
+        return jnp.ones((*leading, self.action_size), bool)
+
+    def decides(self, state: Any) -> jax.Array:
+        """Whether the next step follows a new decision of the agent, bool."""
+        return jnp.ones_like(state.terminated)
+
+    def shortest_path(self, state: Any) -> jax.Array:
+        """Steps to the desired goal on a shortest path, int32; where `has_shortest_path`."""
+        raise NotImplementedError
+
+    @property
+    def unwrapped(self) -> "Environment":
+        """The task itself, without what is wrapped around it."""
+        return self
+
+    def with_goals(self, goals: GoalSet | None) -> "Environment":
+        """The same task with another goal set, such as one of which fewer goals are evaluated."""
+        return self.replace(goals=goals)
