@@ -1,6 +1,7 @@
 """A run as read back from its folder: configuration, seeds, tables and parameters."""
 
 import dataclasses
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,12 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.presets.saved import from_dict
 from infogoal_jax.train import checkpoint
-from infogoal_jax.train.program import Train
+from infogoal_jax.train.policies import tested_policy
+from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.rollout import Policy
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,9 +29,29 @@ class Run:
     versions: dict[str, str]
     device: str
 
+    @functools.cached_property
+    def train(self) -> Train:
+        """The training function of the run's configuration, with its environment."""
+        return make_train(self.config)
 
-def read_run(folder: Path) -> Run:
+    @property
+    def env(self) -> Any:
+        """The environment that the run was trained in, as its agent acts in it."""
+        return self.train.env
+
+    def policy(self, seed: int = 0, use_mean: bool = False) -> Policy:
+        """The last policy of a seed, greedy: observations [E, ...], goals int32 [E] and a key to actions. use_mean: of the goal's code, not a sample.
+
+        Raises `UserError` for a seed that the run does not have, or a damaged file.
+        """
+        require(seed in self.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, self.seeds))}")
+        params = jax.tree.map(lambda leaf: jnp.asarray(leaf[self.seeds.index(seed)]), read_params(self, self.train))
+        return tested_policy(self.train.parts, params, self.config.hyper, self.env, use_mean)
+
+
+def read_run(folder: str | Path) -> Run:
     """The run in this folder. Raises `UserError` if there is none, or its config.json cannot be read."""
+    folder = Path(folder)
     path = folder / "config.json"
     try:
         values = json.loads(path.read_text())

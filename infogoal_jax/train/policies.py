@@ -3,7 +3,7 @@
 import jax
 
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.learners.learner import Encode, conditioned, encode_commanded, lookup
+from infogoal_jax.learners.learner import Encode, conditioned, encode_commanded, encode_goals, lookup
 from infogoal_jax.train.encoding import encode_states, training_view
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
@@ -27,6 +27,12 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     """The policy that collects: each goal under a background, where training corrupts goals, that stays for the epoch."""
     encode = encode_commanded(parts.learner, params["goal"], env.goals, parts.config.batch_size, training_view(parts, env, augmented=False), key)
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
+
+
+def tested_policy(parts, params, hyper, env, use_mean: bool = False) -> Policy:
+    """The greedy policy on goals as they are; any goal may be given, not those of an evaluation alone."""
+    encode = encode_goals(parts.learner, params["goal"], env.goals, parts.config.batch_size)
+    return policy(parts, params, Exploration(hyper.test_epsilon, 0.0), env, encode, use_mean=use_mean or parts.learner.mean_at_test)
 
 
 def test_policies(parts, params, hyper, env, num_starts: int, corruption: float | None = None, seed: int = EVALUATION_SEED) -> dict[str, Policy]:

@@ -76,6 +76,13 @@ class Episodes:
     observations: jax.Array
 
 
+def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
+    """One episode for a desired goal, int32, from a start drawn from the key; without the axis of episodes. Compile it with `jax.jit`."""
+    start_key, act_key = jax.random.split(key)
+    starts = jax.vmap(env.reset_to)(start_key[None], jnp.asarray(goal, jnp.int32)[None])
+    return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
+
+
 def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
     """One episode from each of the E start states, to its end. The key is shared by all: nothing is drawn from seeds."""
 
