@@ -8,11 +8,11 @@ import sys
 import jax
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.presets import load
 from infogoal_jax.presets.saved import from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import files
-from infogoal_jax.train.command_line import main
 
 
 @pytest.fixture(autouse=True)
@@ -128,7 +128,7 @@ def test_an_object_that_the_dataset_does_not_have_is_named(tmp_path, capsys, no_
 
 
 def test_no_traceback_and_a_failing_exit_status_in_a_process_of_its_own():
-    command = [sys.executable, "-m", "infogoal_jax.train.command_line", "train", "object_search", "--hyper.epsilon", "3"]
+    command = [sys.executable, "-m", "infogoal_jax", "train", "object_search", "--hyper.epsilon", "3"]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 2
     assert "hyper.epsilon = 3.0" in done.stderr and "Traceback" not in done.stderr
@@ -184,7 +184,7 @@ def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
     code = f"""
 import resource, sys
 from infogoal_jax.train import files
-from infogoal_jax.train.command_line import main
+from infogoal_jax.cli.main import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 sys.exit(main({arguments.split()!r}))
 """

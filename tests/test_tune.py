@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import Hyperparameters, make_train, presets
+from infogoal_jax.cli.main import main
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.errors import UserError
@@ -18,7 +19,6 @@ from infogoal_jax.hyperparameters import check, search_space, with_values
 from infogoal_jax.report import tuning
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
-from infogoal_jax.train.command_line import main
 from infogoal_jax.train.tune import Trial, TuneResult, tune
 
 USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
