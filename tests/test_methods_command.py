@@ -12,7 +12,8 @@ import hand_made_points
 import pytest
 
 from infogoal_jax import agents, exploration, learners, presets
-from infogoal_jax.cli.main import is_of_method, main
+from infogoal_jax.cli.choice import is_of_method
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none

@@ -40,16 +40,17 @@ def leading_words(arguments: list[str]) -> list[str]:
     return list(itertools.takewhile(lambda word: not word.startswith("-"), arguments))
 
 
-def check_names(group: Group, words: list[str], path: str = "") -> None:
-    """Raise `UserError`, with the nearest name, if the words lead to no command."""
-    if not words:
+def check_names(group: Group, arguments: list[str], path: str = "") -> None:
+    """Raise `UserError`, with the nearest name, if the words in front lead to no command. Flags are left to tyro."""
+    known, name = list(group.commands), arguments[0] if arguments else ""
+    if name.startswith("-"):
         return
-    if words[0] not in group.commands:
-        known = list(group.commands)
-        raise UserError(f"{path}{words[0]!r}: no such command.{nearest(words[0], known)} Known: {', '.join(known)}")
-    command = group.commands[words[0]]
+    if name not in known:
+        wrong = f"{path}{name!r}: no such command.{nearest(name, known)}" if name else f"{path.strip()}: name what is meant."
+        raise UserError(f"{wrong} Known: {', '.join(known)}")
+    command = group.commands[name]
     if isinstance(command, Group):
-        check_names(command, words[1:], f"{path}{words[0]} ")
+        check_names(command, arguments[1:], f"{path}{name} ")
 
 
 def type_of(group: Group) -> Any:

@@ -7,7 +7,6 @@ import tyro
 import infogoal_jax
 from infogoal_jax.cli import pretraining, training, tuning
 from infogoal_jax.cli.commands import Group, check_names, type_of
-from infogoal_jax.cli.commands import leading_words as words_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.methods import methods
 from infogoal_jax.cli.pretraining import pretrain
@@ -31,16 +30,17 @@ def run(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         print(infogoal_jax.__version__)
         return 0
-    words, commands, registry = words_of(arguments), COMMANDS.commands, None
-    check_names(COMMANDS, words)
-    if words:
-        name = words[0]
+    arguments, commands, registry = arguments or ["--help"], COMMANDS.commands, None
+    check_names(COMMANDS, arguments)
+    if arguments[0] in commands:
+        name = arguments[0]
         commands = {name: commands[name]}  # So that what is said about a mistake is about this command.
         if name in BY_TASK:
             commands[name], rest, registry = BY_TASK[name](arguments[1:])
+            check_names(commands[name], rest, f"{name} ")
             arguments = [name, *rest]
     return tyro.cli(
-        type_of(Group(HELP, commands)), prog="infogoal", description=HELP, args=arguments or ["--help"], registry=registry,
+        type_of(Group(HELP, commands)), prog="infogoal", description=HELP, args=arguments, registry=registry,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
     )
 
