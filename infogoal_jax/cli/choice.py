@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from infogoal_jax.cli.commands import leading_words
+from infogoal_jax.cli.commands import first_word
 from infogoal_jax.errors import UserError
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ class Choice(Parts):
 
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:
     """The task, which is the first word or left out, and what the flags choose."""
-    words = leading_words(arguments)[:1]
-    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[len(words):], return_unknown_args=True, add_help=False)
-    return "".join(words), choice
+    task = first_word(arguments)
+    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[bool(task):], return_unknown_args=True, add_help=False)
+    return task, choice
 
 
 def preset_of(task: str, choice: Parts) -> "TrainConfig":
@@ -96,4 +96,5 @@ def known_names() -> dict[str, list[str]]:
     """The names that each field of `Parts` can have, those that were registered later among them."""
     from infogoal_jax import presets
 
-    return {"method": [*presets.METHODS], **{kind: [*registry] for kind, registry in presets.REGISTRIES.items()}}
+    names = {kind: list(registry) for kind, registry in presets.REGISTRIES.items()}
+    return {"method": list(dict.fromkeys([*presets.METHODS, *names["learner"]])), **names}

@@ -1,7 +1,6 @@
 """What commands are, and the tree that they make: groups of commands within groups, as tyro takes them."""
 
 import functools
-import itertools
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple, Union
 
@@ -35,15 +34,15 @@ def named(command: Command, help: str, /, **values) -> Command:
     return command
 
 
-def leading_words(arguments: list[str]) -> list[str]:
-    """The words in front of the first flag."""
-    return list(itertools.takewhile(lambda word: not word.startswith("-"), arguments))
+def first_word(arguments: list[str]) -> str:
+    """The first of the arguments; empty if there is none, or a flag comes first."""
+    return arguments[0] if arguments and not arguments[0].startswith("-") else ""
 
 
 def check_names(group: Group, arguments: list[str], path: str = "") -> None:
     """Raise `UserError`, with the nearest name, if the words in front lead to no command. Flags are left to tyro."""
-    known, name = list(group.commands), arguments[0] if arguments else ""
-    if name.startswith("-"):
+    known, name = list(group.commands), first_word(arguments)
+    if arguments and not name:
         return
     if name not in known:
         wrong = f"{path}{name!r}: no such command.{nearest(name, known)}" if name else f"{path.strip()}: name what is meant."
@@ -63,4 +62,4 @@ def type_of(group: Group) -> Any:
             help = command.__doc__ if isinstance(command, functools.partial) else None
             described = tyro.conf.subcommand(name, constructor=command, description=help)
         arms.append(Annotated[Any, described])
-    return Union[(*arms, Annotated[None, tyro.conf.Suppress])]
+    return Union[(*arms, Annotated[None, tyro.conf.Suppress])]  # A command alone would be no union.

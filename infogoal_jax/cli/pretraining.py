@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Suppress
 
-from infogoal_jax.cli.commands import Group, TaskCommands, leading_words, named
+from infogoal_jax.cli.commands import Group, TaskCommands, first_word, named
 from infogoal_jax.cli.folders import new_folder
 from infogoal_jax.errors import UserError, nearest
 
@@ -62,9 +62,9 @@ def tasks(arguments: list[str]) -> TaskCommands:
     from infogoal_jax.train.pretrain import PRESETS, preset
     from infogoal_jax.train.pretrain_joints import TASK, JointPretrainConfig
 
-    words, known = leading_words(arguments), [*PRESETS, TASK]
-    if words and words[0] not in known:
-        raise UserError(f"task = {words[0]!r}: no low level can be trained for it.{nearest(words[0], known)} Known: {', '.join(known)}")
+    task, known = first_word(arguments), [*PRESETS, TASK]
+    if task and task not in known:
+        raise UserError(f"task = {task!r}: no low level can be trained for it.{nearest(task, known)} Known: {', '.join(known)}")
     written = " ".join(["infogoal pretrain", *arguments])
     commands = {task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written) for task in PRESETS}
     help = "The low level of object manipulation (docs/object_manipulation.md)."
