@@ -1,6 +1,7 @@
 """How the fields of a configuration are shown as flags: help from their docstrings, intervals from the declarations of the numbers."""
 
 import dataclasses
+import functools
 import typing
 from typing import Annotated, Any
 
@@ -28,7 +29,9 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
         of_command = "task" in hints
         if not (of_command or record is Parts or numbers_of(record)):
             return None  # Tyro's own rule does.
-        helps = documented(record)
+        helps = docstrings_of(record)
+        if record is Parts:
+            helps = {name: f"{words.removesuffix('.')}: {', '.join(known_names()[name])}." for name, words in helps.items()}
         if of_command and brief:
             helps = {name: words.partition(";")[0].partition(". ")[0].removesuffix(".") + "." for name, words in helps.items()}
         fields = []
@@ -48,13 +51,11 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
     return registry
 
 
-def documented(record: type) -> dict[str, str]:
-    """What the docstrings of a record's fields say, and for parts the names that they can have."""
+@functools.cache
+def docstrings_of(record: type) -> dict[str, str]:
+    """What the docstrings of a record's fields say, in one line each."""
     found = docstring_parser.parse_from_object(record).params
-    words = {field.arg_name: " ".join((field.description or "").split()) for field in found}
-    if record is Parts:
-        return {name: f"{help.removesuffix('.')}: {', '.join(known_names()[name])}." for name, help in words.items()}
-    return words
+    return {field.arg_name: " ".join((field.description or "").split()) for field in found}
 
 
 def short(hint: Any) -> Any:
