@@ -26,7 +26,7 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
         if not dataclasses.is_dataclass(record) or type(default) is not record:
             return None
         hints = typing.get_type_hints(record, include_extras=True)
-        of_command = "task" in hints
+        of_command = {"task", "hyper"} <= hints.keys()
         if not (of_command or record is Parts or numbers_of(record)):
             return None  # Tyro's own rule does.
         helps = docstrings_of(record)
