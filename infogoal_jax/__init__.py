@@ -1,13 +1,37 @@
 """infogoal-jax: goal-conditioned reinforcement learning as one pure, jitted program. See `make_train`, `presets` and `envs`."""
 
-from infogoal_jax import envs, presets
-from infogoal_jax.config import Hyperparameters, TrainConfig
-from infogoal_jax.errors import UserError
-from infogoal_jax.train.compilation import compiler_options, use_compilation_cache
-from infogoal_jax.train.program import Train, TrainResult, make_train
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from infogoal_jax import envs, presets
+    from infogoal_jax.config import Hyperparameters, TrainConfig
+    from infogoal_jax.errors import UserError
+    from infogoal_jax.train.compilation import compiler_options, use_compilation_cache
+    from infogoal_jax.train.program import Train, TrainResult, make_train
 
 __version__ = "0.1.0"
 __all__ = [
     "Hyperparameters", "Train", "TrainConfig", "TrainResult", "UserError", "compiler_options", "envs", "make_train", "presets",
     "use_compilation_cache",
 ]
+MODULES = {
+    "Hyperparameters": "config", "TrainConfig": "config", "UserError": "errors",
+    "compiler_options": "train.compilation", "use_compilation_cache": "train.compilation",
+    "Train": "train.program", "TrainResult": "train.program", "make_train": "train.program",
+}
+"""Where each name is written. They are imported when they are first asked for: JAX takes half a second, which a help text need not wait for."""
+
+
+def __getattr__(name: str) -> Any:
+    """What `__all__` names, imported now."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = importlib.import_module(f"{__name__}.{MODULES.get(name, name)}")
+    value = getattr(module, name) if name in MODULES else module
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -18,10 +18,10 @@ import pooch
 import pytest
 
 from infogoal_jax import goals
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import backgrounds
 from infogoal_jax.errors import UserError
 from infogoal_jax.stand_ins import photographs
-from infogoal_jax.train.command_line import main
 
 BATCHES = (*backgrounds.TRAIN_BATCHES, *backgrounds.TEST_BATCHES)
 

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.envs import load
 from infogoal_jax.envs.fetch.recordings import Recording, load_recordings
 from infogoal_jax.report import fetch_parity as parity
 from infogoal_jax.report.fetch_parity import Replayed, compare, replay
-from infogoal_jax.train.command_line import main
 
 EPISODES, STEPS = 2, 3
 

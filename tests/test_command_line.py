@@ -1,5 +1,6 @@
 """The command line: a newcomer is understood, and a mistake is named with its field, its value and the remedy, before anything is compiled."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -8,11 +9,14 @@ import sys
 import jax
 import pytest
 
+import infogoal_jax
+from infogoal_jax import envs, presets
+from infogoal_jax.cli.main import main
+from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
 from infogoal_jax.presets.saved import from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import files
-from infogoal_jax.train.command_line import main
 
 
 @pytest.fixture(autouse=True)
@@ -128,22 +132,83 @@ def test_an_object_that_the_dataset_does_not_have_is_named(tmp_path, capsys, no_
 
 
 def test_no_traceback_and_a_failing_exit_status_in_a_process_of_its_own():
-    command = [sys.executable, "-m", "infogoal_jax.train.command_line", "train", "object_search", "--hyper.epsilon", "3"]
+    command = [sys.executable, "-m", "infogoal_jax", "train", "object_search", "--hyper.epsilon", "3"]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ)
     assert done.returncode == 2
     assert "hyper.epsilon = 3.0" in done.stderr and "Traceback" not in done.stderr
 
 
-def test_help_names_every_command_and_every_field(capsys):
-    assert main(["--help"]) == 0
-    overview = capsys.readouterr().out
-    assert all(command in overview for command in ("train", "evaluate", "report", "data check", "data build", "data embed"))
-    with pytest.raises(SystemExit) as stopped:
-        main(["train", "object_search", "--help"])
-    assert stopped.value.code == 0
-    text = capsys.readouterr().out
-    for flag in ("--seeds", "--num-epochs", "--env.dataset", "--learner.window", "--agent.num-steps", "--hyper.discount", "--state-encoder.patch"):
-        assert flag in text
+SCREEN = 45
+"""Lines."""
+
+
+@pytest.fixture
+def help_of(capsys, monkeypatch):
+    """What is printed for these arguments, which ask for a help."""
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def printed(arguments: str) -> str:
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments.split())
+        assert stopped.value.code == 0
+        return capsys.readouterr().out
+
+    return printed
+
+
+@pytest.mark.parametrize(("arguments", "expected"), [
+    ("", ["train", "evaluate", "report", "data", "final", "--version"]),
+    ("train", [*presets.registry, "--resume"]),
+    ("train object_search", ["--seeds", "--num-epochs", "--method", "--agent", "dqn, hrac, cql", "--help-all", "default: 100"]),
+    ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
+    ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
+    ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
+    ("evaluate", ["RUN", "--starts", "default: 50"]),
+    ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount"]),
+])
+def test_help_fits_a_screen_and_names_what_there_is(arguments, expected, help_of):
+    text = help_of(f"{arguments} --help")
+    assert all(words in text for words in expected) and "--task" not in text
+    assert text == help_of(f"{arguments} -h") and (len(text.splitlines()) <= SCREEN or arguments.startswith("pretrain"))
+
+
+def test_the_help_of_all_flags_has_every_field_and_the_interval_of_every_number(help_of):
+    text = " ".join(help_of("train object_search --learner vae --agent cql --help-all").replace("│", " ").split())
+    config = load("object_search", learner="vae", agent="cql")
+    fields = {f"{kind}.{field.name}" for kind in ("env", "learner", "agent", "state_encoder") for field in dataclasses.fields(getattr(config, kind))}
+    for name in fields:
+        assert f"--{name.replace('_', '-')}" in text
+    for name, value, number in floats(config.hyper):
+        assert f"--hyper.{name.replace('_', '-')} FLOAT" in text
+        assert f"(in {number.interval}, default: {value})" in text
+
+
+def test_a_task_that_is_registered_later_is_a_subcommand(monkeypatch, help_of):
+    monkeypatch.setitem(envs.registry, "mine", envs.registry["object_search"])
+    monkeypatch.setitem(presets.registry, "mine", dataclasses.replace(presets.registry["object_search"], description="A task of my own."))
+    assert "A task of my own." in help_of("train --help")
+    assert "A task of my own." in help_of("train mine --help")
+
+
+def test_help_and_the_version_come_without_jax():
+    code = """
+import sys
+from infogoal_jax.cli.main import main
+assert main(["--version"]) == 0
+for arguments in ([], ["--help"], ["data", "--help"], ["evaluate", "--help"], ["methods", "--help"]):
+    try:
+        main(arguments)
+    except SystemExit as stopped:
+        assert stopped.code == 0
+assert not {"jax", "numpy", "scipy"} & {*sys.modules}
+"""
+    assert infogoal_jax.__version__ in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+def test_names_of_the_package_are_imported_when_they_are_asked_for():
+    assert {*infogoal_jax.__all__} <= {*dir(infogoal_jax)} and all(getattr(infogoal_jax, name) for name in infogoal_jax.__all__)
+    with pytest.raises(AttributeError, match="nothing_of_that_name"):
+        _ = infogoal_jax.nothing_of_that_name
 
 
 def test_a_configuration_comes_back_from_its_json():
@@ -170,7 +235,7 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     assert main(["evaluate", "run", "--corruption", "0.4"]) == 2 and main(["video", "run", "--out", "a.mp4"]) == 2
     refusals = capsys.readouterr().err
     assert "goals of object_search are no images" in refusals and "is of object_search; videos are of tasks with image goals" in refusals
-    assert main("train object_search --resume run --num-epochs 3 --no-figures".split()) == 0
+    assert main("train --resume run --num-epochs 3 --no-figures".split()) == 0
     assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [1, 1, 2, 2, 3, 3]
     capsys.readouterr()
     assert main(f"train object_search --out run {TINY}".split()) == 2  # The folder holds a run.
@@ -184,7 +249,7 @@ def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
     code = f"""
 import resource, sys
 from infogoal_jax.train import files
-from infogoal_jax.train.command_line import main
+from infogoal_jax.cli.main import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 sys.exit(main({arguments.split()!r}))
 """

@@ -10,11 +10,11 @@ import pytest
 from matplotlib.image import imread
 
 from infogoal_jax import envs, presets
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets.saved import to_dict
 from infogoal_jax.report.comparison_figures import check_same_task, comparison, draw_comparison, read_compared
 from infogoal_jax.train import files
-from infogoal_jax.train.command_line import main
 
 EPOCHS, STARTS = (1, 2, 3), 2
 DATA = "hand-made graph (a stand-in for nothing)"

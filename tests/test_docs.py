@@ -1,34 +1,25 @@
 """What the README and the docs name is there: links, files, flags, methods; their Python is Python."""
 
 import ast
-import dataclasses
+import contextlib
+import functools
+import io
+import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
-from infogoal_jax import envs, learners, presets
-from infogoal_jax.train import command_line, data_commands, run_commands
-from infogoal_jax.train.pretrain import PretrainConfig, preset
-from infogoal_jax.train.pretrain_host import PretrainCommand
-from infogoal_jax.train.pretrain_joints import JointPretrainConfig
+from infogoal_jax import learners, presets
+from infogoal_jax.cli.commands import Group
+from infogoal_jax.cli.main import BY_TASK, COMMANDS, main
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
 OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
-COMMANDS = {  # Words after `infogoal`, and the dataclass whose fields are the flags.
-    "evaluate": run_commands.EvaluateCommand, "report": run_commands.ReportCommand, "data check": data_commands.CheckCommand,
-    "data build house": data_commands.BuildHouseCommand, "data embed": data_commands.EmbedCommand,
-    "pretrain": PretrainCommand(config=preset("fetch_push")), "video": run_commands.VideoCommand, "data build fetch": data_commands.BuildFetchCommand,
-    "data build backgrounds": data_commands.BuildBackgroundsCommand, "data download cifar10": data_commands.DownloadCifar10Command,
-    "data build cube": data_commands.BuildCubeCommand, "data build shelf": data_commands.BuildShelfCommand,
-    "data import": data_commands.ImportCommand, "data export-minari": data_commands.ExportMinariCommand,
-    "pretrain object_manipulation": JointPretrainConfig(), "methods": command_line.MethodsCommand,
-    "compare": run_commands.CompareCommand,
-    "tune": command_line.TuneCommand(config=presets.load("object_search")), "final": command_line.FinalCommand,
-}
-
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
@@ -37,26 +28,43 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.M | re.S)
 
 
-def flags_of(record, prefix: str = "") -> set[str]:
-    """The flags that tyro makes of a configuration record, or of a dataclass that holds plain values only."""
-    found = set()
-    for field in dataclasses.fields(record):
-        value = getattr(record, field.name, None)
-        name = field.name.replace("_", "-")
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            inlined = isinstance(value, command_line.TrainConfig | command_line.Selection | PretrainConfig)
-            found |= flags_of(value, "" if inlined else f"{prefix}{name}.")
+def flags_in(text: str) -> set[str]:
+    """Everything that looks like a long flag."""
+    return {flag.rstrip(".-") for flag in re.findall(r"(?<![\w-])--[a-z][\w.-]*", text)}
+
+
+@functools.cache
+def flags_of(words: str) -> set[str]:
+    """The flags in the help of these words of the command line."""
+    printed = io.StringIO()
+    with mock.patch.dict(os.environ, {"COLUMNS": "200"}), contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
+        main([*words.split(), "--help-all" if words.split()[0] in ("train", "tune") else "--help"])
+    return flags_in(printed.getvalue())
+
+
+def commands_in(group: Group, path: str = "") -> Iterator[str]:
+    """The words of every command."""
+    for name, command in group.commands.items():
+        if isinstance(command, Group):
+            yield from commands_in(command, f"{path}{name} ")
+        elif not path and name in BY_TASK:
+            yield from commands_in(BY_TASK[name]([]).group, f"{name} ")
         else:
-            found |= {f"--{prefix}{name}", f"--{prefix}no-{name}"} if isinstance(value, bool) else {f"--{prefix}{name}"}
-    return found
+            yield f"{path}{name}"
 
 
-def train_flags() -> set[str]:
-    """The flags of `infogoal train`, of every task and method."""
-    configs = [presets.load(task, method, relabelling="her") for task in presets.TASKS for method in learners.registry]
-    configs += [presets.load("object_search", method) for method in presets.METHODS]
-    configs.append(presets.load("object_manipulation", agent="dqn"))
-    return set().union(*(flags_of(command_line.TrainCommand(config=config)) for config in configs))
+@functools.cache
+def flags_of_all_parts() -> set[str]:
+    """The flags of `infogoal train`, of every task and part."""
+    chosen = [f"{task} --learner {learner} --relabelling her" for task in presets.TASKS for learner in learners.registry]
+    chosen += [f"object_search --method {method}" for method in presets.METHODS] + ["object_manipulation --agent dqn"]
+    return set().union(*(flags_of(f"train {words}") for words in chosen))
+
+
+@functools.cache
+def flags_of_commands() -> dict[str, set[str]]:
+    """The flags of every command, by its words; of one that takes parts by name, those of every part."""
+    return {words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set()) for words in commands_in(COMMANDS)}
 
 
 def benchmark_flags(path: Path) -> set[str]:
@@ -66,15 +74,10 @@ def benchmark_flags(path: Path) -> set[str]:
     return {name.value for name in names if isinstance(name, ast.Constant) and name.value.startswith("--")}
 
 
-def flags_in(text: str) -> set[str]:
-    """Everything that looks like a long flag."""
-    return {flag.rstrip(".-") for flag in re.findall(r"(?<![\w-])--[a-z][\w.-]*", text)}
-
-
 def known_flags() -> set[str]:
     """The flags of all commands and benchmarks."""
     of_benchmarks = set().union(*(benchmark_flags(path) for path in (ROOT / "benchmarks").glob("*/*.py")))
-    return train_flags().union(of_benchmarks, OTHERS_FLAGS, *(flags_of(command) for command in COMMANDS.values()))
+    return OTHERS_FLAGS.union(of_benchmarks, *flags_of_commands().values())
 
 
 @each_page
@@ -111,12 +114,12 @@ def test_flags_stand_behind_their_own_command(page):
     for line in "".join(blocks(page, "console")).splitlines():
         command, _, _ = line.partition("#")
         words = command.split()
-        if words[:2] in (["infogoal", "train"], ["infogoal", "tune"]):
-            own = flags_of(COMMANDS["tune"]) if words[1] == "tune" else set()
-            assert words[2] in envs.registry and flags_in(command) <= train_flags() | own, line
-        elif words[:1] == ["infogoal"]:
-            name = max((name for name in COMMANDS if " ".join(words[1:]).startswith(name)), key=len, default=None)
-            assert name and flags_in(command) <= flags_of(COMMANDS[name]), line
+        if words[:1] == ["infogoal"]:
+            known = flags_of_commands()
+            name = max((name for name in known if f"{' '.join(words[1:])} ".startswith(f"{name} ")), key=len, default=None)
+            resumed = known["train object_search"] if words[1:3] == ["train", "--resume"] else None
+            assert name or resumed, line
+            assert flags_in(command) <= (resumed or known[name]), line
         elif words[:1] == ["python"]:
             assert flags_in(command) <= benchmark_flags(ROOT / words[1]), line
 
@@ -131,11 +134,3 @@ def test_methods_that_are_named_on_a_command_line_exist(page):
 def test_python_blocks_compile(page):
     for block in blocks(page, "python"):
         ast.parse(block)
-
-
-def test_flags_of_a_command_are_those_that_tyro_makes(capsys, monkeypatch):
-    """`flags_of` against the help text of the command itself."""
-    monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit):
-        command_line.main(["train", "object_search", "--help"])
-    assert flags_in(capsys.readouterr().out) == flags_of(command_line.TrainCommand(config=presets.load("object_search"))) | {"--help"}

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives, frames, frames_check
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError
 from infogoal_jax.stand_ins import cube
-from infogoal_jax.train.command_line import main
 
 
 def small(**changes) -> FrameDataset:

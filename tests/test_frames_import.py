@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import frames, frames_check
 from infogoal_jax.data.frames_import import import_folder
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.command_line import main
 
 MOVES = """image,trajectory,time,action,state,qw,qx,qy,qz,x,y,joint_lift,objects
 a.png,second,0,right,left end,1,0,0,0,0.5,1,90,red mug; book

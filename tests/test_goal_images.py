@@ -9,12 +9,12 @@ import zipfile
 import numpy as np
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
 from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.command_line import main
 
 NAMES = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 SHAPES = {"fetch_reach": (13, 13, 13), "fetch_push": (13, 13, 1), "fetch_pick_and_place": (13, 13, 19)}

@@ -16,6 +16,7 @@ import pytest
 from infogoal_jax import make_train, networks, presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
@@ -23,7 +24,6 @@ from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
-from infogoal_jax.train.command_line import main
 from infogoal_jax.train.encoding import training_view
 from infogoal_jax.train.evaluation import evaluate, goal_starts
 from infogoal_jax.train.low_level_file import shipped
@@ -266,7 +266,7 @@ def test_a_mistake_is_named_before_anything_is_compiled(arguments, expected, tmp
 
 
 def test_a_mistake_ends_a_process_with_status_2_and_no_traceback(tmp_path):
-    command = [sys.executable, "-m", "infogoal_jax.train.command_line", "train", "fetch_reach", "--agent.low-level", str(shipped("fetch_push"))]
+    command = [sys.executable, "-m", "infogoal_jax", "train", "fetch_reach", "--agent.low-level", str(shipped("fetch_push"))]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)}, cwd=tmp_path)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "'fetch_push', not 'fetch_reach'" in done.stderr

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import questions
-from infogoal_jax.train.command_line import main
 
 TINY = ["--num-epochs", "1", "--epochs-per-evaluation", "1", "--updates-per-epoch", "3", "--batch-size", "32", "--evaluation-starts", "1",
         "--state-encoder.features", "16", "--no-figures"]

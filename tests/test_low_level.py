@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from infogoal_jax import replay
+from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.targets import BESIDE, FARTHEST, HELD, PRECISE, REACHED, TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import checkpoint, command_line, files, low_level_file, pretrain_host
+from infogoal_jax.train import checkpoint, files, low_level_file, pretrain_host
 from infogoal_jax.train.pretrain import COLLECT, PRESETS, make_pretrain, numbered, preset
 
 each_task = pytest.mark.parametrize("task", PRESETS)
@@ -196,14 +197,16 @@ def test_a_low_level_survives_its_file(tmp_path):
 
 
 def test_what_cannot_be_trained_is_refused_before_compiling(tmp_path, capsys):
-    assert command_line.main(["pretrain", "fetch_slide"]) == 2
+    assert main(["pretrain", "fetch_slide"]) == 2
     assert "Known: fetch_reach, fetch_push, fetch_pick_and_place" in capsys.readouterr().err
-    for arguments in ([], ["--seeds", "3"], ["fetch_reach", "--task", "fetch_push"]):
-        assert command_line.main(["pretrain", *arguments]) == 2
-        assert "infogoal: task = " in capsys.readouterr().err
-    assert command_line.main(["pretrain", "fetch_reach", "--seeds", "0", "--out", str(tmp_path / "new")]) == 2
+    assert main(["pretrain"]) == 2 and "Known: fetch_reach, fetch_push" in capsys.readouterr().err
+    for arguments in (["--seeds", "3"], ["fetch_reach", "--task", "fetch_push"]):
+        with pytest.raises(SystemExit) as stopped:
+            main(["pretrain", *arguments])
+        assert stopped.value.code == 2 and arguments[-2] in capsys.readouterr().err
+    assert main(["pretrain", "fetch_reach", "--seeds", "0", "--out", str(tmp_path / "new")]) == 2
     (tmp_path / "low_level").write_bytes(b"precious")
-    assert command_line.main(["pretrain", "fetch_reach", "--out", str(tmp_path)]) == 2
+    assert main(["pretrain", "fetch_reach", "--out", str(tmp_path)]) == 2
     assert "give another folder" in capsys.readouterr().err
     assert (tmp_path / "low_level").read_bytes() == b"precious" and not (tmp_path / "new").exists()
     with pytest.raises(UserError, match="hyper.moving_share = 2"):

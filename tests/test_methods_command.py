@@ -12,6 +12,8 @@ import hand_made_points
 import pytest
 
 from infogoal_jax import agents, exploration, learners, presets
+from infogoal_jax.cli.choice import is_of_method
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
@@ -20,7 +22,6 @@ from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
 from infogoal_jax.train import combinations
 from infogoal_jax.train.combinations import check_combination, reasons_against, traits_seen
-from infogoal_jax.train.command_line import is_of_method, main
 
 PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
 
@@ -114,7 +115,7 @@ def test_the_table_loads_no_data_and_starts_no_device():
     code = """
 import sys
 from infogoal_jax import envs, presets
-from infogoal_jax.train.command_line import main
+from infogoal_jax.cli.main import main
 def refuse(*arguments):
     raise AssertionError("loaded an environment")
 envs.load = refuse

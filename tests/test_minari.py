@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from infogoal_jax.bridges.minari import from_minari, to_minari
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import frames
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.command_line import main
 
 needs_minari = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("minari", "h5py", "PIL")), reason='needs pip install "minari[hdf5]" pillow'

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import Hyperparameters, make_train, presets
+from infogoal_jax.cli.main import main
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.errors import UserError
@@ -18,7 +19,6 @@ from infogoal_jax.hyperparameters import check, search_space, with_values
 from infogoal_jax.report import tuning
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
-from infogoal_jax.train.command_line import main
 from infogoal_jax.train.tune import Trial, TuneResult, tune
 
 USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
@@ -223,7 +223,7 @@ def test_the_command_for_a_final(searched):
 
 @pytest.mark.parametrize(("flags", "message"), [
     (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"), (["search", "--trials", "9"], "trials = 9"),
-    (["nowhere"], "search = 'nowhere': holds no trials.jsonl"), (["search", "--out", "search"], "out = 'search': holds a search"),
+    (["nowhere"], "search = 'nowhere': holds no trials.jsonl"), (["search", "--out", "search"], "out = 'search': is there already"),
 ])
 def test_what_cannot_be_a_final(flags, message, searched, capsys):
     assert main(["final", *flags]) == 2 and not searched[1]
@@ -289,7 +289,7 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
     assert json.loads((tmp_path / "search" / "best.json").read_text())["score"] == 0.5
     assert "search" in capsys.readouterr().out
     assert main(["tune", "object_search", *flags.split()]) == 2  # The folder holds a search.
-    assert "holds a search" in capsys.readouterr().err
+    assert "out = 'search': is there already" in capsys.readouterr().err
 
 
 def test_the_table_says_what_was_scored_and_how_to_train(capsys):

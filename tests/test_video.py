@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, envs
+from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.report import fetch_scene, image_goal_episodes, raycast
 from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.figures import read_subject
 from infogoal_jax.report.raycast import Box, Camera, Capsule, Cylinder
 from infogoal_jax.report.video import episode_video, random_policy, write_video
-from infogoal_jax.train import command_line
 
 SIZE = (96, 128)
 CONFIG = FetchConfig(ends_at_goal=False, episode_length=3)
@@ -175,9 +175,9 @@ def test_an_episode_becomes_a_video_at_its_own_speed(tmp_path):
 
 
 def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
-    assert command_line.main(["video", "fetch_reech", "--out", str(tmp_path / "a.mp4")]) == 2
+    assert main(["video", "fetch_reech", "--out", str(tmp_path / "a.mp4")]) == 2
     assert "fetch_reach" in capsys.readouterr().err
-    assert command_line.main(["video", "fetch_reach", "--out", str(tmp_path / "nowhere" / "a.mp4")]) == 2
+    assert main(["video", "fetch_reach", "--out", str(tmp_path / "nowhere" / "a.mp4")]) == 2
     assert "folder is not there" in capsys.readouterr().err
 
 

@@ -76,7 +76,7 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
     command = ["tune", task, "--method", method, "--trials", str(trials), "--seeds", str(seeds), "--out", str(out), *data]
     command += ["--num-epochs", str(EPOCHS[task]), "--epochs-per-evaluation", "20"] if task in EPOCHS else []
     command += ["--fields", *FIELDS[method]] if method in FIELDS else []
-    subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
+    subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
 def final(task: str, method: str, folder: Path) -> None:
@@ -84,7 +84,7 @@ def final(task: str, method: str, folder: Path) -> None:
     out = folder / task / method / "final"
     if not (out / "best.json").exists():
         command = ["final", str(out.parent), "--out", str(out)]
-        subprocess.run([sys.executable, "-m", "infogoal_jax.train.command_line", *command], check=True)
+        subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
 def read_search(folder: Path) -> StudyRun:

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy.io
 
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, nearest
@@ -251,6 +250,8 @@ def read_positions(scene: Path, names: list[str]) -> np.ndarray:
     path = scene / "image_structs.mat"
     if not path.is_file():
         return position
+    import scipy.io  # Only now: it takes a tenth of a second.
+
     try:
         content = scipy.io.loadmat(path)
         scale, records = float(content["scale"].ravel()[0]), content["image_structs"].ravel()

@@ -4,10 +4,6 @@ The object-manipulation task (paper, section V-A.3) is solved by orientation, no
 """
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 
 def geodesic(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -22,8 +18,13 @@ def orientation_classes(rotation: np.ndarray, tolerance: float = 1e-3) -> np.nda
     """Class of each orientation: [K, 3, 3] to int32 [K], numbered by first appearance.
 
     Orientations less than half of `tolerance` (radians) apart always share a class, and so do chains of them; more than 1.5 of it apart, they
-    share one only by a chain.
+    share one only by a chain. SciPy is imported only now: it takes a quarter of a second.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+    from scipy.spatial.transform import Rotation
+
     quaternion = Rotation.from_matrix(np.asarray(rotation, np.float64)).as_quat()
     reach = tolerance / 2  # an angle is twice the distance of its quaternions
     # One of each crowd stands for all: an arm that stood still for a thousand frames would otherwise have half a million pairs.

@@ -16,7 +16,6 @@ from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_t
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.stand_ins import shelf
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,6 +79,8 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
     if config.dataset:
         data = frames.load(config.dataset)
     else:
+        from infogoal_jax.stand_ins import shelf
+
         name = f"shelf-{config.generator_seed}{'-hovering' if config.hovering else ''}-{shelf.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering))
     asked = questions.load(config.questions or questions.SHIPPED)

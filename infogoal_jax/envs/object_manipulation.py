@@ -19,7 +19,6 @@ from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edge
 from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, USES, GoalSet
-from infogoal_jax.stand_ins import cube
 
 REACHED = np.deg2rad(10.0)
 """How near the pose has to be, as the angle of the turn between them [P]."""
@@ -189,6 +188,8 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
     if config.dataset:
         data = frames.load(config.dataset)
     else:
+        from infogoal_jax.stand_ins import cube
+
         name = f"cube-{config.generator_seed}{'-limits' if config.physical_limits else ''}-{cube.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: cube.build(config.generator_seed, config.physical_limits))
     return lay_out(data, backgrounds.load(config.backgrounds), config)

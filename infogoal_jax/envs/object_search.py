@@ -14,7 +14,6 @@ from infogoal_jax.data import active_vision, archives, splits, text
 from infogoal_jax.envs.graph import DetectionWalk, distances, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.stand_ins import house
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +65,12 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
         "objects": names, "scenes": config.scenes or None, "image_size": config.image_size, "min_box_size": config.min_box_size,
         "max_difficulty": config.max_difficulty,
     }
-    scenes = active_vision.load(config.dataset, **reading) if config.dataset else house.load(**reading)
+    if config.dataset:
+        scenes = active_vision.load(config.dataset, **reading)
+    else:
+        from infogoal_jax.stand_ins import house
+
+        scenes = house.load(**reading)
     return lay_out(scenes, split, inputs, config.episode_length)
 
 

@@ -11,6 +11,7 @@ UNIT_VARIANCE = {"vector_std": 1.0}
 """Of what is reconstructed: text embeddings are scaled to numbers of the order of 1."""
 
 PRESET = Preset(
+    description="Offline: a drone learns from recorded flights to find what a question asks about.",
     agent="cql",  # [P]
     relabelling="her",  # [P]
     relabellings={"her": SHARES, "cher": SHARES, "ghrl": {"share": 0.6, "random_share": 0.2}},

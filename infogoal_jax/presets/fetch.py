@@ -10,9 +10,10 @@ TRAINING = {
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
 
 
-def preset(window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
+def preset(description: str, window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
     """The preset of a task.
 
+    description: the task in a line.
     window, num_pairs: of similar goals [M], those that a few steps take less far apart than the 20 cm between test and training goals.
     found: floats of each method that a search found [T].
     """
@@ -20,6 +21,7 @@ def preset(window: int, num_pairs: int, training: dict, found: dict[str, dict[st
     measured = {"infogoal": {"intrinsic_weight": 1.0}, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
     learners = {"infogoal": similar, "cogoal": similar}
     return Preset(
+        description=description,
         agent="hrac",  # [P]
         env={"goals": "images"},
         learner={"standardise_images": True},  # For corrupted goals (docs/hrac.md).
@@ -48,7 +50,8 @@ FOUND_FOR_REACH = {
 }
 
 PRESETS = {
-    "fetch_reach": preset(5, 128, TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH),  # Sizes for two cores.
-    "fetch_push": preset(3, 128, TRAINING, {}),
-    "fetch_pick_and_place": preset(3, 256, TRAINING, {}),
+    "fetch_reach": preset("A robot arm moves its gripper to where an image shows it.", 5, 128,
+                          TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH),  # Sizes for two cores.
+    "fetch_push": preset("A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, {}),
+    "fetch_pick_and_place": preset("A robot arm carries a cube to where an image shows it, in the air too.", 3, 256, TRAINING, {}),
 }

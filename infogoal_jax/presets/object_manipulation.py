@@ -9,6 +9,7 @@ SIMILAR = {"window": 3, "num_pairs": 256}
 """Which goals count as similar [M]: what turns in a few steps by less than what lies between test and training goals."""
 
 PRESET = Preset(
+    description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
     agent="hrac",  # [P]
     agents={"hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6}},  # [M]
     training={

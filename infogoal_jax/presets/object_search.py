@@ -3,6 +3,7 @@
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 PRESET = Preset(
+    description="A robot searches a house, image by image, until the object named by the goal is in view.",
     agent="dqn",  # [P]
     training={"num_epochs": 160},  # Without the intrinsic reward, success on training goals takes longer to level off [M].
     hyper={"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},  # [M]

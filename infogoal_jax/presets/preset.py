@@ -26,7 +26,7 @@ class Preset:
 
     agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields that every learner has.
     agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for every method.
-    methods: what each method, or learner, changes.
+    methods: what each method, or learner, changes. description: the task in a line, for the help of the command line.
     """
 
     agent: str
@@ -34,6 +34,7 @@ class Preset:
     hyper: dict[str, float]
     methods: dict[str, Changes]
     relabelling: str = "none"
+    description: str = ""
     env: dict[str, Any] = dataclasses.field(default_factory=dict)
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
     agents: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy.io
 
 from infogoal_jax.data import active_vision, archives, check
 from infogoal_jax.data.active_vision import ACTIONS
@@ -204,6 +203,8 @@ def _write_image_structs(folder: Path, house: House, camera, names: list[str], a
             float(index + 1), 1.0, float(node + 1), edges["rotate_cw"], edges["rotate_ccw"],
             edges["forward"], edges["backward"], edges["right"], edges["left"],
         )  # fmt: skip
+    import scipy.io  # Only now: it takes a tenth of a second.
+
     content = io.BytesIO()
     scipy.io.savemat(content, {"image_structs": records, "scale": POSITION_SCALE}, do_compression=True)
     # The first 116 bytes are free text, where scipy puts the time of day: the same seed shall write the same file.

@@ -1,4 +1,4 @@
-"""Putting the parts together: the training program, the host loop around it, and the command line."""
+"""Putting the parts together: the training program and the host loop around it."""
 
 from infogoal_jax.train.program import Train, TrainResult, TrainState, make_train
 

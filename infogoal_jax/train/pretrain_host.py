@@ -13,12 +13,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -33,21 +32,6 @@ MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
 CHOICE = "highest success on target states over fresh episodes: the low level's own task, no goal of the high level is looked at"
 CURVE = ("env_steps", "success_rate", "success_any", "value", "td_error")
-
-
-@dataclasses.dataclass(frozen=True)
-class PretrainCommand:
-    """Train the low level of a Fetch task, all seeds in one program, and keep the best (docs/low_level.md)."""
-
-    config: Annotated[PretrainConfig, tyro.conf.arg(name="")]
-    seeds: int = 4
-    """How many seeds to train side by side: 0, 1, 2, ..."""
-    first_seed: int = 0
-    """Number of the first seed."""
-    out: str = ""
-    """Folder to write to; empty: a new one under runs/."""
-    evaluation_episodes: int = 2000
-    """Fresh episodes that each seed is measured on at the end."""
 
 
 @dataclasses.dataclass

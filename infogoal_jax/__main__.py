@@ -1,0 +1,8 @@
+"""`python -m infogoal_jax` is the command `infogoal`."""
+
+import sys
+
+from infogoal_jax.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

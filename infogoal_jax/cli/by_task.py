@@ -1,0 +1,23 @@
+"""Commands that have a subcommand for each task, because their flags are the fields of its configuration."""
+
+from typing import Any
+
+from infogoal_jax import presets
+from infogoal_jax.cli.choice import Choice, parts_of
+from infogoal_jax.cli.commands import Command, Group, TaskCommands, named
+from infogoal_jax.cli.flags import configuration_flags
+
+
+def all_tasks(command: Command, help: str, arguments: list[str]) -> TaskCommands:
+    """The command for every task that has a preset, for the list of them. help: stands above it."""
+    group = Group(help, {task: named(command, preset.description, config=presets.load(task)) for task, preset in presets.registry.items()})
+    return TaskCommands(group, arguments)
+
+
+def of_task(command: Command, config: Any, choice: Choice, arguments: list[str]) -> TaskCommands:
+    """The command for one task, with this configuration and the names of its parts as defaults."""
+    parts = parts_of(config)
+    help = presets.registry[config.task].description if config.task in presets.registry else ""
+    group = Group("", {config.task: named(command, help, config=config, parts=parts)})
+    asked = choice.help or choice.help_all
+    return TaskCommands(group, [config.task, "--help"] if asked else arguments, configuration_flags(brief=choice.help))

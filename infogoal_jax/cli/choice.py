@@ -1,0 +1,100 @@
+"""Which configuration a command starts from: the preset of a task and a method, with parts that are chosen by name, or that of a run to resume."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from infogoal_jax.cli.commands import first_word
+from infogoal_jax.errors import UserError
+
+if TYPE_CHECKING:
+    from infogoal_jax.config import TrainConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class Parts:
+    """Parts that are chosen by name. None: the task's or the method's own."""
+
+    method: str | None = None
+    """A row of the paper's Table I."""
+    learner: str | None = None
+    """Goal-representation learner."""
+    agent: str | None = None
+    """Reinforcement-learning agent."""
+    relabelling: str | None = None
+    """Relabelling of goals."""
+    explorer: str | None = None
+    """Explorer."""
+
+    def names(self) -> dict[str, str]:
+        """The parts that were asked for, without the method."""
+        return {name: getattr(self, name) for name in ("learner", "agent", "relabelling", "explorer") if getattr(self, name) is not None}
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice(Parts):
+    """What is read before anything else is: a command's defaults, and so its help, depend on it."""
+
+    resume: str | None = None
+    """Folder of a run to go on with."""
+    help: Annotated[bool, tyro.conf.arg(aliases=["-h"])] = False
+    """Show the help."""
+    help_all: bool = False
+    """Show the help with all flags."""
+
+
+def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:
+    """The task, which is the first word or left out, and what the flags choose."""
+    task = first_word(arguments)
+    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[bool(task):], return_unknown_args=True, add_help=False)
+    return task, choice
+
+
+def preset_of(task: str, choice: Parts) -> "TrainConfig":
+    """The preset of a task with the chosen method and parts. Raises `UserError` for an unknown name."""
+    from infogoal_jax import presets
+
+    return presets.load(task, choice.method or "infogoal", **choice.names())
+
+
+def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
+    """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts than those that are named."""
+    from infogoal_jax import presets
+    from infogoal_jax.report.runs import read_run
+
+    config = read_run(Path(folder)).config
+    if task not in ("", config.task):
+        raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
+    if choice.method is not None and not is_of_method(config, choice.method):
+        raise UserError(f"method = {choice.method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
+    for kind, name in choice.names().items():
+        if name != presets.names_of(config)[kind]:
+            raise UserError(f"{kind} = {name!r}: the run to resume has {presets.names_of(config)[kind]!r}; leave the flag out")
+    return config
+
+
+def is_of_method(config: "TrainConfig", method: str) -> bool:
+    """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been added to it."""
+    from infogoal_jax import presets
+
+    asked = presets.method_named(method)
+    names = presets.names_of(config)
+    parts = ((asked.learner, names["learner"]), (asked.relabelling, names["relabelling"]))
+    return all(name in (None, own) for name, own in parts) and asked.explorer in ("none", names["explorer"])
+
+
+def parts_of(config: "TrainConfig") -> Parts:
+    """The names of a configuration's parts: what help shows as their defaults."""
+    from infogoal_jax import presets
+
+    return Parts(presets.name_of(config), **presets.names_of(config))
+
+
+def known_names() -> dict[str, list[str]]:
+    """The names that each field of `Parts` can have, those that were registered later among them."""
+    from infogoal_jax import presets
+
+    names = {kind: list(registry) for kind, registry in presets.REGISTRIES.items()}
+    return {"method": list(dict.fromkeys([*presets.METHODS, *names["learner"]])), **names}

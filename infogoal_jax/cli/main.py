@@ -1,0 +1,62 @@
+"""The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
+
+import gc
+import sys
+
+import tyro
+
+import infogoal_jax
+from infogoal_jax.cli import pretraining, training, tuning
+from infogoal_jax.cli.commands import Group, check_names, type_of
+from infogoal_jax.cli.data import DATA
+from infogoal_jax.cli.methods import methods
+from infogoal_jax.cli.pretraining import pretrain
+from infogoal_jax.cli.runs import check_fetch, compare, evaluate, report, video
+from infogoal_jax.cli.training import train
+from infogoal_jax.cli.tuning import final, tune
+from infogoal_jax.errors import UserError
+
+HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`; `infogoal COMMAND --help` shows a
+command's flags, and `infogoal --version` the version."""
+COMMANDS = Group(HELP, {
+    "train": train, "evaluate": evaluate, "report": report, "compare": compare, "video": video, "methods": methods, "tune": tune, "final": final,
+    "pretrain": pretrain, "data": DATA, "check-fetch": check_fetch,
+})
+BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": pretraining.tasks}
+"""Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where one of these is called."""
+
+GARBAGE = 50_000, 20, 50
+"""Python looks for cycles after so many new objects, not after 700: imports and tracing make millions that stay, which costs a tenth of the time."""
+
+
+def run(arguments: list[str]) -> int:
+    """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for a flag that is none."""
+    if arguments == ["--version"]:
+        print(infogoal_jax.__version__)
+        return 0
+    arguments, commands, registry = arguments or ["--help"], COMMANDS.commands, None
+    check_names(COMMANDS, arguments)
+    if arguments[0] in commands:
+        name = arguments[0]
+        commands = {name: commands[name]}  # So that what is said about a mistake is about this command.
+        if name in BY_TASK:
+            commands[name], rest, registry = BY_TASK[name](arguments[1:])
+            check_names(commands[name], rest, f"{name} ")
+            arguments = [name, *rest]
+    return tyro.cli(
+        type_of(Group(HELP, commands)), prog="infogoal", description=HELP, args=arguments, registry=registry,
+        config=(tyro.conf.PositionalMetavarFromFieldName,),
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point. A `UserError` is printed without a traceback; the exit status is then 2."""
+    gc.set_threshold(*GARBAGE)
+    try:
+        return run(sys.argv[1:] if arguments is None else arguments)
+    except UserError as error:
+        print(f"infogoal: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("infogoal: stopped at once; a run that has a checkpoint goes on from it with --resume", file=sys.stderr)
+        return 130

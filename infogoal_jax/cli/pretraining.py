@@ -1,0 +1,73 @@
+"""`infogoal pretrain TASK`: the low levels that drive a robot to target states."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import Suppress
+
+from infogoal_jax.cli.commands import Group, TaskCommands, first_word, named
+from infogoal_jax.cli.folders import new_folder
+from infogoal_jax.errors import UserError, nearest
+
+
+def pretrain(
+    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    seeds: int = 4,
+    first_seed: int = 0,
+    out: str = "",
+    evaluation_episodes: int = 2000,
+    command: Suppress[str] = "",
+) -> int:
+    """Train the low level that drives a robot to target states.
+
+    Args:
+        config: That of the task.
+        seeds: Seeds that are trained side by side: 0, 1, 2, ...
+        first_seed: Number of the first seed.
+        out: Folder to write to; empty: a new one under runs/.
+        evaluation_episodes: Fresh episodes that each seed is measured on at the end.
+        command: What is written into the file as the command that made it.
+
+    Returns:
+        0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
+    """
+    from infogoal_jax.train import pretrain_host
+    from infogoal_jax.train.compilation import use_compilation_cache
+
+    if seeds <= 0:
+        raise UserError(f"seeds = {seeds}: give at least 1")
+    use_compilation_cache()
+    folder = Path(out) if out else new_folder(config.task, "low-level")
+    result = pretrain_host.pretrain(config, list(range(first_seed, first_seed + seeds)), folder, evaluation_episodes, command)
+    pretrain_host.print_result(result)
+    return 130 if result.stopped else 0
+
+
+def pretrain_of_joints(config: Annotated[Any, tyro.conf.arg(name="")], command: Suppress[str] = "") -> int:
+    """Train the low level of object manipulation, which moves an arm's joints by steps."""
+    from infogoal_jax.train import pretrain_joints
+    from infogoal_jax.train.compilation import use_compilation_cache
+
+    use_compilation_cache()
+    config = dataclasses.replace(config, out=config.out or str(new_folder(pretrain_joints.TASK, "low-level")))
+    pretrain_joints.print_result(pretrain_joints.pretrain(config, command))
+    return 0
+
+
+def tasks(arguments: list[str]) -> TaskCommands:
+    """`pretrain` for each task that has a low level, with its configuration as the defaults."""
+    from infogoal_jax.cli.flags import configuration_flags
+    from infogoal_jax.train.pretrain import PRESETS, preset
+    from infogoal_jax.train.pretrain_joints import TASK, JointPretrainConfig
+
+    task, known = first_word(arguments), [*PRESETS, TASK]
+    if task and task not in known:
+        raise UserError(f"task = {task!r}: no low level can be trained for it.{nearest(task, known)} Known: {', '.join(known)}")
+    written = " ".join(["infogoal pretrain", *arguments])
+    commands = {task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written) for task in PRESETS}
+    help = "The low level of object manipulation (docs/object_manipulation.md)."
+    commands[TASK] = named(pretrain_of_joints, help, config=JointPretrainConfig(), command=written)
+    group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)
+    return TaskCommands(group, arguments, configuration_flags(brief=False))

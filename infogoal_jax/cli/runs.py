@@ -1,0 +1,116 @@
+"""Commands that look at what is there: evaluate, report, compare, video, check-fetch."""
+
+import os
+from pathlib import Path
+
+from tyro.conf import FlagCreatePairsOff, Positional
+
+from infogoal_jax.errors import UserError
+
+
+def evaluate(run: Positional[str], starts: int = 50, start_seed: int = 1, test_epsilon: float = -1.0, corruption: float | None = None) -> int:
+    """Evaluate the last parameters of a run again, every goal from several starts.
+
+    Args:
+        run: Folder of the run.
+        starts: Start states for each goal.
+        start_seed: Seed of the start states; training's own evaluations use others.
+        test_epsilon: Share of random actions; negative: the run's own.
+        corruption: Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the run's own.
+    """
+    from infogoal_jax.report.summary import evaluate_run
+    from infogoal_jax.train.compilation import use_compilation_cache
+
+    use_compilation_cache()
+    evaluate_run(Path(run), starts, start_seed, test_epsilon, corruption)
+    return 0
+
+
+def report(run: Positional[str]) -> int:
+    """Draw the figures of a run and print its table.
+
+    Args:
+        run: Folder of the run.
+    """
+    from infogoal_jax.report.figures import draw_figures
+    from infogoal_jax.report.summary import print_run
+
+    print_run(Path(run))
+    for path in draw_figures(Path(run)):
+        print(f"figure      {path}")
+    return 0
+
+
+def compare(runs: Positional[tuple[str, ...]], out: str) -> int:
+    """Draw the success of several runs of one task in one figure.
+
+    Args:
+        runs: Folders of the runs, in the order in which they are named in the figure.
+        out: File to write; must end in .png.
+    """
+    from infogoal_jax.report.comparison_figures import draw_comparison
+
+    print(f"figure      {draw_comparison([Path(run) for run in runs], Path(out))}")
+    return 0
+
+
+def check_fetch(file: Positional[str], faithful: FlagCreatePairsOff[bool] = False, kinds: str = "", out: str = "") -> int:
+    """Replay recorded episodes of the reference Fetch tasks and measure the distance.
+
+    Args:
+        file: The episodes: an npz as benchmarks/fidelity/record_fetch_reference.py writes it.
+        faithful: Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast default.
+        kinds: Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart: random,held,scripted.
+        out: File to write the numbers to, those of each episode too (json).
+
+    Returns:
+        0 whatever the numbers: it measures and passes no judgement.
+    """
+    from infogoal_jax.envs.fetch.recordings import load_recordings
+    from infogoal_jax.report.fetch_parity import check_recordings, read_kinds
+    from infogoal_jax.train.compilation import use_compilation_cache
+
+    words, recordings = read_kinds(kinds), load_recordings(file)
+    use_compilation_cache()
+    check_recordings(recordings, faithful, words, Path(out) if out else None)
+    return 0
+
+
+def video(subject: Positional[str], out: str, episodes: int = 1, seed: int = 0, corruption: float = 0.0, height: int = 480) -> int:
+    """Draw episodes of a run's policy, or of a random one, as an mp4.
+
+    Args:
+        subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy.
+        out: File to write; must end in .mp4.
+        episodes: Episodes, one after the other.
+        seed: Seed of starts, goals, actions and backgrounds.
+        corruption: Weight of the backgrounds of the goal images that a run's policy sees, from 0 (clean) to 1.
+        height: Pixels; the width is 4/3 of it.
+    """
+    from infogoal_jax.envs.fetch.tasks import TASKS
+    from infogoal_jax.train.compilation import use_compilation_cache
+
+    size = height, height * 4 // 3
+    use_compilation_cache()
+    if subject not in TASKS and (Path(subject).is_dir() or os.sep in subject):
+        from infogoal_jax.report.figures import read_subject
+        from infogoal_jax.report.image_goal_episodes import policy_video
+
+        run = read_subject(Path(subject))
+        reached = policy_video(run, out, episodes, seed, corruption, size)
+        words = f"corrupted with weight {corruption:g}" if corruption else "clean"
+        print(f"{out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; {sum(reached)} reach the goal")
+        return 0
+    if corruption:
+        raise UserError(f"corruption = {corruption}: a random policy looks at no goal; leave it out, or give the folder of a run")
+    import jax
+
+    from infogoal_jax.envs.fetch.environment import make
+    from infogoal_jax.envs.fetch.tasks import FetchConfig
+    from infogoal_jax.report.video import episode_video, random_policy
+
+    env = make(subject, FetchConfig(ends_at_goal=False))
+    last = episode_video(env, random_policy, jax.random.key(seed), out, episodes, size)
+    at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
+    print(f"{out}: {episodes} episodes of a random policy, {at_goal} end at the goal")
+    return 0

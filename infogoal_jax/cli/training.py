@@ -1,0 +1,87 @@
+"""`infogoal train TASK`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import FlagCreatePairsOff
+
+from infogoal_jax.cli.choice import config_of_run, preset_of, read_choice
+from infogoal_jax.cli.commands import TaskCommands
+from infogoal_jax.cli.folders import new_folder
+from infogoal_jax.errors import UserError
+
+HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and `infogoal train --resume RUN` goes on with a run from its last
+checkpoint."""
+
+
+def train(
+    parts: Annotated[Any, tyro.conf.arg(name="")] = None,
+    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    resume: str = "",
+    seeds: int = 1,
+    first_seed: int = 0,
+    out: str = "",
+    figures: bool = True,
+    tensorboard: FlagCreatePairsOff[bool] = False,
+    wandb: str = "",
+    help_all: FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Train on a task, all seeds in one program.
+
+    Args:
+        parts: Their names, which are in the configuration already.
+        config: That of the task and the parts.
+        resume: Folder of a run to go on with, from its last checkpoint.
+        seeds: Seeds that are trained side by side: 0, 1, 2, ...
+        first_seed: Number of the first seed.
+        out: Folder of the run; empty: a new one under runs/.
+        figures: Draw the figures at the end.
+        tensorboard: Write the metrics for TensorBoard too, into the folder of the run.
+        wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
+        help_all: Show all flags, of each part and the hyperparameters too.
+
+    Returns:
+        0 when it finished, 130 when it was stopped by Ctrl-C (with a checkpoint).
+    """
+    if seeds <= 0:
+        raise UserError(f"seeds = {seeds}: give at least 1")
+    from infogoal_jax import presets
+    from infogoal_jax.train import host
+    from infogoal_jax.train.combinations import check_combination
+    from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.train.listeners import make_listeners
+
+    use_compilation_cache()
+    check_combination(config)
+    numbers = list(range(first_seed, first_seed + seeds))
+    if resume and (seeds, first_seed) == (1, 0):
+        from infogoal_jax.report.runs import read_run
+
+        numbers = read_run(Path(resume)).seeds
+    folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
+    with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
+        sweep = host.run(config, numbers, folder, resume=bool(resume), listeners=listeners)
+    from infogoal_jax.report.summary import print_summary
+
+    print_summary(sweep)
+    if sweep.stopped:
+        print(f"Stopped. Go on with: infogoal train --resume {folder}")
+        return 130
+    if figures:
+        from infogoal_jax.report.figures import draw_figures
+
+        for path in draw_figures(folder):
+            print(f"figure      {path}")
+    return 0
+
+
+def tasks(arguments: list[str]) -> TaskCommands:
+    """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is chosen as its defaults."""
+    from infogoal_jax.cli.by_task import all_tasks, of_task
+
+    task, choice = read_choice(arguments, "infogoal train")
+    if not task and not choice.resume:
+        return all_tasks(train, HELP, arguments)
+    config = config_of_run(choice.resume, task, choice) if choice.resume else preset_of(task, choice)
+    return of_task(train, config, choice, arguments if task else [config.task, *arguments])
