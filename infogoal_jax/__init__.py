@@ -7,18 +7,21 @@ if TYPE_CHECKING:
     from infogoal_jax import envs, presets
     from infogoal_jax.config import Hyperparameters, TrainConfig
     from infogoal_jax.errors import UserError
+    from infogoal_jax.report.runs import load_run
     from infogoal_jax.train.compilation import compiler_options, use_compilation_cache
     from infogoal_jax.train.program import Train, TrainResult, make_train
+    from infogoal_jax.train.rollout import rollout
 
 __version__ = "0.1.0"
 __all__ = [
-    "Hyperparameters", "Train", "TrainConfig", "TrainResult", "UserError", "compiler_options", "envs", "make_train", "presets",
-    "use_compilation_cache",
+    "Hyperparameters", "Train", "TrainConfig", "TrainResult", "UserError", "compiler_options", "envs", "load_run", "make_train", "presets",
+    "rollout", "use_compilation_cache",
 ]
 MODULES = {
     "Hyperparameters": "config", "TrainConfig": "config", "UserError": "errors",
     "compiler_options": "train.compilation", "use_compilation_cache": "train.compilation",
     "Train": "train.program", "TrainResult": "train.program", "make_train": "train.program",
+    "load_run": "report.runs", "rollout": "train.rollout",
 }
 """Where each name is written. They are imported when they are first asked for: JAX takes half a second, which a help text need not wait for."""
 

@@ -4,14 +4,13 @@ import jax
 import numpy as np
 import pytest
 
+from infogoal_jax import load_run, rollout
 from infogoal_jax.errors import UserError
-from infogoal_jax.report.runs import read_run
-from infogoal_jax.train.rollout import rollout
 
 
 def test_a_run_gives_its_policy_and_an_episode(reach_run):
     """The same key gives the same episode; seeds of the run act differently."""
-    run = read_run(reach_run.folder)
+    run = load_run(reach_run.folder)
     goal = int(np.asarray(run.env.goals.evaluated)[-1])
     play = jax.jit(lambda env, key: [rollout(env, run.policy(seed), goal, key) for seed in run.seeds])
     first, second = play(run.env, jax.random.key(0))
@@ -22,4 +21,4 @@ def test_a_run_gives_its_policy_and_an_episode(reach_run):
 
 def test_a_seed_that_was_not_trained_is_named(reach_run):
     with pytest.raises(UserError, match="seed = 7: the run has the seeds 0, 1"):
-        read_run(str(reach_run.folder)).policy(seed=7)
+        load_run(str(reach_run.folder)).policy(seed=7)

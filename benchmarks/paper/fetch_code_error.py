@@ -17,7 +17,7 @@ from infogoal_jax import presets
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
-from infogoal_jax.report.runs import read_params, read_run
+from infogoal_jax.report.runs import load_run, read_params
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train.program import make_train
 
@@ -34,7 +34,7 @@ def contrast_of(images: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 def errors(path: Path, weight: float) -> dict[str, np.ndarray]:
     """Mean distance in m of each kind of image, [seeds]."""
-    run = read_run(path)
+    run = load_run(path)
     train = make_train(run.config)
     env, learner = train.env, train.parts.learner
     goals = np.repeat(np.asarray(env.goals.commanded), BACKGROUNDS)
@@ -67,7 +67,7 @@ def main():
         found = errors(path, arguments.weight)
         if not number:
             print(f"| run | {' | '.join(found)} |\n{'|---' * (len(found) + 1)}|")
-        run = read_run(path)
+        run = load_run(path)
         shown = " | ".join(mean_interval(values).show(3) for values in found.values())
         print(f"| {run.config.task}, {presets.name_of(run.config)} | {shown} |", flush=True)
     print(f"\nDistances in m, weight {arguments.weight}; {describe_machine()}")

@@ -62,9 +62,9 @@ def preset_of(task: str, choice: Parts) -> "TrainConfig":
 def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
     """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts than those that are named."""
     from infogoal_jax import presets
-    from infogoal_jax.report.runs import read_run
+    from infogoal_jax.report.runs import load_run
 
-    config = read_run(Path(folder)).config
+    config = load_run(Path(folder)).config
     if task not in ("", config.task):
         raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
     if choice.method is not None and not is_of_method(config, choice.method):

@@ -56,9 +56,9 @@ def train(
     check_combination(config)
     numbers = list(range(first_seed, first_seed + seeds))
     if resume and (seeds, first_seed) == (1, 0):
-        from infogoal_jax.report.runs import read_run
+        from infogoal_jax.report.runs import load_run
 
-        numbers = read_run(Path(resume)).seeds
+        numbers = load_run(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
         sweep = host.run(config, numbers, folder, resume=bool(resume), listeners=listeners)

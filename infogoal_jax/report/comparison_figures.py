@@ -12,7 +12,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import ROOM_COLOURS, USE_TITLES, draw_curve, empty_figure, finish_share_axis, save
 from infogoal_jax.report.figures import evaluated_mask, finish_length_axis, finish_progress_axis, progress, success_within
-from infogoal_jax.report.runs import Run, read_run
+from infogoal_jax.report.runs import Run, load_run
 from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
@@ -42,7 +42,7 @@ def draw_comparison(folders: list[Path], path: Path, env: Any = None) -> Path:
 
 def read_compared(folder: Path) -> Compared:
     """The run in this folder. Raises `UserError` if it has no evaluation of a seed that did not diverge."""
-    run, diverged = read_run(folder), tables.diverged_seeds(folder)
+    run, diverged = load_run(folder), tables.diverged_seeds(folder)
     evaluations = tables.read(folder, "evaluations", diverged)
     require(bool(evaluations.values), "run", str(folder), "has no evaluation of a seed that did not diverge; leave it out")
     return Compared(run, evaluations, diverged)

@@ -31,7 +31,7 @@ from infogoal_jax.report.canvas import (
 from infogoal_jax.report.goal_codes import representations
 from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.image_goal_figures import draw_image_goals
-from infogoal_jax.report.runs import read_params, read_run
+from infogoal_jax.report.runs import load_run, read_params
 from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.train.evaluation import goal_starts
 from infogoal_jax.train.program import make_train
@@ -59,7 +59,7 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
 
 def read_subject(folder: Path, env: Any = None) -> Subject:
     """The run in this folder with its tables, and the parameters of its first seed that did not diverge."""
-    run, diverged = read_run(folder), tables.diverged_seeds(folder)
+    run, diverged = load_run(folder), tables.diverged_seeds(folder)
     train, evaluations = make_train(run.config, env), tables.read(folder, "evaluations", diverged)
     params, seed = None, -1
     if (folder / "policy").exists() and evaluations.seeds:

@@ -49,7 +49,7 @@ class Run:
         return tested_policy(self.train.parts, params, self.config.hyper, self.env, use_mean)
 
 
-def read_run(folder: str | Path) -> Run:
+def load_run(folder: str | Path) -> Run:
     """The run in this folder. Raises `UserError` if there is none, or its config.json cannot be read."""
     folder = Path(folder)
     path = folder / "config.json"

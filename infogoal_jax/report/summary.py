@@ -12,7 +12,7 @@ from rich.table import Table
 from infogoal_jax import learners, presets
 from infogoal_jax.errors import require
 from infogoal_jax.report import tables
-from infogoal_jax.report.runs import Run, read_params, read_run, read_timing
+from infogoal_jax.report.runs import Run, load_run, read_params, read_timing
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train import checkpoint, files, host
 from infogoal_jax.train.evaluation import evaluate, has_image_goals
@@ -60,12 +60,12 @@ def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
 
 def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
     """Print what a run of the host loop came to."""
-    show(read_run(sweep.folder), sweep.diverged, console or Console())
+    show(load_run(sweep.folder), sweep.diverged, console or Console())
 
 
 def print_run(folder: Path, console: Console | None = None) -> None:
     """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
-    show(read_run(folder), tables.diverged_seeds(folder), console or Console())
+    show(load_run(folder), tables.diverged_seeds(folder), console or Console())
 
 
 def show(run: Run, diverged: dict[int, int], console: Console) -> None:
@@ -123,7 +123,7 @@ def evaluate_run(
     require(start_seed >= 0, "start_seed", start_seed, "give 0 or more")
     require(test_epsilon <= 1, "test_epsilon", test_epsilon, "give a share from 0 to 1, or a negative number for the run's own")
     require(corruption is None or 0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
-    run, console = read_run(folder), console or Console()
+    run, console = load_run(folder), console or Console()
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
     has_images = has_image_goals(train.env)
     require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are no images; leave it out")

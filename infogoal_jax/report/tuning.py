@@ -20,7 +20,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.saved import train_flags
-from infogoal_jax.report.runs import Run, read_run
+from infogoal_jax.report.runs import Run, load_run
 from infogoal_jax.train import files
 from infogoal_jax.train.tune import Trial, TuneResult
 
@@ -57,7 +57,7 @@ def read(folder: Path) -> tuple[Run, list[Trial]]:
     path = folder / "trials.jsonl"
     if not path.is_file():
         raise UserError(f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal tune`")
-    run = read_run(folder)
+    run = load_run(folder)
     try:
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         trials = [Trial(line["trial"], dict(line["values"]), line["success"], line["loss"], line["diverged"]) for line in lines]
