@@ -14,7 +14,7 @@ import scipy.stats
 
 from infogoal_jax import make_train
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import host
+from infogoal_jax.train import devices, host
 
 ON_TWO_DEVICES = """
 import sys
@@ -76,11 +76,11 @@ def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, 
 def test_slices_follow_from_the_memory_of_the_devices():
     """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10; the environment takes 30."""
     for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
-        assert host.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / host.MEMORY_SHARE)) == at_once
+        assert devices.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / devices.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
-        host.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / host.MEMORY_SHARE))
+        devices.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / devices.MEMORY_SHARE))
     with pytest.raises(UserError, match="seeds = 20.*give at most 18"):
-        host.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / host.MEMORY_SHARE), 2)
+        devices.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / devices.MEMORY_SHARE), 2)
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from study_numbers import Study, StudyRun
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
-from infogoal_jax.train import host
+from infogoal_jax.train import devices, host
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners
 
@@ -54,7 +54,7 @@ def train(config, seeds: int, out: Path, measure: Callable[[host.Sweep], dict] =
     result = {
         "machine": describe_machine(), "diverged": list(sweep.diverged), "updates": config.num_epochs * config.updates_per_epoch,
         "compile_seconds": sweep.compile_seconds, "run_seconds": sweep.run_seconds, "seconds": time.perf_counter() - started,
-        "data_bytes": host.bytes_of(sweep.train.env), "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
+        "data_bytes": devices.bytes_of(sweep.train.env), "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
     }
     (out / "result.json").write_text(json.dumps(result | measure(sweep)) + "\n")
 

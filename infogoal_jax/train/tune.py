@@ -22,7 +22,7 @@ from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.hyperparameters import Search, search_space, values_of, with_values
-from infogoal_jax.train import host
+from infogoal_jax.train import devices, host
 from infogoal_jax.train.combinations import check_combination, has_reward
 from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.program import Train, TrainState, make_train
@@ -174,9 +174,9 @@ def lane_programs(train: Train, group: str) -> tuple[Callable, Callable]:
 def lanes_at_once(train: Train, count: int, mesh: jax.sharding.Mesh) -> int:
     """How many of a device's lanes run beside each other in its memory. Raises `UserError` if they do not fit."""
     one = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env)
-    memory = min(host.device_memory(device) for device in mesh.devices.flat)
+    memory = min(devices.device_memory(device) for device in mesh.devices.flat)
     try:
-        return host.seeds_at_once(host.bytes_of(one), host.working_bytes(train), host.bytes_of(train.env), count // mesh.size, memory, mesh.size)
+        return devices.seeds_at_once(devices.bytes_of(one), devices.working_bytes(train), devices.bytes_of(train.env), count // mesh.size, memory, mesh.size)
     except UserError as error:
         raise UserError(f"trials x {error}") from error
 
@@ -215,7 +215,7 @@ def scored_training(config: TrainConfig, trials: int, seeds: Sequence[int], env:
 def side_by_side(train: Train, group: str, trials: Sequence[Trial], seeds: Sequence[int], watch: Callable[[TuneResult], None]) -> TuneResult:
     """Train each of these settings with each of these seeds, a lane each."""
     started, config, count = time.perf_counter(), train.config, len(trials) * len(seeds)
-    mesh = host.seed_mesh(count)
+    mesh = devices.seed_mesh(count)
     at_once = lanes_at_once(train, count, mesh)
     by_lane, everywhere = (jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ()))
     keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
@@ -223,8 +223,8 @@ def side_by_side(train: Train, group: str, trials: Sequence[Trial], seeds: Seque
     shared, numbers = jax.device_put(train.env, everywhere), jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     initial, chunk = lane_programs(train, group)
     options = compiler_options()
-    lanes = jax.jit(host.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane, compiler_options=options)(starts, shared)
-    compiled = jax.jit(host.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile(options)
+    lanes = jax.jit(devices.over_seeds(initial, count, at_once, mesh), out_shardings=by_lane, compiler_options=options)(starts, shared)
+    compiled = jax.jit(devices.chunk_over_seeds(chunk, count, at_once, mesh), donate_argnums=0).lower(lanes, numbers, shared).compile(options)
     result = TuneResult(config, group, tuple(trials[0].values), list(seeds), [], list(trials), time.perf_counter() - started, 0.0,
                         host.describe(config, train.env, list(seeds)))
     for evaluation in range(config.num_evaluations):
