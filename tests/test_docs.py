@@ -34,8 +34,8 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def flags_in(text: str) -> set[str]:
-    """Everything that looks like a long flag."""
-    return {flag.rstrip(".-") for flag in re.findall(r"(?<![\w-])--[a-z][\w.-]*", text)}
+    """Everything that looks like a long flag of ours; XLA's begin with `--xla_`."""
+    return {flag.rstrip(".-") for flag in re.findall(r"(?<![\w-])--(?!xla_)[a-z][\w.-]*", text)}
 
 
 @functools.cache
