@@ -43,8 +43,10 @@ class GraphState:
 
 @flax.struct.dataclass
 class GraphWalk(Environment):
-    """Static arrays and pure functions over them: K images, A actions, N goals of which M are evaluated. A pytree, to be passed to compiled programs as
-    an argument. Tasks add `reached` and `goals_of`."""
+    """Static arrays and pure functions over them, for K images, A actions and N goals, of which M are evaluated. Tasks add `reached` and `goals_of`.
+
+    A pytree: pass it to compiled programs as an argument.
+    """
 
     next_node: jax.Array
     """int32 [K, A], the image that each action leads to; the image's own index where there is no edge."""

@@ -85,7 +85,7 @@ class ObjectManipulation(GraphWalk):
     @property
     def space(self) -> JointSpace:
         """The target states of the arm, for a low level."""
-        require(self.joints.shape[1] > 0, "algorithm", "hrac", f"{self.source} tells no joint angles that an arm could be sent to: give dqn")
+        require(self.joints.shape[1] > 0, "agent", "hrac", f"{self.source} has no joint angles for a low level to reach: give dqn")
         return JointSpace(self.joints.shape[1])
 
     def observe(self, state: GraphState) -> Posed:

@@ -48,7 +48,7 @@ class ObjectSearchConfig:
 
 @flax.struct.dataclass
 class ObjectSearch(DetectionWalk):
-    """The environment: a walk on a graph of grey photographs. All goals are known. `position` is x and y on the plan (m) and the heading (radians)."""
+    """The environment: a walk on a graph of grey photographs. All goals are known. position: x and y on the plan (m), heading (radians)."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""

@@ -52,7 +52,7 @@ def squared_error(params, hidden: tuple[int, ...], codes: jax.Array, inputs: jax
 
 
 def negative_log_likelihood(error: jax.Array, inputs: jax.Array, vector_std: float) -> jax.Array:
-    """-log p(g | z) [B] in nats of a Gaussian decoder without its constant, of squared errors [B]: variance 1 for images, vector_std^2 for vectors."""
+    """-log p(g | z) [B] in nats of a Gaussian decoder without its constant, of squared errors: variance 1 for images, vector_std^2 for vectors."""
     return 0.5 * error / (1.0 if inputs.dtype == jnp.uint8 else vector_std**2)
 
 
