@@ -1,6 +1,6 @@
 """The finite goal space of a task as arrays, and the corruption of goal images (Sec. V-A).
 
-A goal is an int32 index into a `GoalSet` everywhere; -1 stands for "no goal".
+A goal is an int32 index into a `GoalSet` everywhere; -1 means "no goal".
 """
 
 import flax.struct
@@ -9,36 +9,39 @@ import jax.numpy as jnp
 import numpy as np
 
 USES = ("train", "validation", "test")
-NO_USE = -1  # Of a goal that is never commanded nor evaluated.
+NO_USE = -1  # Of a goal that is neither a training, a validation nor a test goal: it can be achieved only.
 
 
 @flax.struct.dataclass
 class GoalSet:
-    """N goals, their inputs and their uses.
-
-    inputs: [M, ...] what the goal encoder sees (float32 text embeddings [N, 384], or uint8 images); ask `inputs_of` for those of a goal.
-    rows: int32 [N] of the inputs that the goals are seen as, where a dataset holds more images than those of goals; None: they are their own.
-    regions: int32 [N] the part of the world a goal lies in (a room); for reports and for the share of positives within and between.
-    train_mask, validation_mask, test_mask: bool [N], disjoint. Only training goals are ever commanded while training.
-    commanded: int32, the training goals; evaluated: int32 [M], the goals of all three masks. Others fill the goal space, and can be achieved only.
-    names, region_names: for reports. groups: which of "train", "validation" and "test" have goals.
-    """
+    """N goals, their inputs and their uses. Only training goals are desired goals while training."""
 
     inputs: jax.Array
+    """[M, *input] what the goal encoder sees: float32 text embeddings [N, 384], or uint8 images [M, H, W, C]. `inputs_of` finds those of a goal."""
     regions: jax.Array
+    """int32 [N], part of the world that a goal lies in, for example a room. For reports, and for the share of positives within regions."""
     train_mask: jax.Array
+    """bool [N], training goals. The three masks are disjoint."""
     validation_mask: jax.Array
+    """bool [N], validation goals."""
     test_mask: jax.Array
+    """bool [N], test goals."""
     commanded: jax.Array
+    """int32, the training goals."""
     evaluated: jax.Array
+    """int32, the goals of all three masks. The others can be achieved only."""
     names: tuple[str, ...] = flax.struct.field(pytree_node=False)
+    """N names, for reports."""
     region_names: tuple[str, ...] = flax.struct.field(pytree_node=False)
+    """Names of the regions, for reports."""
     groups: tuple[str, ...] = flax.struct.field(pytree_node=False)
+    """Those of "train", "validation" and "test" that have goals."""
     rows: jax.Array | None = None
+    """int32 [N], row of `inputs` for each goal, where a dataset has more images than goals; None: row n is goal n."""
 
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
-        """The goal set of these inputs [N, ...], regions [N] and uses, [N] of `NO_USE` or a position in `USES`. rows: int [N] into the inputs."""
+        """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows: int [N] into the inputs."""
         uses = np.asarray(uses)
         masks = [jnp.asarray(uses == use) for use in range(len(USES))]
         return cls(
@@ -48,19 +51,19 @@ class GoalSet:
         )
 
     def inputs_of(self, goals: jax.Array) -> jax.Array:
-        """What the goal encoder sees of these goals int32 [...]: [..., *input]."""
+        """Inputs of the goal encoder [..., *input] for goals int32 [...]."""
         return self.inputs[goals if self.rows is None else self.rows[goals]]
 
     @property
     def num_goals(self) -> int:
-        """N, the number of goals."""
+        """Number of goals N."""
         return len(self.names)
 
 
 def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float) -> jax.Array:
-    """Goal images with backgrounds laid over them, x_c = (1 - w) x + w x_bkg (Sec. V-A, where w is 0.1, 0.2, 0.4 or 0.8).
+    """Mix backgrounds into goal images, x_c = (1 - w) x + w x_bkg (Sec. V-A, where w is 0.1, 0.2, 0.4 or 0.8).
 
-    inputs, backgrounds: uint8 [..., H, W, C]. weight: from 0, the images, to 1, the backgrounds; may be traced.
+    inputs, backgrounds: uint8 [..., H, W, C]. weight: w from 0 (images alone) to 1 (backgrounds alone); may be traced.
     Returns uint8 [..., H, W, C], rounded to the nearest level.
     """
     mixed = (1.0 - weight) * inputs.astype(jnp.float32) + weight * backgrounds.astype(jnp.float32)
@@ -68,5 +71,5 @@ def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float
 
 
 def draw_backgrounds(key: jax.Array, bank: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Backgrounds drawn at random with replacement from a bank of M images, uint8 [M, H, W, C]; uint8 [*shape, H, W, C] (Sec. V-A)."""
+    """Draw backgrounds uint8 [*shape, H, W, C] with replacement from a bank of M images, uint8 [M, H, W, C] (Sec. V-A)."""
     return bank[jax.random.randint(key, shape, 0, bank.shape[0])]

@@ -1,5 +1,7 @@
-"""Neural networks (flax.linen): goal encoder, state encoders, heads. Layers are matrix products throughout: a convolution inside a scan runs 5 to 15
-times slower on XLA:CPU, so images are cut into patches, or windows, instead."""
+"""Neural networks (flax.linen): goal encoder, state encoders, heads.
+
+All layers are matrix products. A convolution inside a scan runs 5 to 15 times slower on XLA:CPU, so images are cut into patches instead.
+"""
 
 import flax.linen as nn
 import jax
@@ -9,7 +11,7 @@ MINIMUM_STD = 1e-3  # Added to softplus in the authors' encoder.
 
 
 class MLP(nn.Module):
-    """ReLU layers of the given widths, then a linear output of size `out`. Maps [..., D] to [..., out]."""
+    """Multilayer perceptron [..., D] to [..., out]: ReLU layers of the given widths, then a linear layer."""
 
     hidden: tuple[int, ...]
     out: int
@@ -22,35 +24,34 @@ class MLP(nn.Module):
 
 
 def patches(images: jax.Array, side: int) -> jax.Array:
-    """The square patches of images [..., H, W, C], H and W multiples of `side`, each as a vector: [..., H / side, W / side, side * side * C]."""
+    """Cut images [..., H, W, C] into square patches, each a vector: [..., H / side, W / side, side * side * C]. `side` divides H and W."""
     *batch, height, width, channels = images.shape
     cut = images.reshape(*batch, height // side, side, width // side, side, channels)
     return jnp.moveaxis(cut, -4, -3).reshape(*batch, height // side, width // side, side * side * channels)
 
 
 def unpatched(values: jax.Array, side: int) -> jax.Array:
-    """The images that `patches` would cut into these: [..., H / side, W / side, side * side * C] to [..., H, W, C]."""
+    """Join patches [..., H / side, W / side, side * side * C] to images [..., H, W, C]: the inverse of `patches`."""
     *batch, rows, columns, size = values.shape
     squares = jnp.moveaxis(values.reshape(*batch, rows, columns, side, side, size // side**2), -3, -4)
     return squares.reshape(*batch, rows * side, columns * side, size // side**2)
 
 
 def standardised(images: jax.Array) -> jax.Array:
-    """Images [..., H, W, C] less their mean, over their standard deviation: what a background laid over an image takes away first is contrast."""
+    """Standardise each image [..., H, W, C] to mean 0 and standard deviation 1. A background takes away contrast first."""
     axes = (-3, -2, -1)
     return (images - images.mean(axes, keepdims=True)) / (images.std(axes, keepdims=True) + 1e-3)
 
 
 class ImageLayers(nn.Module):
-    """Two convolutions without overlap, 16 channels over patches of 4 x 4 pixels and 32 over 2 x 2 of those: images uint8 [..., H, W, C] to [..., D].
+    """Two convolutions without overlap, images uint8 [..., H, W, C] to [..., D]: 16 channels of 4 x 4 pixels, then 32 of 2 x 2 patches.
 
-    The authors' own overlap (8 channels, side 4, stride 2; 16, side 2, stride 1). At 64 x 64 pixels a gradient through them takes 2.5 times as long
-    on a CPU even with a second stride of 2 [M].
-    standardise: give every image the same mean and contrast first.
+    The authors' convolutions overlap (8 channels, side 4, stride 2; 16, side 2, stride 1). At 64 x 64 pixels a gradient through them takes 2.5 times
+    as long on a CPU, even with a second stride of 2 [M].
     """
 
-
     standardise: bool
+    """Give every image the same mean and contrast first."""
 
     @nn.compact
     def __call__(self, images):
@@ -62,8 +63,8 @@ class ImageLayers(nn.Module):
 
 
 class GoalLayers(nn.Module):
-    """The body of every goal encoder: vectors [..., D] go through all layers of `hidden`, images uint8 [..., H, W, C] through two convolutions and
-    the last of them [A]. Returns [..., out]."""
+    """The body of every goal encoder, to [..., out]: vectors [..., D] pass all layers of `hidden`; images uint8 [..., H, W, C] pass two convolutions
+    and the last layer of `hidden` [A]."""
 
     hidden: tuple[int, ...]
     out: int
@@ -90,7 +91,7 @@ class GaussianEncoder(nn.Module):
 
 
 def as_encoded(inputs: jax.Array, standardise: bool) -> jax.Array:
-    """Goal inputs in the scale in which the first layer of `GoalLayers` takes them, float32: what its counterpart is to give back."""
+    """Goal inputs in the scale of the first layer of `GoalLayers`, float32. A decoder reconstructs this."""
     if inputs.dtype != jnp.uint8:
         return inputs
     values = inputs.astype(jnp.float32) / 127.5 - 1.0
@@ -98,15 +99,16 @@ def as_encoded(inputs: jax.Array, standardise: bool) -> jax.Array:
 
 
 class GoalDecoder(nn.Module):
-    """The counterpart of `GoalLayers`, layer by layer in reverse: codes [..., d] to goal inputs [..., *shape] in the scale of `as_encoded`.
+    """The layers of `GoalLayers` in reverse: codes [..., d] to goal inputs [..., *shape] in the scale of `as_encoded`.
 
-    Vectors come out of all layers of `hidden`, images (H and W multiples of 8) out of the last of them and of two transposed convolutions without
-    overlap: 32 channels for every 8 x 8 pixels, 16 for every 4 x 4, then the pixels.
-    hidden: widths as the encoder has them; shape: [D] or [H, W, C], of one input.
+    Vectors are decoded by all layers of `hidden`. Images (H and W multiples of 8) are decoded by the last layer of `hidden` and two transposed
+    convolutions without overlap: 32 channels for every 8 x 8 pixels, 16 for every 4 x 4, then the pixels.
     """
 
     hidden: tuple[int, ...]
+    """Widths of the encoder's layers."""
     shape: tuple[int, ...]
+    """[D] or [H, W, C] of one input."""
 
     @nn.compact
     def __call__(self, codes):
@@ -120,7 +122,7 @@ class GoalDecoder(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """psi(s): images uint8 [..., H, W, C], H and W multiples of `patch`, to [..., features]. One matrix for every patch, one for all of them."""
+    """psi(s) of images uint8 [..., H, W, C] to [..., features]: one matrix for each patch, one for all patches. `patch` divides H and W."""
 
     patch: int
     channels: int
@@ -134,7 +136,7 @@ class PatchEncoder(nn.Module):
 
 
 class VectorEncoder(nn.Module):
-    """psi(s) of vectors: float32 [..., D] to [..., features], through one hidden layer of the same size."""
+    """psi(s) of vectors float32 [..., D] to [..., features], with one hidden layer of the same size."""
 
     features: int
 

@@ -1,41 +1,43 @@
 """Goal pairs within the time window and the dissimilarity matrix G_neg (Algorithm 1, lines 16 to 20).
 
-A goal is achieved at a step if it is among `goals [..., K]` there, padded with -1. Two goals are similar for good once they were achieved
-within `window` steps of each other in one trajectory; goals achieved in the same state are similar too (lag 0).
+A step achieves the goals `goals [..., K]`, padded with -1. Two goals are similar once they were achieved within `window` steps of each other in one
+trajectory, and stay similar. Goals achieved in the same state are similar too (lag 0).
 """
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 
-REJECTION_TRIES = 16  # Candidates drawn for a negative; with half of the goals dissimilar, all are rejected once in 65,536 draws.
+REJECTION_TRIES = 16  # Candidates for a negative. If half of the goals are dissimilar, all 16 are rejected once in 65,536 draws.
 
 
 @flax.struct.dataclass
 class GoalPairs:
-    """Anchors, positives and negatives for the contrastive bound, as goal indices.
-
-    anchor, positive: int32 [B]; negative: int32 [B, K]; contrast: int32 [B, K], what the negative is compared with (the anchor, or another goal).
-    positive_weight: float32 [B] and negative_weight: float32 [B, K], 0 where no such pair exists.
-    """
+    """Anchors, positives and K negatives for the contrastive bound, as goal indices."""
 
     anchor: jax.Array
+    """int32 [B]."""
     positive: jax.Array
+    """int32 [B], achieved within the window of the anchor."""
     contrast: jax.Array
+    """int32 [B, K], what each negative is compared with: the anchor, or another goal."""
     negative: jax.Array
+    """int32 [B, K]."""
     positive_weight: jax.Array
+    """float32 [B], 0 where no pair was found."""
     negative_weight: jax.Array
+    """float32 [B, K], 0 where no negative was found."""
 
 
 def initial_dissimilarity(num_goals: int) -> jax.Array:
-    """G_neg before any experience: bool [N, N], every goal dissimilar to every other, never to itself."""
+    """G_neg before any experience, bool [N, N]: every goal is dissimilar to every other goal, and not to itself."""
     return ~jnp.eye(num_goals, dtype=bool)
 
 
 def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Array, window: int) -> jax.Array:
-    """G_neg without the pairs achieved within `window` steps of each other (line 19): symmetric, and only ever losing entries.
+    """Remove pairs achieved within `window` steps of each other from G_neg (line 19). The matrix stays symmetric and only loses entries.
 
-    goals: int32 [R, T, K] achieved at each step; episode: int32 [R, T] number of the episode within its row, steps of one episode adjacent.
+    goals: int32 [R, T, K] achieved at each step. episode: int32 [R, T], number of the episode within its row; steps of one episode are adjacent.
     """
     num_goals, steps = dissimilarity.shape[0], goals.shape[1]
     goals = jnp.where(goals < 0, num_goals, goals)  # Outside the matrix: dropped by the scatter.
@@ -52,29 +54,29 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
 
 
 def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
-    """How many dissimilar pairs of seen goals are left within and between regions: tells whether the window fits the geometry."""
+    """Count the dissimilar pairs of seen goals within and between regions. The counts show whether the window fits the geometry."""
     same_region = regions[:, None] == regions[None, :]
     upper = jnp.triu(dissimilarity & seen[:, None] & seen[None, :])
     return {"dissimilar_within": (upper & same_region).sum(), "dissimilar_between": (upper & ~same_region).sum()}
 
 
 def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
-    """One of the goals [..., K] that are not -1, uniformly; -1 where there is none."""
+    """Draw one of the goals [..., K] that are not -1, uniformly; -1 where there is none."""
     preference = jnp.where(goals >= 0, jax.random.uniform(key, goals.shape), -1.0)
     return jnp.take_along_axis(goals, preference.argmax(-1)[..., None], axis=-1)[..., 0]
 
 
 def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Indices drawn uniformly among the true entries of mask [N], by inverting the running count; meaningless if there is none."""
+    """Draw indices uniformly among the true entries of mask [N], by inverting the running count. Meaningless if no entry is true."""
     count = jnp.cumsum(mask.astype(jnp.int32))
     rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1))
     return jnp.minimum(jnp.searchsorted(count, rank, side="right"), mask.shape[0] - 1).astype(jnp.int32)
 
 
 def sample_negatives(key: jax.Array, dissimilarity: jax.Array, known: jax.Array, anchors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """For each anchor a known goal dissimilar to it (line 20), by rejection, with weight 0 where every try was rejected.
+    """Draw for each anchor a known goal that is dissimilar to it (line 20), by rejection. The weight is 0 where every candidate was rejected.
 
-    known: bool [N]; anchors: int32 [...]. Returns goals int32 [...] and weights float32 [...].
+    known: bool [N]. anchors: int32 [...]. Returns goals int32 [...] and weights float32 [...].
     """
     candidates = choose_from_mask(key, known, (*anchors.shape, REJECTION_TRIES))
     accepted = dissimilarity[anchors[..., None], candidates] & known[candidates]

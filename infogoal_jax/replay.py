@@ -1,7 +1,7 @@
-"""Replay buffer of rows of consecutive primitive steps: indices and small vectors, no pixels; pure functions over a `Replay`.
+"""Replay buffer: rows of consecutive environment steps, as indices and small vectors without pixels. Pure functions over `Trajectories`.
 
-A row holds T + 1 observations and the T transitions between them. A row may hold several episodes: the transition from the last observation of
-one to the first of the next is marked invalid, and nothing below ever looks across it.
+A row holds T + 1 observations and the T transitions between them. A row may hold several episodes. The transition from the last observation of
+an episode to the first of the next is marked invalid, and no function below looks across it.
 """
 
 import flax.struct
@@ -11,21 +11,24 @@ import jax.numpy as jnp
 
 @flax.struct.dataclass
 class Trajectories:
-    """R rows of T transitions.
-
-    observation, record: pytrees of [R, T + 1, ...] (what the agent saw; what was achieved there).
-    action, goal: int32 [R, T], or floats with axes of their own; valid, terminated, truncated: bool [R, T] of the transition t -> t + 1.
-    decided: bool [R, T], whether the action was decided at t (a subgoal stays for several steps).
-    """
+    """R rows of T transitions."""
 
     observation: jax.Array
+    """Pytree of [R, T + 1, ...], what the agent saw."""
     record: jax.Array
+    """Pytree of [R, T + 1, ...], what was achieved."""
     action: jax.Array
+    """int32 [R, T], or float32 [R, T, A]."""
     goal: jax.Array
+    """Desired goal, int32 [R, T], or floats [R, T, ...]."""
     valid: jax.Array
+    """bool [R, T], whether t -> t + 1 is a transition of one episode."""
     terminated: jax.Array
+    """bool [R, T], whether the transition reached the goal."""
     truncated: jax.Array
+    """bool [R, T], whether the time ran out with the transition."""
     decided: jax.Array
+    """bool [R, T], whether the agent chose the action at t. A subgoal holds for several steps."""
 
     def episode(self) -> jax.Array:
         """Number of the episode that each observation belongs to, int32 [R, T + 1], counted from 0 in each row."""
@@ -34,40 +37,43 @@ class Trajectories:
 
 @flax.struct.dataclass
 class Transitions:
-    """B transitions of up to n steps that stay within one episode.
-
-    observation, next_observation: [B, ...] at the start and after the last step; action, goal: [B, ...].
-    records: [B, n, ...] achieved after each step; mask: float32 [B, n], 1 for a step that was taken; terminated: bool [B] after the last.
-    """
+    """B transitions of up to n steps, each within one episode."""
 
     observation: jax.Array
+    """[B, ...] before the first step."""
     next_observation: jax.Array
+    """[B, ...] after the last step."""
     action: jax.Array
+    """[B, ...] of the first step."""
     goal: jax.Array
+    """[B, ...] desired goal."""
     records: jax.Array
+    """[B, n, ...] achieved after each step."""
     mask: jax.Array
+    """float32 [B, n], 1 for a step that was taken."""
     terminated: jax.Array
+    """bool [B], whether the last step reached the goal."""
 
 
 def empty(example: Trajectories, buffer_epochs: int) -> Trajectories:
-    """A buffer with room for `buffer_epochs` times the rows of `example` (shapes only are read), all invalid."""
+    """Make a buffer for `buffer_epochs` times the rows of `example`, all invalid. Only the shapes of `example` are read."""
     return jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0] * buffer_epochs, *leaf.shape[1:]), leaf.dtype), example)
 
 
 def add(buffer: Trajectories, rows: Trajectories, epoch: jax.Array) -> Trajectories:
-    """The buffer with the rows of this epoch in place of its oldest. The place follows from `epoch`, which is not batched over seeds."""
+    """Replace the oldest rows of the buffer by those of this epoch. `epoch` is not batched over seeds, and decides the place."""
     capacity, new = buffer.valid.shape[0], rows.valid.shape[0]
     start = (epoch * new) % capacity
     return jax.tree.map(lambda old, row: jax.lax.dynamic_update_slice_in_dim(old, row, start, axis=0), buffer, rows)
 
 
 def running_count(mask: jax.Array) -> jax.Array:
-    """Running count over a flattened mask: made once an epoch, it turns every uniform draw among the true entries into a binary search."""
+    """Running count over a flattened mask. Computed once an epoch, it makes each uniform draw among the true entries a binary search."""
     return jnp.cumsum(mask.reshape(-1).astype(jnp.int32))
 
 
 def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Array, jax.Array]:
-    """`num` positions (row, column) drawn uniformly among the true entries of the mask [R, width] that `count` was made from."""
+    """Draw `num` positions (row, column) uniformly among the true entries of a mask [R, width]. count: its `running_count`."""
     rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1))
     flat = jnp.minimum(jnp.searchsorted(count, rank, side="right"), count.shape[0] - 1)
     return flat // width, flat % width
@@ -75,9 +81,10 @@ def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Ar
 
 def transitions_at(buffer: Trajectories, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None,
                    reached=None) -> Transitions:
-    """The transitions that start at these rows and steps, int32 [B] each, followed for at most `num_steps` steps of the same episode.
+    """The transitions that start at these rows and steps, int32 [B] each, with at most `num_steps` steps of one episode.
 
-    goal: other goals [B] than those of the rows; `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then says where an episode ends.
+    goal: desired goals [B] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then decides where an episode
+    terminates.
     """
     length = buffer.valid.shape[1]
     step = first[:, None] + jnp.arange(num_steps)
@@ -106,15 +113,15 @@ def transitions_at(buffer: Trajectories, row: jax.Array, first: jax.Array, num_s
 
 
 def sample_transitions(key: jax.Array, buffer: Trajectories, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
-    """Transitions whose first step is uniform over those that `count` was made from, followed for at most `num_steps` steps of the same episode.
+    """Sample transitions with at most `num_steps` steps of one episode. The first step is uniform.
 
-    count: `running_count` of a mask [R, T] of valid transitions.
+    count: `running_count` of a mask [R, T] of the steps that a transition may start from.
     """
     return transitions_at(buffer, *draw(key, count, batch_size, buffer.valid.shape[1]), num_steps)
 
 
 def steps_left(valid: jax.Array) -> jax.Array:
-    """Valid transitions in a row from each step to the end of its episode, itself included: bool [R, T] to int32 [R, T]."""
+    """Count the valid transitions from each step to the end of its episode, its own included: bool [R, T] to int32 [R, T]."""
     def back(following, now):
         left = jnp.where(now, following + 1, 0)
         return left, left
@@ -124,11 +131,11 @@ def steps_left(valid: jax.Array) -> jax.Array:
 
 
 def sample_within_window(key: jax.Array, buffer: Trajectories, achieved: jax.Array, count: jax.Array, num: int, window: int):
-    """Pairs of steps of one episode at most `window` apart, at both of which a goal was achieved (Algorithm 1, lines 16 and 17).
+    """Sample pairs of steps of one episode, at most `window` apart, that both achieve a goal (Algorithm 1, lines 16 and 17).
 
-    achieved: bool [R, T + 1], where some goal was achieved; count: `running_count(achieved)`.
-    The first step is uniform over those, the second uniform over those in its window, itself included (lag 0).
-    Returns the records of both, pytrees of [num, ...].
+    The first step is uniform over all that achieve a goal, the second over those in its window, the first included (lag 0).
+    achieved: bool [R, T + 1], steps that achieve a goal. count: `running_count(achieved)`.
+    Returns the records of both steps, pytrees of [num, ...].
     """
     choose_first, choose_second = jax.random.split(key)
     width = achieved.shape[1]

@@ -7,6 +7,8 @@
     room 3
 """
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -70,6 +72,13 @@ def config(method: str = "infogoal", **changes) -> TrainConfig:
         "updates_per_epoch": 10, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 3,
     }
     return presets.load("object_search", method, **(small | changes))
+
+
+def sizes(**changes) -> dict:
+    """The fields of `TrainConfig` that make a preset this small, parts and floats apart: for a script that loads its preset itself."""
+    small = config(**changes)
+    own = (*presets.REGISTRIES, "task", "hyper")
+    return {field.name: getattr(small, field.name) for field in dataclasses.fields(small) if field.name not in own}
 
 
 def example(inputs, features: int = 4, num_cells: int = 3) -> InputSpec:

@@ -1,6 +1,5 @@
 """The learner that docs/own_learner.md makes is complete, short, and trains as it says."""
 
-import dataclasses
 import re
 from pathlib import Path
 
@@ -26,9 +25,7 @@ def block() -> str:
 @pytest.fixture(scope="module")
 def script(block) -> dict:
     """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
-    names, load, small = {"__name__": "own_learner"}, presets.load, hand_made.config("none", **SMALL)
-    own = (*presets.REGISTRIES, "task", "hyper")
-    sizes = {field.name: getattr(small, field.name) for field in dataclasses.fields(small) if field.name not in own}
+    names, load, sizes = {"__name__": "own_learner"}, presets.load, hand_made.sizes(**SMALL)
     with pytest.MonkeyPatch.context() as kept:
         kept.setitem(learners.registry, "mine", None)  # The script sets it; afterwards it is gone again.
         with pytest.MonkeyPatch.context() as patch:

@@ -1,4 +1,4 @@
-"""Reinforcement-learning agents, a file each. `registry` is the one place where a new one is named."""
+"""Reinforcement-learning agents, one file each. A new one is registered in `registry`."""
 
 from infogoal_jax.agents import cql, dqn, hrac
 from infogoal_jax.registry import Entry, Registry
@@ -8,4 +8,4 @@ registry = Registry("agent", {
     "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters),
     "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
 })
-"""An agent is made for an environment: `make(config, env)` reads the size of its actions, and the space of its subgoals."""
+"""`make(config, env)` makes an agent for an environment: it reads the number of actions, or the space of subgoals."""

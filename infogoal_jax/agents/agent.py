@@ -1,4 +1,7 @@
-"""What an agent is: a record of pure functions over codes of states and goals. No agent knows which learner made the goal code."""
+"""The contract of an agent: a record of pure functions over features of states and codes of goals. No agent knows which learner made the codes.
+
+Shapes: B transitions, F features of a state, d numbers of a goal code, A actions, or numbers of an action.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,51 +14,57 @@ from infogoal_jax.replay import Trajectories
 
 @flax.struct.dataclass
 class AgentBatch:
-    """B transitions as codes; the agent's gradient flows back through `features` and `code` into the encoders.
-
-    observation, next_observation: [B, ...] as stored.
-    features [B, F] and code [B, d] of the state and the desired goal, by the encoders that are trained; action: int32 [B], or float32 [B, A].
-    next_features, next_code: after the last step, by the encoders that are trained, without gradient.
-    target_features, target_code: after the last step, by the target encoders; action_mask, next_action_mask: bool [B, A], what can be done.
-    reward: float32 [B], discounted sum over the steps; discount: float32 [B] of what follows them, 0 after termination.
-    """
+    """B encoded transitions. The gradient of the agent's loss flows through `features` and `code` into the encoders."""
 
     observation: jax.Array
+    """[B, ...] as stored, before the first step."""
     next_observation: jax.Array
+    """[B, ...] as stored, after the last step."""
     features: jax.Array
+    """float32 [B, F] of the first state."""
     code: jax.Array
+    """float32 [B, d] of the desired goal."""
     action: jax.Array
+    """int32 [B], or float32 [B, A]."""
     next_features: jax.Array
+    """float32 [B, F] of the last state, without gradient."""
     next_code: jax.Array
+    """float32 [B, d] of the desired goal in the last state, without gradient."""
     target_features: jax.Array
+    """float32 [B, F] of the last state, by the target encoder."""
     target_code: jax.Array
+    """float32 [B, d] of the desired goal in the last state, by the target encoder."""
     reward: jax.Array
+    """float32 [B], discounted sum over the steps."""
     discount: jax.Array
+    """float32 [B], discount of what follows; 0 after termination."""
     action_mask: jax.Array
+    """bool [B, A], legal actions in the first state."""
     next_action_mask: jax.Array
+    """bool [B, A], legal actions in the last state."""
 
 
 class Exploration(NamedTuple):
-    """How actions are varied: share of random ones, in [0, 1], and standard deviation of the noise on the others, where actions are continuous."""
+    """How much actions deviate from greedy ones."""
 
     epsilon: jax.Array | float
+    """Probability of a random action, in [0, 1]."""
     noise: jax.Array | float
+    """Standard deviation of Gaussian noise on continuous actions."""
 
 
 class Agent(NamedTuple):
-    """A reinforcement-learning agent.
-
-    init(key, features [F], code [d]) -> (params, state): parameters are trained by gradient, state is everything else.
-    value(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B]: of acting greedily from there.
-    act(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration) -> action int32 [B] or float32 [B, A].
-    loss(params, target_params, batch: AgentBatch, state, hyper, key) -> (loss, metrics).
-    observe(state, rows: Trajectories) -> state: with the rows that were collected.
-    num_steps: environment steps that a sampled transition spans at most.
-    """
+    """A reinforcement-learning agent."""
 
     init: Callable[[jax.Array, jax.Array, jax.Array], tuple[Any, Any]]
+    """(key, features [F], code [d]) -> (params, state). The gradient trains the parameters; the state is everything else."""
     act: Callable[..., jax.Array]
+    """(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration: Exploration) -> action int32 [B] or float32 [B, A]."""
     value: Callable[..., jax.Array]
+    """(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B], value of the greedy action."""
     loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]
+    """(params, target_params, batch: AgentBatch, state, hyper, key) -> (loss, metrics)."""
     observe: Callable[[Any, Trajectories], Any]
+    """(state, rows: Trajectories) -> state. Called with each epoch's new rows."""
     num_steps: int
+    """Largest number of environment steps of a sampled transition."""

@@ -1,4 +1,4 @@
-"""Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN from recorded moves, with values of what was not done held down."""
+"""Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN on recorded transitions with a penalty on actions that were not taken."""
 
 import dataclasses
 from typing import Annotated
@@ -17,7 +17,7 @@ class CQLConfig(dqn.DQNConfig):
     """Sizes and switches of CQL: those of DQN."""
 
     num_steps: int = 1
-    """Steps of the return: more would learn the value of whoever recorded the moves."""
+    """Steps of the n-step return. More than 1 would learn the value of the recorded behaviour."""
 
 
 @flax.struct.dataclass
@@ -25,11 +25,11 @@ class CQLHyperparameters:
     """Float hyperparameters of CQL."""
 
     conservative_weight: Annotated[float, Number("[0, inf)", Search(0.003, 3.0, "log"))] = 1.0
-    """Weight of the penalty on the values of moves that were not recorded."""
+    """Weight of the penalty on the values of actions that were not recorded."""
 
 
 def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Array) -> jax.Array:
-    """log sum_a exp Q(s, g, a) - Q(s, g, a of the data) over the moves that exist, float32 [B]: 0 or more (CQL(H), Eq. 4).
+    """log sum_a exp Q(s, g, a) - Q(s, g, a of the data) over the legal actions, float32 [B], at least 0 (CQL(H), Eq. 4).
 
     values: float32 [B, A]; action_mask: bool [B, A]; actions: int32 [B].
     """
@@ -37,7 +37,7 @@ def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Arr
 
 
 def make(config: CQLConfig, env) -> Agent:
-    """The CQL agent for this configuration, with as many actions as the environment has."""
+    """The CQL agent for this configuration and environment."""
 
     def regulariser(values, batch, hyper):
         gap = conservative_gap(values, batch.action_mask, batch.action).mean()

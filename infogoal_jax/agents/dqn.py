@@ -30,12 +30,12 @@ class DQNConfig:
 
 
 def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
-    """The allowed action of the highest value: values float32 and action_mask bool [..., A] to int32 [...]."""
+    """The legal action with the highest value, int32 [...]: values float32 [..., A], action_mask bool [..., A]."""
     return jnp.where(action_mask, values, -jnp.inf).argmax(-1)
 
 
 def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
-    """The values of these actions: float32 [B, A] and int32 [B] to float32 [B]."""
+    """The values of these actions, float32 [B]: values float32 [B, A], actions int32 [B]."""
     return jnp.take_along_axis(values, actions[:, None], axis=1)[:, 0]
 
 
@@ -47,14 +47,14 @@ def double_q_target(values, params, target_params, batch: AgentBatch) -> jax.Arr
 
 
 def make(config: DQNConfig, env) -> Agent:
-    """The DQN agent for this configuration, with as many actions as the environment has."""
+    """The DQN agent for this configuration and environment."""
     return value_agent(config, env, regulariser=lambda values, batch, hyper: (0.0, {}))
 
 
 def value_agent(config: DQNConfig, env, regulariser) -> Agent:
-    """An agent that acts by values of actions and learns them by double Q-learning.
+    """An agent that learns action values by double Q-learning and acts epsilon-greedily.
 
-    regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics): what is added to the temporal-difference error.
+    regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics) is added to the temporal-difference error.
     """
     head = networks.MLP(config.hidden, env.action_size)
 
@@ -65,18 +65,18 @@ def value_agent(config: DQNConfig, env, regulariser) -> Agent:
         return head.init(key, jnp.concatenate([features, code], axis=-1)), ()
 
     def act(params, features, code, action_mask, key, exploration):
-        """Epsilon-greedy among the allowed actions."""
+        """Epsilon-greedy among the legal actions."""
         choose, pick = jax.random.split(key)
         best = greedy(values(params, features, code), action_mask)
         random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape), -1.0).argmax(-1)
         return jnp.where(jax.random.uniform(choose, best.shape) < exploration.epsilon, random, best).astype(jnp.int32)
 
     def value(params, features, code, action_mask):
-        """The value of the best allowed action."""
+        """The value of the greedy action."""
         return jnp.where(action_mask, values(params, features, code), -jnp.inf).max(-1)
 
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
-        """Temporal-difference error of double Q-learning, and the regulariser."""
+        """Temporal-difference error of double Q-learning, plus the regulariser."""
         target = double_q_target(values, params, target_params, batch)
         every = values(params, batch.features, batch.code)
         predicted = of_actions(every, batch.action)

@@ -1,7 +1,7 @@
-"""The high level of HRAC (Zhang et al. 2020): TD3 that chooses a subgoal every k steps, kept among those that can be reached within k steps.
+"""The high level of HRAC (Zhang et al. 2020): TD3 that chooses a subgoal every k steps.
 
-A subgoal in [-1, 1] stands for a target state near the present one; a low level that was trained beforehand drives the robot there (Sec. V-C of the
-paper). Which states are k steps apart at most is learned as a distance (the adjacency network), and subgoals farther away cost the actor.
+A subgoal in [-1, 1] means a target state near the present one. A frozen low level, trained beforehand, drives the robot there (Sec. V-C of the
+paper). The adjacency network learns a distance that tells states within k steps of each other; the actor pays a penalty for subgoals beyond.
 """
 
 import dataclasses
@@ -18,9 +18,10 @@ from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 
 ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
-"""Adjacent states lie nearer than the first, others farther than the second, and subgoals cost from the third on (HRAC's own code)."""
+"""Distances of the adjacency network: adjacent states lie below the first, others above the second, and the penalty starts at the third (HRAC's own
+code)."""
 MOST_CELLS = 8192
-"""What is remembered of pairs of cells grows with their square."""
+"""The adjacency matrix grows with the square of the number of cells."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,19 +29,19 @@ class HRACConfig:
     """Sizes and switches of HRAC's high level."""
 
     interval: int = 5
-    """Steps k that a subgoal stays."""
+    """Steps k between two subgoals."""
     subgoal_scale: float = 0.15
-    """Farthest displacement that a subgoal asks for along an axis, in m; of a joint, in radians."""
+    """Largest displacement of a subgoal along an axis, in m; of a joint, in radians."""
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the layers of actor and critics."""
     num_decisions: int = 1
-    """Decisions that a return spans before it is bootstrapped."""
+    """Subgoals that a return spans before it is bootstrapped."""
     adjacency_hidden: tuple[int, ...] = (128, 128)
     """Widths of the adjacency network's layers."""
     adjacency_size: int = 32
     """Size of the adjacency network's code."""
     cell: float = 0.05
-    """Side of the cells between which adjacency is remembered, in m or radians."""
+    """Side of the cells of the adjacency matrix, in m or radians."""
     low_level: str = ""
     """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
 
@@ -50,7 +51,7 @@ class HRACConfig:
                 f"must lie between 1 and the episode length, {config.env.episode_length}")
         require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale,
                 "give metres or radians, above 0 and at most 1, for example 0.15")
-        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m or radians: the memory of adjacency grows with its sixth power")
+        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m or radians: the adjacency matrix grows with its sixth power")
         for name in ("hidden", "adjacency_hidden"):
             require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")
         for name in ("num_decisions", "adjacency_size"):
@@ -62,9 +63,9 @@ class HRACHyperparameters:
     """Float hyperparameters of HRAC's high level."""
 
     target_noise: Annotated[float, Number("[0, inf)", Search(0.05, 0.5, "linear", always=False))] = 0.2
-    """Standard deviation of the noise on the actions that TD3's targets are made from."""
+    """Standard deviation of TD3's target policy smoothing."""
     adjacency_weight: Annotated[float, Number("[0, inf)", Search(1.0, 100.0, "log", always=False))] = 20.0
-    """Weight of the penalty for subgoals that cannot be reached in time."""
+    """Weight of the penalty for subgoals that cannot be reached within k steps."""
 
 
 def adjacency_loss(distance: jax.Array, adjacent: jax.Array, weight: jax.Array) -> jax.Array:
@@ -74,7 +75,7 @@ def adjacency_loss(distance: jax.Array, adjacent: jax.Array, weight: jax.Array) 
 
 
 def adjacency_penalty(distance: jax.Array) -> jax.Array:
-    """What a subgoal costs (HRAC, Eq. 14): how far beyond k steps it lies."""
+    """The penalty for a subgoal (HRAC, Eq. 14): how far it lies beyond k steps."""
     return jnp.maximum(distance - PENALTY_STARTS, 0.0)
 
 
@@ -92,7 +93,7 @@ def make(config: HRACConfig, env) -> Agent:
     require(cells.count <= MOST_CELLS, "agent.cell", config.cell, f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones")
 
     def embed(params, states):
-        """psi_adj of the parts of target states [..., S] (grip and object), each by a network of its own: [components, ..., size]."""
+        """psi_adj of the components of target states [..., S] (grip and object), each with its own network: [components, ..., size]."""
         seen = space.network_input(space.parts(states), config.subgoal_scale)
         return jnp.stack([adjacency.apply(own, part) for own, part in zip(params["adjacency"], seen, strict=True)])
 
@@ -107,7 +108,7 @@ def make(config: HRACConfig, env) -> Agent:
         return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
 
     def act(params, features, code, action_mask, key, exploration):
-        """The subgoal, with noise, or a random one."""
+        """The actor's subgoal with noise, or a random subgoal."""
         best = actor.apply(params["actor"], jnp.concatenate([features, code], axis=-1))
         return td3.explore(key, best, exploration.noise, exploration.epsilon)
 
@@ -117,13 +118,13 @@ def make(config: HRACConfig, env) -> Agent:
         return critic.apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
 
     def observe(apart, rows):
-        """The pairs of cells not yet seen within k steps of each other, bool [components, C, C]."""
+        """Remove pairs of cells visited within k steps of each other from the matrix bool [components, C, C]."""
         places = cells.of(space.parts(space.of(rows.observation)))[..., None]
         episode = rows.episode()
         return jnp.stack([pairs.remove_similar(matrix, place, episode, config.interval) for matrix, place in zip(apart, places, strict=True)])
 
     def learn_adjacency(params, batch: AgentBatch, apart):
-        """The adjacency loss over states of the batch: each with the one k steps later, and with one of another transition."""
+        """The adjacency loss of each state of the batch with the state k steps later, and with a state of another transition."""
         state, following = space.of(batch.observation), space.of(batch.next_observation)
         first = jnp.concatenate([state, state])
         second = jnp.concatenate([following, jnp.roll(state, 1, axis=0)])
@@ -134,7 +135,7 @@ def make(config: HRACConfig, env) -> Agent:
         return adjacency_loss(length(embed(params, first) - embed(params, second)), adjacent, weight)
 
     def loss(params, target_params, batch: AgentBatch, apart, hyper, key):
-        """TD3 over k steps (discounts are those of the batch), the adjacency loss, and the actor's penalty for subgoals out of reach."""
+        """TD3 over k steps (with the discounts of the batch), the adjacency loss, and the actor's penalty for subgoals out of reach."""
         frozen = jax.lax.stop_gradient(params)
         inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
         target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)

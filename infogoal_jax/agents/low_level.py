@@ -1,4 +1,4 @@
-"""The low level of HRAC: an actor that drives the robot to a target state (paper, Sec. V-C), trained beforehand and frozen."""
+"""The low level of HRAC: a frozen actor, trained beforehand, that drives the robot to a target state (paper, Sec. V-C)."""
 
 import dataclasses
 
@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from infogoal_jax.agents import td3
 
 DISTANCE_SCALE = 0.1
-"""Differences between target and present state enter the networks in units of this, in m."""
+"""Unit, in m, of the differences between target and present state that the networks see."""
 SMALLEST_STD = 0.01
-"""Observations are divided by at least this: some components hardly move."""
+"""Least standard deviation that observations are divided by: some components hardly move."""
 LARGEST_INPUT = 5.0
-"""Normalised observations are clipped here, as in hindsight experience replay's own code."""
+"""Normalised observations are clipped to plus and minus this, as in HER's own code."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,26 +26,26 @@ class LowLevelConfig:
 
 @flax.struct.dataclass
 class LowLevel:
-    """A frozen policy over target states: act(observation [..., D], target [..., S]) -> action [..., 4]. A pytree of its parameters.
-
-    actor: parameters of the network; mean, std: float32 [D] that observations are normalised with.
-    """
+    """A frozen policy that reaches target states. A pytree."""
 
     actor: dict
+    """Parameters of the network."""
     mean: jax.Array
+    """float32 [D], subtracted from observations."""
     std: jax.Array
+    """float32 [D] that observations are divided by."""
     hidden: tuple[int, ...] = flax.struct.field(pytree_node=False)
     action_size: int = flax.struct.field(pytree_node=False)
 
     def act(self, observation: jax.Array, target: jax.Array) -> jax.Array:
-        """The action [..., A] in [-1, 1] that leads from this observation towards the target state."""
+        """The action [..., A] in [-1, 1] from this observation [..., D] towards the target state [..., S]."""
         return td3.Actor(self.hidden, self.action_size).apply(self.actor, network_input(observation, target, self.mean, self.std))
 
 
 def network_input(observation: jax.Array, target: jax.Array, mean: jax.Array, std: jax.Array) -> jax.Array:
-    """What actor and critics see, [..., D + S]: the observation normalised, and how far each component of the target state is.
+    """Input of actor and critics, [..., D + S]: the normalised observation and the difference to the target state.
 
-    A target state of S numbers is about the first S numbers of the observation.
+    The S numbers of a target state are the first S numbers of the observation.
     """
     normal = jnp.clip((observation - mean) / std, -LARGEST_INPUT, LARGEST_INPUT)
     return jnp.concatenate([normal, (target - observation[..., : target.shape[-1]]) / DISTANCE_SCALE], axis=-1)

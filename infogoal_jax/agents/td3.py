@@ -1,7 +1,7 @@
-"""TD3 (Fujimoto et al. 2018): a deterministic actor, twin critics, and noise on the actions that targets are made from.
+"""TD3 (Fujimoto et al. 2018): a deterministic actor, twin critics and target policy smoothing.
 
-Both levels of HRAC learn by it: the low level in `train/pretrain.py`, the high level in `agents/hrac.py`. As in HRAC's own code the actor is
-updated as often as the critics.
+Both levels of HRAC use it: the high level in `agents/hrac.py`, and the low level while it is trained. As in HRAC's own code the actor is updated as
+often as the critics.
 """
 
 import flax.linen as nn
@@ -36,7 +36,7 @@ class TwinCritic(nn.Module):
 
 
 def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
-    """Actions [..., A] with Gaussian noise of this standard deviation, of which a share is drawn uniformly from [-1, 1] instead."""
+    """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is uniform in [-1, 1] instead."""
     noise_key, choose_key, random_key = jax.random.split(key, 3)
     noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape), -1.0, 1.0)
     random = jax.random.uniform(random_key, action.shape, minval=-1.0)
@@ -44,12 +44,12 @@ def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: j
 
 
 def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float = 2.5) -> jax.Array:
-    """The target policy's actions [..., A] with clipped noise (Eq. 14): noise of this standard deviation, clipped at `largest` of them."""
+    """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at `largest` standard deviations."""
     return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape), -largest, largest), -1.0, 1.0)
 
 
 def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
-    """Temporal-difference error of both critics [2, B] against one target [B] (Eq. 10, clipped double Q-learning)."""
+    """Temporal-difference error of both critics [2, B] against one target [B] (clipped double Q-learning, Eq. 10)."""
     target = jnp.broadcast_to(jax.lax.stop_gradient(target), values.shape)
     error = optax.huber_loss(values, target) if huber else optax.l2_loss(values, target)
     return error.mean(1).sum()

@@ -1,4 +1,4 @@
-"""Environments: pytrees of arrays with pure functions over them. `load` makes one by name; `registry` is the one place where a new one is named."""
+"""Environments: pytrees of arrays with pure functions over them. `load` makes one by name. A new one is registered in `registry`."""
 
 from functools import partial
 from typing import Any
@@ -10,7 +10,7 @@ from infogoal_jax.registry import Entry, Registry
 
 
 def make_fetch(name: str, config: FetchConfig):
-    """A Fetch task. MuJoCo is imported only now: it takes half a second that no other task needs."""
+    """Make a Fetch task. MuJoCo is imported here, because it takes half a second and no other task needs it."""
     from infogoal_jax.envs.fetch import environment, image_goals
 
     return (image_goals if config.goals == "images" else environment).make(name, config)
@@ -25,9 +25,9 @@ registry = Registry("task", {
 
 
 def load(task: str, config: Any = None):
-    """The environment of this name: `env.reset(key)`, `env.step(state, action)`, batched by `jax.vmap`.
+    """Make the environment of this name: `env.reset(key)`, `env.step(state, action)`, batched by `jax.vmap`.
 
-    config: the task's configuration record; None for its defaults. Raises `UserError` for an unknown name or an unusable dataset.
+    config: the configuration of the task; None for its defaults. Raises `UserError` for an unknown name or an unusable dataset.
     """
     found = registry.entry(task)
     return found.make(found.config() if config is None else config)

@@ -1,4 +1,4 @@
-"""A grid of cells over positions or angles, by which it is remembered which target states were seen close together."""
+"""A grid of cells over positions or angles. HRAC's adjacency matrix is over its cells."""
 
 import dataclasses
 
@@ -9,25 +9,29 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """A grid of cells. low: corner [D]; side: of a cell; shape: cells along each axis; periodic: whether it closes in on itself, as angles do."""
+    """A grid of cells, in m or radians."""
 
     low: np.ndarray
+    """[D], lower corner."""
     side: float
+    """Side of a cell."""
     shape: tuple[int, ...]
+    """Number of cells along each axis."""
     periodic: bool = False
+    """Whether the grid is periodic, as angles are."""
 
     @classmethod
     def over(cls, bounds: np.ndarray, side: float) -> "Cells":
-        """The grid over the space between these corners [2, D], and at least one cell around it.
+        """Make a grid over the space between the corners [2, D], with at least one more cell on every side.
 
-        Its cells are centred on the corner of that space: what rests there lies in the middle of a cell, not where the last bit decides between two.
+        A cell is centred on the lower corner, so that an object at rest there lies in the middle of a cell and not on the border of two.
         """
         counts = np.round((bounds[1] - bounds[0]) / side).astype(int) + 3
         return cls(bounds[0] - 1.5 * side, side, tuple(int(count) for count in counts))
 
     @classmethod
     def over_angles(cls, axes: int, side: float) -> "Cells":
-        """The grid over full turns about so many axes, of cells of about this side (radians)."""
+        """Make a periodic grid over full turns about so many axes, with cells of about this side (radians)."""
         count = max(1, round(2 * np.pi / side))
         return cls(np.full(axes, -np.pi / count), 2 * np.pi / count, (count,) * axes, periodic=True)
 
@@ -37,7 +41,7 @@ class Cells:
         return int(np.prod(self.shape))
 
     def of(self, position: jax.Array) -> jax.Array:
-        """The cell of each position [..., D], int32 [...]; -1 outside of the grid."""
+        """The cell of each position [..., D], int32 [...]; -1 outside the grid."""
         place = jnp.floor((position - self.low) / self.side).astype(jnp.int32)
         shape = jnp.array(self.shape)
         place = place % shape if self.periodic else place

@@ -1,7 +1,7 @@
 """Embodied question answering (paper, Sec. V-A.4): a drone in front of a shelf flies to where it sees the object that a question asks about.
 
-Learning is offline, from recorded flights; the evaluation flies in the simulated shelf. Goals are texts: the names of all objects, which are known
-while training and are what flights are relabelled with, a training question for some objects, and questions never seen for the test.
+Learning is offline, from recorded flights. The evaluation flies in the simulated shelf. Goals are texts: the names of all objects, which are known
+while training and serve for relabelling; a training question for some objects; and validation and test questions, which training never sees.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from infogoal_jax.replay import Trajectories
 
 @dataclasses.dataclass(frozen=True)
 class EmbodiedQAConfig:
-    """Where the images and questions come from and how an episode runs."""
+    """Source of images and questions, and length of an episode."""
 
     dataset: str = ""
     """File of an image dataset with detections and trajectories (docs/datasets.md); empty: a generated shelf (a stand-in), built once and kept in the
@@ -28,7 +28,7 @@ class EmbodiedQAConfig:
     generator_seed: int = 0
     """Seed of the generated dataset."""
     hovering: bool = False
-    """Generate a drone that drifts and blurs its images: several for every position."""
+    """Generate a drone that drifts and blurs its images, with several images for every position."""
     questions: str = ""
     """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated shelf."""
     text_embeddings: str = ""
@@ -44,7 +44,7 @@ class EmbodiedQAConfig:
 
 @flax.struct.dataclass
 class EmbodiedQA(DetectionWalk):
-    """The environment: a walk on a graph of images, with the flights that were recorded in it. Known goals are names and training questions."""
+    """The environment: a walk on a graph of images, with recorded flights. Known goals are names and training questions."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: images uint8 [..., H, W, C] for stored observations int32 [...]."""
@@ -52,9 +52,9 @@ class EmbodiedQA(DetectionWalk):
 
 
 def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Trajectories:
-    """The trajectories of a dataset as rows, each flown for one of the training goals, drawn at random: whoever flew had none of them in mind.
+    """The trajectories of a dataset as rows, each with a random training goal as desired goal: recordings have no desired goal of their own.
 
-    Trajectories shorter than the longest are padded with transitions that are not valid.
+    Trajectories shorter than the longest are padded with invalid transitions.
     """
     starts = np.flatnonzero(data.time == 0)
     lengths = np.diff(np.append(starts, len(data.time)))
@@ -75,7 +75,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
 
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:
-    """The task over the dataset and questions that the configuration names. Raises `UserError` for files that cannot be used."""
+    """Make the task from the dataset and questions of the configuration. Raises `UserError` for unusable files."""
     if config.dataset:
         data = frames.load(config.dataset)
     else:
@@ -89,7 +89,7 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
 
 
 def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig) -> EmbodiedQA:
-    """The task over a dataset and questions about its objects. Raises `UserError` for a question about an object that cannot be found."""
+    """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object that cannot be found."""
     given = config.dataset or data.about["name"]
     require(data.detected is not None, "env.dataset", given, "tells no detections: import it with a column `objects`")
     require(len(data.time) > 0, "env.dataset", given, "holds no recorded moves to learn from")
@@ -109,7 +109,7 @@ def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: t
     unseen = [goals_asked[goal].object for goal in np.flatnonzero(uses == 0) if not in_view[flown, goal].any()]
     require(not unseen, "env.dataset", given, f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does")
     embedded = text.embed_known([goal.text for goal in goals_asked], embeddings)
-    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))  # They come with length 1; networks want numbers of the order of 1.
+    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))  # Embeddings have length 1; networks want numbers of the order of 1.
     known = in_view & np.isin(uses, (NO_USE, 0))
     goals = GoalSet.of(inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names)
     position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]

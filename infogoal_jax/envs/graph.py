@@ -1,6 +1,6 @@
-"""What tasks on a graph of images share: moving along edges, starting where the goal is out of reach of a single look, shortest paths.
+"""The base of tasks on a graph of images: moves along edges, starts at which the goal is not reached, shortest paths.
 
-A node is the index of an image. Object search, object manipulation and embodied question answering are such tasks; they differ in what an image
+A node is the index of an image. Object search, object manipulation and embodied question answering are such tasks. They differ in what an image
 shows, and in when a goal is reached.
 """
 
@@ -20,48 +20,57 @@ UNREACHABLE = np.iinfo(np.int16).max
 
 @flax.struct.dataclass
 class GraphState:
-    """One episode: node and goal are indices (int32), time counts steps; terminated (goal reached) and truncated (time is up) are never both set.
-
-    key: of what chance decides on the way, where it decides something; else None.
-    """
+    """One episode. `terminated` and `truncated` are never both set."""
 
     node: jax.Array
+    """int32, index of the image."""
     goal: jax.Array
+    """int32, desired goal."""
     time: jax.Array
+    """int32, steps so far."""
     terminated: jax.Array
+    """bool, the goal is reached."""
     truncated: jax.Array
+    """bool, the time is up."""
     key: jax.Array | None = None
+    """Key of random transitions; None where transitions are deterministic."""
 
     @property
     def diverged(self) -> jax.Array:
-        """Never set: a graph cannot diverge as a simulation can."""
+        """False: a graph cannot diverge as a simulation can."""
         return jnp.zeros_like(self.terminated)
 
 
 @flax.struct.dataclass
 class GraphWalk(Environment):
-    """Static arrays and pure functions over them; a pytree, to be passed to compiled programs as an argument. Tasks add `reached` and `goals_of`.
+    """Static arrays and pure functions over them, for K images, A actions and N goals, of which M are evaluated. Tasks add `reached` and `goals_of`.
 
-    next_node: int32 [K, A] (its own index where there is no edge); goals: N goals, of which M are evaluated.
-    place: int32 [N], row of each evaluated goal in the arrays below. distance: int16 [M, K] steps to the nearest node at which the goal is reached.
-    starts: int32 [M, P] nodes from which an episode for the goal may start (not reached there, but within reach), the first num_starts [M] of a row.
+    A pytree: pass it to compiled programs as an argument.
     """
 
     next_node: jax.Array
+    """int32 [K, A], the image that each action leads to; the image's own index where there is no edge."""
     goals: GoalSet
+    """N goals."""
     place: jax.Array
+    """int32 [N], row of each evaluated goal in the three arrays below."""
     distance: jax.Array
+    """int16 [M, K], steps to the nearest node that reaches the goal."""
     starts: jax.Array
+    """int32 [M, P], nodes from which an episode for the goal may start: they do not reach it, and it is within the episode's length."""
     num_starts: jax.Array
+    """int32 [M], number of starts in each row of `starts`."""
     episode_length: int = flax.struct.field(pytree_node=False)
+    """Steps after which an episode is truncated."""
     source: str = flax.struct.field(pytree_node=False)
+    """The data in words."""
 
     has_shortest_path = True
     recorded: Trajectories | None = flax.struct.field(default=None, kw_only=True)
     train_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     test_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     views: jax.Array | None = flax.struct.field(default=None, kw_only=True)
-    """Images int32 [K, V] that show the same state as each, one of which is seen at random on arriving; None: every state has one image."""
+    """int32 [K, V], images that show the same state as each image. On arrival one of them is drawn at random. None: every state has one image."""
 
     @property
     def action_size(self) -> int:
@@ -75,14 +84,14 @@ class GraphWalk(Environment):
         return self.reset_to(choose_start, goal)
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> GraphState:
-        """A new episode for this evaluated goal (int32), from a start that is uniform among those from which it can be reached, but is not yet."""
+        """A new episode for this evaluated goal (int32), from a start drawn uniformly from `starts`."""
         row = self.place[goal]
         node = self.starts[row, jax.random.randint(key, (), 0, self.num_starts[row])]
         false, key = jnp.zeros((), bool), None if self.views is None else key
         return GraphState(node=node, goal=jnp.asarray(goal, jnp.int32), time=jnp.zeros((), jnp.int32), terminated=false, truncated=false, key=key)
 
     def step(self, state: GraphState, action: jax.Array) -> GraphState:
-        """Follow the edge of this action (int32); a step that has no edge stays in place."""
+        """Follow the edge of this action (int32). An action without an edge stays in place."""
         node, time = self.next_node[state.node, action], state.time + 1
         if self.views is not None:
             node = jax.random.choice(jax.random.fold_in(state.key, time), self.views[node])
@@ -90,7 +99,7 @@ class GraphWalk(Environment):
         return state.replace(node=node, time=time, terminated=terminated, truncated=(time >= self.episode_length) & ~terminated)
 
     def observe(self, state: GraphState) -> jax.Array:
-        """What is stored of the observation: the index of the image, int32."""
+        """The stored observation: the index of the image, int32."""
         return state.node
 
     def achieved(self, state: GraphState) -> jax.Array:
@@ -99,7 +108,7 @@ class GraphWalk(Environment):
 
     @property
     def num_cells(self) -> int:
-        """Cells in which visits are counted: the images."""
+        """Number of cells in which visits are counted: the images."""
         return self.next_node.shape[0]
 
     def cell_of(self, record: jax.Array) -> jax.Array:
@@ -111,32 +120,32 @@ class GraphWalk(Environment):
         return observation
 
     def action_mask(self, observation: jax.Array) -> jax.Array:
-        """The actions that lead somewhere, bool [..., A]; all of them where none does."""
+        """Legal actions, bool [..., A]: those with an edge; all actions where no action has one."""
         node = self.node_of(observation)
         mask = self.next_node[node] != node[..., None]
         return mask | ~mask.any(-1, keepdims=True)
 
     def shortest_path(self, state: GraphState) -> jax.Array:
-        """Steps to the nearest node at which the goal is reached, int32."""
+        """Steps to the nearest node that reaches the goal, int32."""
         return self.distance[self.place[state.goal], state.node].astype(jnp.int32)
 
 
 @flax.struct.dataclass
 class DetectionWalk(GraphWalk):
-    """A walk on which a goal is reached where its object is detected. Tasks add `render`.
-
-    images: uint8 [K, H, W] or [K, H, W, C]; in_view: bool [K, N], whether the object of each goal is detected; achieved_goals: int32 [K, G], those in
-    view that are known while training, padded with -1. position: float32 [K, D] in metres (and a heading in radians), NaN where unknown.
-    """
+    """A walk on which a goal is reached where its object is detected. Tasks add `render`."""
 
     images: jax.Array
+    """uint8 [K, H, W] or [K, H, W, C]."""
     in_view: jax.Array
+    """bool [K, N], whether the image shows the object of the goal."""
     achieved_goals: jax.Array
+    """int32 [K, G], goals in view that are known while training, padded with -1."""
     position: jax.Array
+    """float32 [K, D] in metres (and a heading in radians), NaN where unknown."""
 
     @property
     def num_observations(self) -> int:
-        """Number of different observations: each is the index of an image."""
+        """Number of different observations: the images."""
         return self.images.shape[0]
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
@@ -149,9 +158,9 @@ class DetectionWalk(GraphWalk):
 
 
 def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
-    """Edges int32 [K, A] between the images of a dataset, its own index where there is none, and the views of `GraphWalk`.
+    """Edges int32 [K, A] between the images of a dataset, as in `GraphWalk.next_node`, and `GraphWalk.views`.
 
-    An edge leads to the first image of the next state. Views of states with fewer images than others repeat. Raises `UserError` for moves that
+    An edge leads to the first image of the next state. States with fewer images than others repeat theirs. Raises `UserError` for moves that
     contradict each other.
     """
     following = frames.next_state(data)
@@ -166,7 +175,8 @@ def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def distances(next_node: np.ndarray, at_goal: np.ndarray) -> np.ndarray:
-    """Steps from every node to the nearest one at the goal: int32 [K, A] and bool [K, M] to int16 [M, K], by breadth-first search."""
+    """Steps from every node to the nearest node that reaches each goal, int16 [M, K], by breadth-first search. next_node: int32 [K, A]; at_goal: bool
+    [K, M]."""
     distance = np.full((at_goal.shape[1], len(next_node)), UNREACHABLE, np.int16)
     distance[at_goal.T] = 0
     for step in range(1, len(next_node) + 1):
@@ -178,7 +188,7 @@ def distances(next_node: np.ndarray, at_goal: np.ndarray) -> np.ndarray:
 
 
 def pad_true(mask: np.ndarray) -> np.ndarray:
-    """The columns of the true entries of each row, padded with -1: bool [R, C] to int32 [R, K] with K the largest count (at least 1)."""
+    """Columns of the true entries of each row, padded with -1: bool [R, C] to int32 [R, K], where K is the largest count (at least 1)."""
     columns = np.full((len(mask), max(1, mask.sum(1).max(initial=0))), -1, np.int32)
     for row, row_mask in enumerate(mask):
         columns[row, : row_mask.sum()] = np.flatnonzero(row_mask)
@@ -186,12 +196,12 @@ def pad_true(mask: np.ndarray) -> np.ndarray:
 
 
 def possible_starts(distance: np.ndarray, episode_length: int) -> np.ndarray:
-    """From where an episode for each goal may start, bool [M, K]: farther away, or unreachable, no episode could succeed."""
+    """Nodes from which an episode for each goal may start, bool [M, K]: from farther away no episode could succeed."""
     return (distance > 0) & (distance <= episode_length)
 
 
 def walk_arrays(next_node: np.ndarray, goals: GoalSet, distance: np.ndarray, episode_length: int) -> dict:
-    """The fields of `GraphWalk` that follow from its edges, its goals and the distances [M, K] to those that are evaluated."""
+    """The fields of `GraphWalk` that follow from edges, goals and the distances [M, K] to evaluated goals."""
     may_start = possible_starts(distance, episode_length)
     place = np.zeros(goals.num_goals, np.int32)
     place[np.asarray(goals.evaluated)] = np.arange(len(goals.evaluated))

@@ -1,4 +1,4 @@
-"""Target states of an arm that turns an object by single joint steps: the joints' angles (methods: "subgoal = 3 angles")."""
+"""Target states of an arm with discrete joint moves: the angles of its joints."""
 
 import dataclasses
 
@@ -11,27 +11,27 @@ from infogoal_jax.envs.cells import Cells
 
 @dataclasses.dataclass(frozen=True)
 class JointSpace:
-    """Target states of J joints, all in radians."""
+    """Target states of J = `size` joints, in radians."""
 
     size: int
     components = 1
 
     def of(self, observation) -> jax.Array:
-        """The state [..., J] that an observation shows: its joints."""
+        """The joints [..., J] of an observation."""
         return observation.joints
 
     def from_subgoal(self, observation, subgoal: jax.Array, scale: float) -> jax.Array:
-        """The target state [..., J] that a subgoal [..., J] in [-1, 1] means: every joint turned by up to `scale`."""
+        """The target state [..., J] of a subgoal [..., J] in [-1, 1]: each joint turns by up to `scale` radians."""
         return wrapped(observation.joints + scale * jnp.clip(subgoal, -1.0, 1.0))
 
     def parts(self, states: jax.Array) -> jax.Array:
-        """The parts of target states that are remembered apart: the one there is, [1, ..., J]."""
+        """The components of target states with adjacency matrices of their own: one, [1, ..., J]."""
         return states[None]
 
     def network_input(self, part: jax.Array, scale: float) -> jax.Array:
-        """A part as a network sees it: on circles, so that a full turn ends where it began."""
+        """A component as a network sees it: sines and cosines, so that a full turn ends where it began."""
         return on_circles(part)
 
     def cells(self, side: float) -> Cells:
-        """Cells of about this side over all angles."""
+        """Cells of about this side (radians) over all angles."""
         return Cells.over_angles(self.size, side)

@@ -1,7 +1,7 @@
 """Object manipulation (paper, Sec. V-A.3): an arm turns a Rubik's cube, a joint by 15 degrees at a time, to the pose that an image shows.
 
-The world is a dataset of photographs: a step leads from one to the next. Several settings of the joints show the cube in one orientation, so goals
-are the different orientations, and a goal is reached within 10 degrees of it.
+The world is a dataset of photographs, and a step leads from one to the next. Several joint settings show the cube in the same orientation. Goals are
+therefore the different orientations. A goal is reached within 10 degrees of it.
 """
 
 import dataclasses
@@ -21,16 +21,16 @@ from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, USES, GoalSet
 
 REACHED = np.deg2rad(10.0)
-"""How near the pose has to be, as the angle of the turn between them [P]."""
+"""Largest angle between the pose and the goal at which the goal is reached, in radians [P]."""
 FARTHEST_TEST = np.deg2rad(90.0)
-"""How far a test pose may lie from the nearest training pose [P]."""
+"""Largest angle between a test pose and the nearest training pose, in radians [P]."""
 MOST_GOALS = 8192
-"""Different orientations at most: what is known of pairs of goals grows with their square."""
+"""Largest number of orientations: the dissimilarity matrix grows with its square."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ObjectManipulationConfig:
-    """Where the images come from and how an episode runs."""
+    """Source of the images, choice of the goals, and length of an episode."""
 
     dataset: str = ""
     """File of an image dataset with poses (docs/datasets.md); empty: a generated arm with a cube (a stand-in), built once and kept in the
@@ -38,11 +38,11 @@ class ObjectManipulationConfig:
     generator_seed: int = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
-    """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as the paper's poses do."""
+    """Generate only what the joints of the real arm can reach. Otherwise all three turn freely, as the paper's poses ask for."""
     goal_seed: int = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
-    """Poses commanded in training [P], in validation, and in the test [P]."""
+    """Numbers of training [P], validation and test poses [P]."""
     backgrounds: str = ""
     """Images that corrupt goals: cifar10, a folder, or empty for the crops of photographs that are shipped (docs/backgrounds.md)."""
     episode_length: int = 30
@@ -59,35 +59,37 @@ class ObjectManipulationConfig:
 
 @flax.struct.dataclass
 class Posed:
-    """What is seen: the index of an image, int32, and the joints' angles [J] (radians), which an arm always knows of itself; J may be 0."""
+    """An observation."""
 
     frame: jax.Array
+    """int32 [...], index of the image."""
     joints: jax.Array
+    """float32 [..., J] angles in radians, which an arm always knows of itself; J may be 0."""
 
 
 @flax.struct.dataclass
 class ObjectManipulation(GraphWalk):
-    """The environment: a walk on a graph of photographs, all held once, in `goals.inputs`.
-
-    joints: float32 [K, J] of each image (radians); quaternion: float32 [K, 4] of the object in each image (w first); orientation: int32 [K], the goal
-    that each image shows; goal_quaternion: float32 [N, 4].
-    """
+    """The environment: a walk on a graph of photographs, which are held once, in `goals.inputs`."""
 
     joints: jax.Array
+    """float32 [K, J] angles of each image, in radians."""
     quaternion: jax.Array
+    """float32 [K, 4] orientation of the object in each image, w first."""
     orientation: jax.Array
+    """int32 [K], the goal that each image shows."""
     goal_quaternion: jax.Array
+    """float32 [N, 4] orientation of each goal, w first."""
 
     has_target_states = True
 
     @property
     def space(self) -> JointSpace:
         """The target states of the arm, for a low level."""
-        require(self.joints.shape[1] > 0, "algorithm", "hrac", f"{self.source} tells no joint angles that an arm could be sent to: give dqn")
+        require(self.joints.shape[1] > 0, "agent", "hrac", f"{self.source} has no joint angles for a low level to reach: give dqn")
         return JointSpace(self.joints.shape[1])
 
     def observe(self, state: GraphState) -> Posed:
-        """What is stored of the observation."""
+        """The stored observation."""
         return self.observe_frame(state.node)
 
     def observe_frame(self, frame: jax.Array) -> Posed:
@@ -103,13 +105,13 @@ class ObjectManipulation(GraphWalk):
         return self.goals.inputs[observation.frame]
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
-        """Whether the image shows the object within 10 degrees of the goal's pose, bool [...], for records and goals int32 [...]."""
+        """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32 [...]."""
         cosine_of_half = jnp.abs((self.quaternion[record] * self.goal_quaternion[goal]).sum(-1))
         return cosine_of_half > np.cos(REACHED / 2)
 
     @property
     def goal_positions(self) -> jax.Array:
-        """Where goals lie: their rotation matrices, float32 [N, 9], whose distance grows with the angle between two poses."""
+        """Rotation matrices of the goals, float32 [N, 9]. Their distance grows with the angle between two poses."""
         w, x, y, z = self.goal_quaternion.T
         return jnp.stack([
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
@@ -118,7 +120,7 @@ class ObjectManipulation(GraphWalk):
 
     @property
     def num_cells(self) -> int:
-        """Cells in which visits are counted: the orientations."""
+        """Number of cells in which visits are counted: the orientations."""
         return self.goals.num_goals
 
     def cell_of(self, record: jax.Array) -> jax.Array:
@@ -138,10 +140,10 @@ def quaternions(rotation: np.ndarray) -> np.ndarray:
 
 
 def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int, int, int], seed: int) -> np.ndarray:
-    """Uses of N orientations [N, 3, 3], int [N], positions in `goals.USES` or `NO_USE`: so many of each (Sec. V-B.1).
+    """Choose uses of N orientations [N, 3, 3], int [N], positions in `goals.USES` or `NO_USE`, `counts` of each (Sec. V-B.1).
 
     Training poses are uniform among those that can be reached (bool [N]). Validation and test poses are uniform among those within 90 degrees of
-    a training pose. No pose counts as reached where another one of any use does. Raises `UserError` where the dataset is too small.
+    a training pose. No image reaches two of the chosen poses. Raises `UserError` where the dataset is too small.
     """
     uses, random = np.full(len(rotation), NO_USE), np.random.default_rng([seed, len(rotation)])
     free = reachable.copy()
@@ -158,7 +160,7 @@ def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int,
 
 
 def plainest(joints: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """For each orientation the image int [N] that shows it with the joints [K, J] turned least: as a person would pose the arm for a photograph."""
+    """For each orientation the image int [N] that shows it with the smallest joint angles [K, J], as a person would pose the arm."""
     turned = np.abs((joints + np.pi) % (2 * np.pi) - np.pi).sum(1)
     order = np.lexsort((turned, orientation))
     return order[np.unique(orientation[order], return_index=True)[1]]
@@ -169,7 +171,7 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Where the middle angle is 90 degrees the other two are not unique, and scipy says so.
+        warnings.simplefilter("ignore")  # If the middle angle is 90 degrees, the other two are not unique and scipy warns.
         angles = Rotation.from_matrix(rotation.astype(np.float64)).as_euler("ZYX", degrees=True).round().astype(int)
     kinds = ("pose", *(f"{use} pose" for use in USES))
     return tuple(f"{kinds[use + 1]} yaw {yaw} pitch {pitch} roll {roll}" for use, (yaw, pitch, roll) in zip(uses, angles, strict=True))
@@ -184,7 +186,7 @@ def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
-    """The task over the dataset and backgrounds that the configuration names. Raises `UserError` for files that cannot be used."""
+    """Make the task from the dataset and backgrounds of the configuration. Raises `UserError` for unusable files."""
     if config.dataset:
         data = frames.load(config.dataset)
     else:
@@ -196,7 +198,7 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
 
 
 def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: ObjectManipulationConfig) -> ObjectManipulation:
-    """The task over a dataset. Raises `UserError` for one without poses, or in which no goals can be chosen."""
+    """Make the task from a dataset. Raises `UserError` for a dataset without poses, or in which no goals can be chosen."""
     given = config.dataset or data.about["name"]
     require(data.rotation is not None, "env.dataset", given, "tells no poses: import it with columns qw, qx, qy, qz or roll, pitch, yaw")
     orientation = orientation_classes(data.rotation)

@@ -1,6 +1,6 @@
 """Object search (paper, Sec. V-A.2): a robot moves along the edges of a graph of photographs until the object named by the goal is in view.
 
-An observation is the index of an image, and so is the record of what was achieved: both stay small in the replay buffer, and arrays say the rest.
+An observation is the index of an image, and so is the record of what was achieved. Both are small in the replay buffer; arrays hold the rest.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from infogoal_jax.goals import GoalSet
 
 @dataclasses.dataclass(frozen=True)
 class ObjectSearchConfig:
-    """Where the images come from and how an episode runs."""
+    """Source of the images, and length of an episode."""
 
     dataset: str = ""
     """Folder in the format of the Active Vision Dataset; empty: a synthetic house (a stand-in), built once and kept in the user's cache."""
@@ -31,9 +31,9 @@ class ObjectSearchConfig:
     image_size: int = 32
     """Side of the grey images that the agent sees, in pixels."""
     min_box_size: float = active_vision.DEFAULT_MIN_BOX_SIZE
-    """Shortest side of a detected box as a share of the image's height: the robot must have a clear view."""
+    """Shortest side of a box that counts as detected, as a share of the image's height (a clear view)."""
     max_difficulty: int = 4
-    """Boxes of a higher difficulty do not count as detected (the dataset's authors use 4)."""
+    """Highest difficulty of a box that counts as detected (the dataset's authors use 4)."""
     episode_length: int = 100
     """Steps after which an episode is truncated [A]."""
 
@@ -48,7 +48,7 @@ class ObjectSearchConfig:
 
 @flax.struct.dataclass
 class ObjectSearch(DetectionWalk):
-    """The environment: a walk on a graph of grey photographs, all of whose goals are known. position: plan x and y (m), heading (radians)."""
+    """The environment: a walk on a graph of grey photographs. All goals are known. position: x and y on the plan (m), heading (radians)."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""
@@ -56,7 +56,7 @@ class ObjectSearch(DetectionWalk):
 
 
 def make(config: ObjectSearchConfig) -> ObjectSearch:
-    """Load the images, goals and embeddings that the configuration names. Raises `UserError` for what cannot be used."""
+    """Load the images, goals and embeddings of the configuration. Raises `UserError` for unusable files."""
     split = splits.load_split(config.split) if config.split else splits.AUTHORS_SPLIT
     names = split.objects
     embeddings = text.load(config.text_embeddings) if config.text_embeddings else text.load_shipped()
@@ -75,9 +75,9 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
 
 
 def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.ndarray, episode_length: int) -> ObjectSearch:
-    """The environment over these scenes, whose object names are the split's training, validation and test objects in this order.
+    """Make the environment from scenes whose object names are the split's training, validation and test objects in this order.
 
-    inputs: float32 [N, D], what the goal encoder sees of each object. Raises `UserError` for an object that no episode can reach.
+    inputs: float32 [N, D], goal input of each object. Raises `UserError` for an object that no episode can reach.
     """
     names = split.objects
     require(bool(split.train), "env.split", "", "names no training object; mark at least one with \"use\": \"train\"")

@@ -1,4 +1,4 @@
-"""State representation and bonus, a file each. `registry` is the one place where a new one is named."""
+"""Explorers, one file each: a representation of states and a bonus. A new one is registered in `registry`."""
 
 from infogoal_jax.exploration import none, sse_db
 from infogoal_jax.registry import Entry, Registry

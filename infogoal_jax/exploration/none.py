@@ -1,4 +1,4 @@
-"""No explorer: the state encoder is trained by the agent's loss alone, and moves earn no bonus."""
+"""No explorer: the agent's loss alone trains the state encoder, and there is no bonus."""
 
 import dataclasses
 
@@ -7,12 +7,12 @@ from infogoal_jax.exploration.explorer import Explorer
 
 @dataclasses.dataclass(frozen=True)
 class NoneConfig:
-    """There is nothing to choose."""
+    """No settings."""
 
     def check(self, config) -> None:
-        """Always right."""
+        """Nothing to validate."""
 
 
 def make(config: NoneConfig) -> Explorer | None:
-    """None: nothing is added."""
+    """None."""
     return None

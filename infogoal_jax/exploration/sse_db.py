@@ -1,7 +1,7 @@
 """SSE-DB, self-supervised exploration by a dynamic bottleneck (Bai et al., NeurIPS 2021).
 
-A move (s, a) is squeezed into a code z, Gaussian, that has to tell the next state and should say nothing else. What the code of a move says beyond
-N(0, I), in nats, is the bonus for trying that move. The loss shapes the state encoder too, which is shared with the agent.
+A move (s, a) is encoded as a Gaussian code z, which has to predict the next state and is compressed towards N(0, I). The KL of the code in nats is
+the bonus for the move. The loss also trains the state encoder, which the explorer shares with the agent.
 """
 
 import dataclasses
@@ -19,27 +19,27 @@ from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.replay import Trajectories
 
 NUM_BLOCKS = 2
-MINIMUM_SCALE = 0.1  # Of predictions: exact ones would earn without end.
-MINIMUM_RETURN = 1e-3  # Deviation of the bonus's returns, in nats, below which there is nothing left to tell moves apart by.
+MINIMUM_SCALE = 0.1  # Standard deviation of predictions: without it exact ones would make the likelihood unbounded.
+MINIMUM_RETURN = 1e-3  # Standard deviation of the bonus's returns, in nats. Below it the bonus no longer tells moves apart.
 
 
 @dataclasses.dataclass(frozen=True)
 class SSEDBConfig:
-    """Sizes, of about a quarter of the original's for images of a quarter of the side, and weights of the dynamic bottleneck."""
+    """Sizes and weights of the dynamic bottleneck. Sizes are about a quarter of the original's, for images of a quarter of the side."""
 
     latent_size: int = 32
-    """Size of a move's code z; the original has 128."""
+    """Size of the code z of a move; the original has 128."""
     width: int = 128
     """Width of all layers; the original has 256."""
     projection_size: int = 64
-    """Size of what is contrasted; the original has 128."""
+    """Size of the projections for InfoNCE; the original has 128."""
     kl_weight: float = 0.001
-    """alpha 1: weight of what a code says beyond N(0, I); the authors have 0.1, and 0.001 for some games. With 0.1 the shared state encoder collapses
+    """alpha 1: weight of the KL of the code to N(0, I). The authors have 0.1, and 0.001 for some games. With 0.1 the shared state encoder collapses
     here [M]. 0 or more."""
     prediction_weight: float = 0.1
     """alpha 2: weight of the log-likelihood of the next state's features. 0 or more."""
     contrastive_weight: float = 0.1
-    """alpha 3: weight of telling the next state apart from others (InfoNCE). 0 or more."""
+    """alpha 3: weight of InfoNCE, which tells the next state apart from others. 0 or more."""
     square_root: bool = False
     """Take the square root of the bonus, as the paper has it; the authors' code does not."""
 
@@ -53,15 +53,16 @@ class SSEDBConfig:
 
 @flax.struct.dataclass
 class SSEDBState:
-    """scale: deviation of the discounted returns of the last bonus, 0 before the first; actions: float32 [A, A], one-hot, which say how many there
-    are."""
+    """What is not trained by the gradient."""
 
     scale: jax.Array
+    """float32 [], standard deviation of the discounted returns of the last bonus, in nats; 0 before the first."""
     actions: jax.Array
+    """float32 [A, A], the one-hot actions."""
 
 
 class MoveLayer(nn.Module):
-    """A linear layer of a vector [..., D] and an action, one-hot [..., A], beside each other."""
+    """A linear layer of a vector [..., D] concatenated with a one-hot action [..., A]."""
 
     width: int
 
@@ -71,7 +72,7 @@ class MoveLayer(nn.Module):
 
 
 class Transition(nn.Module):
-    """g(z|s, a): features [..., F] and actions, one-hot [..., A], to mean and std of the code, [..., latent_size]. Every layer sees the action."""
+    """g(z|s, a): features [..., F] and one-hot actions [..., A] to mean and std of the code [..., latent_size]. Every layer sees the action."""
 
     width: int
     latent_size: int
@@ -87,7 +88,7 @@ class Transition(nn.Module):
 
 
 class Projection(nn.Module):
-    """Features [..., F] to what is contrasted, [..., out]."""
+    """Features [..., F] to projections [..., out] for InfoNCE."""
 
     width: int
     out: int
@@ -98,12 +99,12 @@ class Projection(nn.Module):
 
 
 def contrast(score: jax.Array, predicted: jax.Array, followed: jax.Array) -> jax.Array:
-    """log softmax of the bilinear scores u W v / sqrt(d) of every prediction [B, d] and every next state [B, d]: [B, B], right on the diagonal."""
+    """log softmax [B, B] of the bilinear scores u W v / sqrt(d) of predictions [B, d] and next states [B, d]. The true pairs are on the diagonal."""
     return jax.nn.log_softmax(predicted @ score @ followed.T / jnp.sqrt(predicted.shape[-1]), axis=-1)
 
 
 def discounted_returns(reward: jax.Array, valid: jax.Array, discount: jax.Array | float) -> jax.Array:
-    """The sum of what follows each step within its episode, discounted: float32 [R, T] for rewards and valid transitions [R, T]; 0 at others."""
+    """Discounted return of each step within its episode, float32 [R, T], from rewards [R, T]; 0 where the transition is not valid [R, T]."""
     def back(following, now):
         reward, valid = now
         total = jnp.where(valid, reward + discount * following, 0.0)
@@ -135,7 +136,7 @@ def make(config: SSEDBConfig) -> Explorer:
         return GoalCode(*transition.apply(params["transition"], features, action))
 
     def compute_bonus(params, state, features, rows: Trajectories, written, discount):
-        """Bonus KL(g(z|s, a) || N(0, I)) of every move, over the deviation of its discounted returns in all that was collected."""
+        """Bonus KL(g(z|s, a) || N(0, I)) of every move, divided by the standard deviation of its discounted returns in the replay buffer."""
         bonus = kl_to_standard_normal(code_of(params, features[:, None], state.actions))
         bonus = jnp.sqrt(jnp.maximum(bonus, 0.0)) if config.square_root else bonus
         counted = rows.valid & written[:, None]
@@ -144,7 +145,7 @@ def make(config: SSEDBConfig) -> Explorer:
         return bonus / jnp.maximum(deviation, MINIMUM_RETURN), state.replace(scale=deviation)
 
     def loss(params, state, moves: Moves, key):
-        """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, of which the last is log softmax."""
+        """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, where InfoNCE is a log softmax."""
         code_key, prediction_key = jax.random.split(key)
         following = jax.lax.stop_gradient(moves.next_features)
         code = code_of(params, moves.features, state.actions[moves.action])
@@ -158,7 +159,7 @@ def make(config: SSEDBConfig) -> Explorer:
             "kl": kl_to_standard_normal(code).mean(),
             "prediction_loss": surprise.mean(),
             "contrastive_loss": -jnp.diagonal(chances).mean(),
-            # A state that several moves of the batch lead to is right wherever it stands.
+            # Where several moves of the batch lead to one state, any of them is correct.
             "accuracy": (following[chances.argmax(-1)] == following).all(-1).mean(),
         }
         weights = {"kl": config.kl_weight, "prediction_loss": config.prediction_weight, "contrastive_loss": config.contrastive_weight}

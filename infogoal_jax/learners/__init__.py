@@ -1,4 +1,4 @@
-"""Goal-representation learners, a file each. `registry` is the one place where a new one is named."""
+"""Goal-representation learners, one file each. A new one is registered in `registry`."""
 
 from infogoal_jax.learners import cogoal, dgrl, gcb, infobot, infogoal, none, rad, vae
 from infogoal_jax.registry import Entry, Registry

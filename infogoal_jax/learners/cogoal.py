@@ -1,8 +1,8 @@
 """COGOAL (Zou & Suzuki, ICONIP 2021): a deterministic goal code in which goals that are achieved close together in time lie close together.
 
-Codes of goals achieved within a window of one trajectory are pulled together against goals drawn at random: the contrastive bound of InfoGoal
-without noise, without compression and without knowledge of which goals are dissimilar. The loss follows how the later paper describes it, since
-the full text was not at hand (docs/infogoal.md on the bound itself).
+The loss pulls together codes of goals achieved within a window of one trajectory, and pushes away codes of random goals. It is InfoGoal's contrastive
+bound without noise, without compression and without a dissimilarity matrix (docs/infogoal.md explains the bound). It follows the description in the
+later paper, because the full text was not available.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec, enc
 
 @dataclasses.dataclass(frozen=True)
 class CoGoalConfig(GoalEncoderConfig):
-    """Sizes of the plain goal encoder, and of the contrastive loss on its codes."""
+    """Sizes of the plain goal encoder and of the contrastive loss."""
 
     window: int = 4
     """Steps within which two achieved goals count as similar, as InfoGoal's."""
@@ -27,7 +27,7 @@ class CoGoalConfig(GoalEncoderConfig):
     num_negatives: int = 1
     """Negatives for each positive pair, drawn at random among the known goals."""
     norm_penalty: float = 1e-5
-    """Weight of the mean squared norm of the codes: without noise nothing else keeps distances from growing for ever. 0 turns it off."""
+    """Weight of the mean squared norm of the codes. Without noise nothing else bounds the distances. 0 turns it off."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -56,7 +56,7 @@ def make(config: CoGoalConfig) -> Learner:
             "contrastive": contrastive,
             "accuracy": weighted_mean(log_positive[:, None] > log_negative, weights),  # As InfoGoal's Eq. 14: ties count as wrong.
             "code_norm": jnp.sqrt(squared_norm),
-            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),  # Always told apart: codes have no noise.
+            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),  # Always correct: codes have no noise.
         }
         return contrastive + config.norm_penalty * squared_norm, metrics, state
 

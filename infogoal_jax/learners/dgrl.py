@@ -1,7 +1,7 @@
 """Discrete goal codes (DGRL: Islam et al. 2022, "Discrete Factorial Representations as an Abstraction for Goal Conditioned RL").
 
-A code that reconstructs the goal is cut into segments, and each segment is replaced by the nearest vector of one codebook (van den Oord et al. 2017):
-goals share the parts that they are made of. Gradients pass the replacement as if it were not there.
+A code that reconstructs the goal is cut into segments, and each segment is replaced by the nearest vector of one codebook (van den Oord et al. 2017).
+Goals therefore share parts. The gradient passes the replacement unchanged (straight-through).
 """
 
 import dataclasses
@@ -16,28 +16,28 @@ from infogoal_jax.learners import vae
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
-USAGE_RATE = 0.01  # Rate of the running share of segments that each code vector stands for.
-PATIENCE = 100  # Updates after which a code vector that nothing was nearest to is revived.
-INITIAL_GOALS = 256  # Whose segments the codebook is drawn from: a large set of images cannot be encoded at once.
-INITIAL_NOISE = 0.01  # Of the first code vectors, in standard deviations of the segments: no two are the same.
+USAGE_RATE = 0.01  # Rate of the running share of segments that use each code vector.
+PATIENCE = 100  # Updates after which an unused code vector is revived.
+INITIAL_GOALS = 256  # Goals whose segments initialise the codebook: a large set of images cannot be encoded at once.
+INITIAL_NOISE = 0.01  # Noise on the first code vectors, in standard deviations of the segments, so that no two are equal.
 
 
 @dataclasses.dataclass(frozen=True)
 class DGRLConfig(GoalEncoderConfig):
-    """Sizes of encoder, decoder and codebook; the encoder is that of the other methods."""
+    """Sizes of encoder, decoder and codebook."""
 
     num_goals: int = 64
-    """Known goals, desired and achieved ones, that are reconstructed in an update."""
+    """Known goals, desired or achieved, that an update reconstructs."""
     factors: int = 8
-    """Segments that a code is cut into [R]."""
+    """Segments of a code [R]."""
     codes: int = 64
     """Vectors in the codebook that all segments share [R]."""
     commitment: float = 0.25
-    """Weight of what pulls a segment to its code vector [M]."""
+    """Weight of the commitment loss, which pulls a segment to its code vector [M]."""
     revival: float = 1.0
-    """Weight of what pulls code vectors that are nearest to nothing back to the segments; 0: they stay lost."""
+    """Weight of the loss that pulls unused code vectors back to the segments; 0: they stay unused."""
     vector_std: float = 0.05
-    """Standard deviation of the decoder for goals that are vectors, as in the VAE: sets the weight of their reconstruction."""
+    """Standard deviation of the decoder for goals that are vectors, as in the VAE. It sets the weight of their reconstruction."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -52,41 +52,43 @@ class DGRLConfig(GoalEncoderConfig):
 
 @flax.struct.dataclass
 class DGRLState:
-    """usage: float32 [codes], running share of the segments that each code vector stands for; idle: int32 [codes], updates since it last stood for
-    one. home: float32 [codes, d / factors], where among the segments a code vector is revived, in their standard deviations from their mean."""
+    """What is not trained by the gradient."""
 
     usage: jax.Array
+    """float32 [codes], running share of the segments that use each code vector."""
     idle: jax.Array
+    """int32 [codes], updates since the code vector was last used."""
     home: jax.Array
+    """float32 [codes, d / factors], where a code vector is revived: in standard deviations of the segments, from their mean."""
 
 
 def squared_distance(first: jax.Array, second: jax.Array) -> jax.Array:
-    """Of all vectors [..., N, D] to all vectors [M, D]: [..., N, M]."""
+    """Squared distances [..., N, M] of vectors [..., N, D] to vectors [M, D]."""
     return ((first[..., :, None, :] - second) ** 2).sum(-1)
 
 
 def nearest(segments: jax.Array, codebook: jax.Array) -> jax.Array:
-    """The number of the code vector [codes, D] nearest to each segment [..., D]: int32 [...]."""
+    """Index int32 [...] of the code vector [codes, D] nearest to each segment [..., D]."""
     return squared_distance(segments, codebook).argmin(-1)
 
 
 def straight_through(segments: jax.Array, vectors: jax.Array) -> jax.Array:
-    """The code vectors, exactly, with the gradient of the segments that they replace; none reaches the codebook."""
+    """The code vectors, with the gradient of the segments that they replace. No gradient reaches the codebook."""
     return jax.lax.stop_gradient(vectors) + (segments - jax.lax.stop_gradient(segments))
 
 
 def distances_to_codes(segments: jax.Array, vectors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """|sg[y] - e|^2 and |y - sg[e]|^2, means over segments [..., D] (van den Oord et al., Eq. 3): one trains codes, the other segments."""
+    """|sg[y] - e|^2 and |y - sg[e]|^2, means over segments [..., D] (van den Oord et al., Eq. 3): for the codebook, and for segments."""
     codebook_loss = ((jax.lax.stop_gradient(segments) - vectors) ** 2).sum(-1).mean()
     commitment_loss = ((segments - jax.lax.stop_gradient(vectors)) ** 2).sum(-1).mean()
     return codebook_loss, commitment_loss
 
 
 def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, state: DGRLState) -> jax.Array:
-    """Pulls each code vector that nothing was nearest to for `PATIENCE` updates to a segment; reaches no other code vector, and no segment.
+    """Pull each code vector that was unused for `PATIENCE` updates to a segment. No other code vector and no segment gets a gradient.
 
-    It is a segment, of [N, D], near the code vector's home, and rather one that is far from its own code vector. Homes are spread like the segments
-    and stay where they are, so that lost vectors neither end up in one place nor follow the draws of a batch.
+    The segment, of [N, D], lies near the code vector's home; segments far from their own code vector are preferred. Homes are spread like the
+    segments and fixed, so that revived vectors neither meet in one place nor follow the draws of a batch.
     """
     segments = jax.lax.stop_gradient(segments)
     error = ((segments - jax.lax.stop_gradient(codebook)[indices]) ** 2).sum(-1)
@@ -97,31 +99,31 @@ def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, s
 
 
 def after_use(state: DGRLState, indices: jax.Array) -> DGRLState:
-    """The state after these code vectors, int32 [N], stood for segments."""
+    """The state after segments used these code vectors, int32 [N]."""
     count = jnp.zeros_like(state.usage).at[indices].add(1.0)
     usage = state.usage + USAGE_RATE * (count / indices.size - state.usage)
     return state.replace(usage=usage, idle=jnp.where(count > 0, 0, state.idle + 1))
 
 
 def perplexity(usage: jax.Array) -> jax.Array:
-    """How many code vectors would be as varied if all were used alike: exp of the entropy of the shares of use [codes], which need not sum to 1."""
+    """Effective number of code vectors in use: exp of the entropy of the usage [codes], which need not sum to 1."""
     share = usage / usage.sum()
     return jnp.exp(-jax.scipy.special.xlogy(share, share).sum())
 
 
 def encoder_of(config: DGRLConfig) -> networks.GoalLayers:
-    """The network that gives codes before they are made discrete."""
+    """The network before quantisation."""
     return networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
 
 
 def segments_of(config: DGRLConfig, encoder_params, goal_inputs: jax.Array) -> jax.Array:
-    """Codes of goal inputs [..., *input] before they are made discrete, in segments: [..., factors, d / factors]."""
+    """Segments [..., factors, d / factors] of the codes of goal inputs [..., *input], before quantisation."""
     codes = encoder_of(config).apply(encoder_params, goal_inputs)
     return codes.reshape(*codes.shape[:-1], config.factors, -1)
 
 
 def indices_of(config: DGRLConfig, params: dict, goal_inputs: jax.Array) -> jax.Array:
-    """The discrete codes of goal inputs [..., *input]: the numbers of their code vectors, int32 [..., factors]."""
+    """Discrete codes int32 [..., factors] of goal inputs [..., *input]: the indices of their code vectors."""
     return nearest(segments_of(config, params["encoder"], goal_inputs), params["codebook"])
 
 
@@ -129,7 +131,7 @@ def make(config: DGRLConfig) -> Learner:
     """The learner of discrete codes that reconstruct the goal."""
 
     def init(key, example, hyper):
-        """The first code vectors are segments of goals, so that none is far from all of them."""
+        """Initialise the codebook with segments of goals, so that no code vector is far from all segments."""
         keys = jax.random.split(key, 6)
         inputs = example.goal_inputs
         encoder_params = encoder_of(config).init(keys[0], inputs[:1])
@@ -149,8 +151,8 @@ def make(config: DGRLConfig) -> Learner:
         return GoalCode(straight_through(segments, vectors).reshape(*segments.shape[:-2], config.latent_size))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Reconstruction from the discrete code, in the VAE's scale, plus the distances between segments and code vectors (Islam et al.), plus the
-        revival of lost code vectors, which stands in for the usual replacement: parameters are changed by their gradient alone."""
+        """Reconstruction from the discrete code in the VAE's scale, plus the distances between segments and code vectors (Islam et al.), plus the
+        revival loss. The revival loss replaces the usual reset of unused code vectors, because only gradients change parameters here."""
         inputs = batch.inputs_of(batch.goals)
         segments = segments_of(config, params["encoder"], inputs)
         indices = nearest(segments, params["codebook"])

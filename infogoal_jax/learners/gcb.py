@@ -1,15 +1,17 @@
-"""GCB, goal-conditioned bisimulation (Hansen-Estruch, Zhang, Nair, Yin, Levine 2022): pairs of state and goal are alike if they pay alike.
+"""GCB, goal-conditioned bisimulation (Hansen-Estruch, Zhang, Nair, Yin, Levine 2022): pairs of state and goal are similar if their rewards are.
 
-A paired code phi(s, g) is as far from another as their rewards differ, plus as far as the pairs that follow lie apart. It is then split in two,
-psi(g) - psi(s), and that difference is the goal's code for the policy: what is left to do. Where rewards are sparse most target distances are 0, and
-the paired codes may collapse into one: watch the metric `code_spread`. As in the authors' code, a decoder that reads rewards out of the paired codes
-keeps what tells them apart, and some transitions are seen under a goal achieved later, so that codes are learned for more goals than are commanded.
+The distance of two paired codes phi(s, g) is the difference of their rewards plus the distance of the pairs that follow. A second loss fits
+psi(g) - psi(s) to phi(s, g); this difference is the goal's code for the policy and says what is left to do. With sparse rewards most target distances
+are 0, and the paired codes may collapse: watch the metric `code_spread`. As in the authors' code, a decoder reads rewards out of the paired codes,
+which counters the collapse, and some transitions get a goal achieved later, so that codes are learned for more than the training goals.
 
-Three things differ from the authors' code. There the agent learns from the transitions under later goals too; here it does if `--relabelling her`
-asks for that, and methods are compared by what they make of goals. There the encoders of this method are its own; here the state encoder belongs to
-the agent, whose loss alone trains it, as it does with every other method: gradients of the losses below stop at the state's features. And the authors
-take phi(g, g) from the target of psi, so that nothing is left to do at the goal; here a goal may be a text or a picture of an object while a state is
-a view from the robot: there is no pair (g, g), and the target of psi is phi(s, g) itself.
+Three things differ from the authors' code:
+
+- There the agent also learns from the relabelled transitions. Here it does with `--relabelling her` only, so that methods differ in codes alone.
+- There the method has its own encoders. Here the state encoder belongs to the agent, and only the agent's loss trains it, as with every other method:
+  gradients of the losses below stop at the state's features.
+- There phi(g, g) is subtracted from the target of psi, so that nothing is left to do at the goal. Here a goal may be a text or an image of an object
+  while a state is a view from the robot. A pair (g, g) does not exist, and the target of psi is phi(s, g).
 """
 
 import dataclasses
@@ -28,18 +30,18 @@ from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Sampl
 
 @dataclasses.dataclass(frozen=True)
 class GCBConfig(GoalEncoderConfig):
-    """Sizes and switches of GCB; the goal encoder's are those of every method."""
+    """Sizes and switches of GCB."""
 
     paired_hidden: tuple[int, ...] = (128, 128)
-    """Widths of the layers that join state and goal to the paired code, and of those of psi(s)."""
+    """Widths of the layers of phi(s, g) after state and goal are joined, and of psi(s)."""
     reward_weight: float = 1.0
-    """Weight c_r of the gap between rewards in the target distance; 1 or 10 in the authors' code."""
+    """Weight c_r of the difference of rewards in the target distance; 1 or 10 in the authors' code."""
     reward_hidden: int = 512
-    """Width of the decoder of rewards [authors' code]; 0: none."""
+    """Width of the reward decoder [authors' code]; 0: no decoder."""
     relabelled_share: float = 0.3
-    """Share of the transitions that the losses see under a goal achieved later; the authors add 4 such to every 10."""
+    """Share of the transitions that the losses see with a goal achieved later. The authors add 4 such to every 10."""
     policy_input: Literal["difference", "goal"] = "difference"
-    """What the policy is given: `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
+    """Input of the policy. `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -53,9 +55,9 @@ class GCBConfig(GoalEncoderConfig):
 
 
 class PairedEncoder(nn.Module):
-    """phi(s, g): features [..., B, F] of states and inputs of goals [B, ...] to [..., B, out].
+    """phi(s, g): features of states [..., B, F] and goal inputs [B, ...] to [..., B, out].
 
-    A linear layer brings the features to the size of the goal's code, so that neither outweighs the other where the two are joined.
+    A linear layer brings the features to the size of the goal's code, so that neither dominates.
     """
 
     hidden: tuple[int, ...]
@@ -71,7 +73,7 @@ class PairedEncoder(nn.Module):
 
 
 class RewardDecoder(nn.Module):
-    """The reward of a transition, [B], out of its two paired codes [B, d] each."""
+    """The reward [B] of a transition from its two paired codes, [B, d] each."""
 
     hidden: int
 
@@ -82,11 +84,11 @@ class RewardDecoder(nn.Module):
 
 
 def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax.Array, partner: jax.Array, reward_weight: float) -> jax.Array:
-    """How far apart paired codes should lie (Hansen-Estruch et al., the goal-conditioned bisimulation metric), [B], without gradient.
+    """Target distance of paired codes (Hansen-Estruch et al., the goal-conditioned bisimulation metric), [B], without gradient.
 
     c_r h(r_i - r_j) + || discount_i phi'_i - discount_j phi'_j ||_2, where h is the Huber loss (smooth L1) and phi' = phi(s', g) [B, d].
-    partner: int32 [B], j for each i. For equal discounts this is the authors' gamma || phi'_i - phi'_j ||. A transition that terminated has
-    discount 0 and no successor: two of them differ by their rewards alone, and one of them lies discount || phi' || from another that goes on.
+    partner: int32 [B], j for each i. For equal discounts this is the authors' gamma || phi'_i - phi'_j ||. A terminated transition has discount 0
+    and no successor. Two of them differ by their rewards alone; one of them and a transition that continues differ by discount || phi' || too.
     """
     rewards, following = jax.lax.stop_gradient((rewards, discounts[:, None] * following))
     gap = optax.huber_loss(rewards, rewards[partner])
@@ -94,9 +96,9 @@ def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax
 
 
 def paired_loss(codes: jax.Array, target: jax.Array, partner: jax.Array) -> jax.Array:
-    """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]; the norm sums over d, so that distances grow with d."""
+    """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]. The norm sums over d, so distances grow with d."""
     gap = codes - codes[partner]
-    distance = (gap * jnp.sign(gap)).sum(-1)  # The slope of jnp.abs at 0 is 1, which would drive equal codes apart in one direction.
+    distance = (gap * jnp.sign(gap)).sum(-1)  # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
     return ((distance - target) ** 2).mean()
 
 
@@ -106,7 +108,7 @@ def difference_loss(difference: jax.Array, paired: jax.Array, grounding: jax.Arr
 
 
 def code_spread(codes: jax.Array) -> jax.Array:
-    """Standard deviation of codes [B, d] over their 1-norm, times sqrt(d) (authors' code): 0 if all are one, 1.25 / sqrt(d) for Gaussian noise."""
+    """Standard deviation of codes [B, d] over their 1-norm, times sqrt(d) (authors' code): 0 if all are equal, 1.25 / sqrt(d) for Gaussian noise."""
     size = jnp.abs(codes).sum(-1, keepdims=True)
     return jnp.sqrt(codes.shape[-1]) * (codes / jnp.maximum(size, 1e-12)).std(0, ddof=1).mean()
 
@@ -139,7 +141,7 @@ def make(config: GCBConfig) -> Learner:
         return GoalCode(code.mean - state_head.apply(params["state_head"], features))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """L_phi of each transition, of n steps as the agent's are, with another of the batch, plus L_psi, plus the decoder's square error."""
+        """L_phi of each n-step transition with another of the batch, plus L_psi, plus the squared error of the reward decoder."""
         transitions = batch.transitions
         features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
         codes, next_codes = paired.apply(params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired))

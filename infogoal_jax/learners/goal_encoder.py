@@ -1,4 +1,4 @@
-"""What every learner's goal encoder is made of: the same for all, so that methods differ in nothing but what they are about."""
+"""Configuration of the goal encoder, the same for all learners, so that methods differ in nothing else."""
 
 import dataclasses
 
@@ -12,9 +12,9 @@ class GoalEncoderConfig:
     latent_size: int = 32
     """Size d of the goal code [A]."""
     hidden: tuple[int, ...] = (128, 128, 128)
-    """Widths of the goal encoder's layers [A]; a decoder has them in reverse."""
+    """Widths of the goal encoder's layers [A]. A decoder has them in reverse order."""
     standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded: makes codes sturdier against corruption (docs/hrac.md)."""
+    """Give every goal image the same mean and contrast before it is encoded. This makes codes robust to corruption (docs/hrac.md)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""

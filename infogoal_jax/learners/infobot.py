@@ -1,7 +1,7 @@
-"""InfoBot (Goyal et al. 2019): a goal code that costs the policy something for every bit that it uses of the goal.
+"""InfoBot (Goyal et al. 2019): a goal code that limits how many bits of the goal the policy uses.
 
-The code is Gaussian and pays beta times its KL to N(0, I), with a beta that is constant after a warm-up. An intrinsic reward leads to states that
-were seldom visited, the more so the more the code tells of the goal. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone;
+The loss is beta times the KL of the Gaussian code to N(0, I). beta is constant after a warm-up. The intrinsic reward is large in states that were
+rarely visited, and for goals whose code has a large KL. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone.
 `state_conditioned` is the original form p(z | s, g).
 """
 
@@ -27,9 +27,9 @@ class InfoBotConfig(GoalEncoderConfig):
     """Sizes and switches of InfoBot."""
 
     state_conditioned: bool = False
-    """Let the code depend on the state too, p(z | s, g) of the original; the comparisons of InfoGoal's paper encode the goal alone."""
+    """Condition the code on the state too, p(z | s, g), as in the original. The comparisons of InfoGoal's paper encode the goal alone."""
     warm_up: int = 2000
-    """Updates over which beta rises from 0 [M]: before a reward was found the code is worth nothing, and the KL would close it for good."""
+    """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would collapse for good."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -42,21 +42,23 @@ class InfoBotHyperparameters:
     """Float hyperparameters of InfoBot."""
 
     beta: Annotated[float, Number("[0, 1]", Search(1e-6, 1e-2, "log"))] = 0.01
-    """Weight of the KL of the code, in bits, after the warm-up [A]."""
+    """Weight of the KL in bits, after the warm-up [A]."""
 
 
 @flax.struct.dataclass
 class InfoBotState:
-    """counts: float32 [num_cells], visits to each cell; scale: running mean of the KL of desired goals, which normalises the intrinsic reward;
-    updates: int32, so far."""
+    """What is not trained by the gradient."""
 
     counts: jax.Array
+    """float32 [num_cells], visits to each cell."""
     scale: jax.Array
+    """float32 [], running mean of the KL of desired goals in nats, which normalises the intrinsic reward."""
     updates: jax.Array
+    """int32 [], updates so far."""
 
 
 def count_visits(counts: jax.Array, cell: jax.Array, valid: jax.Array) -> jax.Array:
-    """Counts [num_cells] with these visits: cell int32 [R, T], of which only those that are valid, bool [R, T], happened."""
+    """Add visits to the counts [num_cells]: cell int32 [R, T], counted where valid, bool [R, T]."""
     return counts.at[cell].add(valid.astype(counts.dtype))
 
 
@@ -73,20 +75,20 @@ def make(config: InfoBotConfig) -> Learner:
         if config.state_conditioned:
             params["joint"] = joint_encoder.init(joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size)))
         else:
-            scale = kl_to_standard_normal(encode(params, first)).mean()  # Near that of any goal, so that the mean need not run in from afar.
+            scale = kl_to_standard_normal(encode(params, first)).mean()  # Close to that of any goal, so that the running mean starts right.
         return params, InfoBotState(jnp.zeros(example.num_cells), scale, jnp.zeros((), jnp.int32))
 
     def encode(params, goal_inputs):
-        """phi(g); of the state-conditioned form its half that sees the goal, which has no noise yet."""
+        """phi(g). In the state-conditioned form, the part that sees the goal, without noise."""
         encoded = encoder.apply(params["encoder"], goal_inputs)
         return GoalCode(encoded) if config.state_conditioned else GoalCode(*encoded)
 
     def condition(params, code: GoalCode, features):
-        """p(z | s, g). Gradients go through both halves: the KL and the agent's loss shape the state's encoder as well as the goal's."""
+        """p(z | s, g). The gradients of the KL and of the agent's loss train the state encoder and the goal encoder."""
         return GoalCode(*joint_encoder.apply(params["joint"], jnp.concatenate([features, code.mean], axis=-1)))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """beta KL(p(z | s, g) || N(0, I)) of the desired goals (InfoBot's bound on I(A; G | S)), in bits, the scale of the authors' 0.01."""
+        """beta KL(p(z | s, g) || N(0, I)) of the desired goals in bits (InfoBot's bound on I(A; G | S)); the authors' 0.01 has this scale."""
         code = batch.encode(batch.desired)
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
@@ -96,10 +98,10 @@ def make(config: InfoBotConfig) -> Learner:
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
-        """KL(phi(g) || N(0, I)), over its running mean, over sqrt(c(s)), c(s) = 1 + the visits counted so far where each step led.
+        """KL(phi(g) || N(0, I)) / (its running mean * sqrt(c(s))), where c(s) is 1 + the visits so far to the cell that the step led to.
 
-        It is of the order of 1 in a new cell; its weight kappa is `intrinsic_weight / episode_length`: with 1, and 100 steps, 0.01. The KL of
-        the state-conditioned form is not known here, for want of the features of every state: visits alone are counted, as if it were its mean.
+        The reward is of the order of 1 in a new cell. Its weight kappa is `intrinsic_weight / episode_length`: 0.01 for weight 1 and 100 steps. The
+        KL of the state-conditioned form would need the features of every state. Its mean is taken instead, so that only visits count.
         """
         rarity = jax.lax.rsqrt(state.counts[visited.cell] + 1.0)
         if config.state_conditioned:

@@ -1,7 +1,8 @@
 """InfoGoal (paper, Sec. IV): a goal code that tells similar goals from dissimilar ones and forgets the rest.
 
-Similar goals were achieved within a window of one trajectory. Their codes are pulled together against dissimilar goals by a contrastive bound on
-mutual information (Theorem 3), and squeezed towards N(0, I) by beta, which grows as long as the code still tells the two apart (Eq. 15).
+Similar goals were achieved within a window of one trajectory. A contrastive bound on mutual information (Theorem 3) pulls their codes together
+and pushes those of dissimilar goals away. The KL to N(0, I), weighted by beta, compresses the codes. beta grows as long as the code tells similar
+from dissimilar goals (Eq. 15).
 """
 
 import dataclasses
@@ -25,20 +26,20 @@ SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic rewa
 
 @dataclasses.dataclass(frozen=True)
 class InfoGoalConfig(GoalEncoderConfig):
-    """Switches and sizes of InfoGoal. The scale of its beta holds for codes of 32 numbers only."""
+    """Switches and sizes of InfoGoal. The scale of beta holds for codes of 32 numbers only."""
 
     window: int = 4
-    """Steps within which two achieved goals count as similar [M]; the authors' 10 spans two rooms of a small house."""
+    """Steps within which two achieved goals count as similar [M]. The authors' 10 spans two rooms of a small house."""
     num_pairs: int = 256
     """Positive pairs in an update."""
     num_negatives: int = 1
-    """Negatives for each positive pair [A]; more shift the scale of beta."""
+    """Negatives for each positive pair [A]. More of them shift the scale of beta."""
     loss: Literal["nce", "ratio"] = "nce"
     """`nce`: Eq. 13 with the positive in the denominator; `ratio`: the authors' bounded exp(D+ - D-), with the KL in bits."""
     score: Literal["distance", "bilinear"] = "distance"
-    """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the paper's jointly optimised score."""
+    """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the jointly optimised score of the paper."""
     negatives: Literal["anchored", "independent"] = "anchored"
-    """Whether a negative is compared with the positive's anchor (Algorithm 1), or with a goal of its own [A]."""
+    """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn for it [A]."""
     beta_rule: Literal["linear", "sign", "fixed"] = "linear"
     """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.learner.fixed-beta` (ablation of Fig. 15)."""
 
@@ -64,30 +65,32 @@ class InfoGoalHyperparameters:
     beta_start: Annotated[float, Number("[0, 1]")] = 0.0
     """First value of beta."""
     beta_step: Annotated[float, Number("[0, inf)", Search(1e-5, 1e-2, "log", always=False))] = 2.5e-4
-    """rho of Eq. 15, for the linear rule only; the step of the authors' sign rule is always 1e-5. 0 holds beta still."""
+    """rho of Eq. 15, for the linear rule only. The step of the sign rule is always 1e-5. 0 keeps beta constant."""
     beta_threshold: Annotated[float, Number("(0, 1)", Search(0.8, 0.99, "log of 1 - x", always=False))] = 0.96
     """alpha of Eq. 15: the accuracy above which beta grows [A]."""
     fixed_beta: Annotated[float, Number("[0, 1]")] = 0.01
-    """Where beta ramps to, by 1e-5 an update [A], under `--learner.beta-rule fixed`."""
+    """Final value of beta with `--learner.beta-rule fixed`; it grows by 1e-5 an update [A]."""
 
 
 @flax.struct.dataclass
 class InfoGoalState:
-    """beta: the Lagrange multiplier; scale: running mean of the distance between codes, which normalises the intrinsic reward. Scalars."""
+    """What is not trained by the gradient."""
 
     beta: jax.Array
+    """float32 [], the Lagrange multiplier."""
     scale: jax.Array
+    """float32 [], running mean of the distance between codes, which normalises the intrinsic reward."""
 
 
 def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
-    """log f(z, z') for codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' / sqrt(d)."""
+    """log f(z, z') [...] of codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' / sqrt(d)."""
     if "score" in params:
         return jnp.einsum("...i,ij,...j->...", first, params["score"], second) / jnp.sqrt(first.shape[-1])
     return information.log_score(first, second)
 
 
 def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, hyper) -> jax.Array:
-    """The Lagrange multiplier after an update: Eq. 15, clipped to [0, 1] because a negative beta would reward a growing KL."""
+    """beta after an update (Eq. 15), clipped to [0, 1]: a negative beta would reward a growing KL."""
     surplus = accuracy - hyper.beta_threshold
     if config.beta_rule == "linear":
         beta = beta + hyper.beta_step * surplus
@@ -113,7 +116,7 @@ def make(config: InfoGoalConfig) -> Learner:
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the KL of all codes that took part."""
+        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the mean KL of all codes in it."""
         pairs = batch.pairs
         independent = (pairs.contrast,) if config.negatives == "independent" else ()
         codes = encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative, *independent)
@@ -144,7 +147,8 @@ def make(config: InfoGoalConfig) -> Learner:
         return infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin, metrics, state
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
-        """Eq. 16 with its minus sign: minus the distance of mean codes over its running mean; the farthest of the batch if nothing is achieved."""
+        """Eq. 16 with a minus sign: minus the distance from the mean code of the desired goal to that of the nearest achieved goal, divided by its
+        running mean. A step that achieves nothing gets the largest distance of the batch."""
         achieved, mask = visited.achieved, visited.mask
         target = encode(visited.desired).mean[:, None, None]
         distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)

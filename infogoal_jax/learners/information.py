@@ -1,4 +1,4 @@
-"""What several learners measure of goal codes: how much they tell of a goal, and whether they tell goals apart."""
+"""Measures of goal codes that several learners share: information about the goal, and how well goals are told apart."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ def log_score(first: jax.Array, second: jax.Array) -> jax.Array:
 
 
 def contrastive_bound(positive: jax.Array, negative: jax.Array) -> jax.Array:
-    """log f+ / (f+ + sum f-): Theorem 3's term for log scores [B] and [B, K]. Add log(K + 1) for the InfoNCE bound on the mutual information."""
+    """log f+ / (f+ + sum f-), the term of Theorem 3, for log scores [B] and [B, K]. Plus log(K + 1) it is the InfoNCE bound on mutual information."""
     return positive - jax.nn.logsumexp(jnp.concatenate([positive[..., None], negative], axis=-1), axis=-1)
 
 
@@ -22,10 +22,10 @@ def kl_to_standard_normal(code: GoalCode) -> jax.Array:
 
 
 def warmed_up(updates: jax.Array, warm_up: int) -> jax.Array:
-    """How far the weight of a KL has risen from 0 to 1 after this many updates, a scalar: linearly over the first `warm_up` of them."""
+    """Weight of a KL after this many updates, a scalar: it rises linearly from 0 to 1 over the first `warm_up` updates."""
     return jnp.minimum(1.0, (updates + 1) / max(1, warm_up))
 
 
 def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
-    """Mean under weights that may all be 0 (then 0)."""
+    """Weighted mean; 0 if all weights are 0."""
     return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)

@@ -13,7 +13,7 @@ class NoneConfig(GoalEncoderConfig):
 
 
 def make(config: GoalEncoderConfig) -> Learner:
-    """The learner that learns nothing by itself."""
+    """The learner without a loss of its own."""
     encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
 
     def encode(params, goal_inputs):

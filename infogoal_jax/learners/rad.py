@@ -1,7 +1,7 @@
-"""RAD, reinforcement learning with augmented data (Laskin et al. 2020), applied to the inputs of goals: a plain encoder that sees each goal varied.
+"""RAD, reinforcement learning with augmented data (Laskin et al. 2020), applied to goal inputs: a plain goal encoder with data augmentation.
 
-Images are shifted by a few pixels, vectors of text are scaled as a whole. There is no loss of its own: the agent's updates see varied goals, while
-acting and evaluation see goals as they are.
+Images are shifted by a few pixels; text embeddings are multiplied by a random factor. RAD has no loss of its own. The agent's updates see augmented
+goals; acting and evaluation see goals as they are.
 """
 
 import dataclasses
@@ -17,14 +17,14 @@ from infogoal_jax.learners.learner import Learner
 
 @dataclasses.dataclass(frozen=True)
 class RADConfig(GoalEncoderConfig):
-    """Sizes of the plain goal encoder, and how far its inputs are varied."""
+    """Sizes of the plain goal encoder, and the range of the augmentation."""
 
     shift: int = 4
-    """Pixels by which an image is shifted at most along each axis; zeros come in from outside of it. 0 turns shifts off."""
+    """Largest shift of an image along each axis, in pixels, filled with zeros. 0 turns shifts off."""
     amplitude_low: float = 0.6
-    """Least factor by which a vector is scaled, as for some tasks of the paper on RAD. Greater than 0."""
+    """Smallest factor of a vector, as for some tasks of the paper on RAD. Greater than 0."""
     amplitude_high: float = 1.2
-    """Greatest factor by which a vector is scaled."""
+    """Largest factor of a vector."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -36,7 +36,7 @@ class RADConfig(GoalEncoderConfig):
 
 
 def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
-    """Images [..., H, W, C], each moved over zeros by its own draw, whole pixels uniform in [-shift, shift] along both axes (random translate)."""
+    """Shift each image [..., H, W, C] over zeros by whole pixels, uniform in [-shift, shift] along both axes (random translate)."""
     *batch, height, width, channels = images.shape
     padded = jnp.pad(images, [(0, 0)] * len(batch) + [(shift, shift), (shift, shift), (0, 0)])
     corners = jax.random.randint(key, (*batch, 2), 0, 2 * shift + 1)
@@ -48,12 +48,12 @@ def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
 
 
 def scaled(key: jax.Array, vectors: jax.Array, low: float, high: float) -> jax.Array:
-    """Vectors [..., D], each multiplied as a whole by its own factor, uniform in [low, high) (random amplitude scaling): its direction stays."""
+    """Multiply each vector [..., D] by its own factor, uniform in [low, high) (random amplitude scaling). The direction stays."""
     return vectors * jax.random.uniform(key, (*vectors.shape[:-1], 1), vectors.dtype, low, high)
 
 
 def make(config: RADConfig) -> Learner:
-    """The learner that learns nothing by itself, but varies what the agent's updates see of goals."""
+    """The learner without a loss that augments goal inputs in the agent's updates."""
 
     def augment(key, goal_inputs):
         if goal_inputs.dtype == jnp.uint8:

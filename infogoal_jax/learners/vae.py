@@ -1,7 +1,7 @@
 """Variational autoencoder as goal representation (RIG: Nair et al. 2018; Kingma & Welling 2014).
 
-The code of a goal is a Gaussian from which the goal's input can be reconstructed, kept close to N(0, I). Unlike InfoGoal it is told nothing of which
-goals are similar: whatever takes up many pixels takes up the code. As in the paper's comparison it brings a representation only, no reward.
+The code of a goal is a Gaussian from which a decoder reconstructs the goal's input, kept close to N(0, I). Unlike InfoGoal, the VAE does not know
+which goals are similar: what fills many pixels fills the code. As in the paper's comparison there is no intrinsic reward.
 """
 
 import dataclasses
@@ -18,18 +18,18 @@ from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Sampl
 
 @dataclasses.dataclass(frozen=True)
 class VAEConfig(GoalEncoderConfig):
-    """Sizes of encoder and decoder, and the weights of the bound; the encoder is that of the other methods."""
+    """Sizes of encoder and decoder, and weights of the bound."""
 
     num_goals: int = 64
-    """Known goals, desired and achieved ones, that are reconstructed in an update."""
+    """Known goals, desired or achieved, that an update reconstructs."""
     vae_beta: float = 1.0
-    """Weight of the KL: 1 is the evidence lower bound itself [R]. RIG takes 20 to 30 with smaller codes."""
+    """Weight of the KL. 1 is the evidence lower bound [R]. RIG uses 20 to 30 with smaller codes."""
     warm_up: int = 2000
-    """Updates over which the KL's weight rises from 0 [M]: from the start it can drown what the decoder has not yet learned to read, and the code
-    of text goals stays N(0, I) for good."""
+    """Updates over which the weight of the KL rises from 0 [M]. At full weight from the start the KL can outweigh what an untrained decoder gains,
+    and codes of text goals stay at N(0, I) for good."""
     vector_std: float = 0.05
-    """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), what the numbers of a sentence embedding of length 1
-    measure. At 1, as images have it in their scale of -1 to 1, no code of such a goal is worth its KL, and every posterior collapses to N(0, I)."""
+    """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), the size of the numbers of a sentence embedding of
+    length 1. With 1, the value for images in the scale -1 to 1, no code of a text goal is worth its KL, and every posterior collapses to N(0, I)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -41,18 +41,18 @@ class VAEConfig(GoalEncoderConfig):
 
 
 def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal_inputs: jax.Array):
-    """Parameters of the decoder that gives back such inputs [M, ...]."""
+    """Parameters of a decoder for such goal inputs [M, ...]."""
     return networks.GoalDecoder(hidden, goal_inputs.shape[1:]).init(key, jnp.zeros((1, latent_size)))
 
 
 def squared_error(params, hidden: tuple[int, ...], codes: jax.Array, inputs: jax.Array, standardise: bool) -> jax.Array:
-    """Squared error of the reconstruction from codes [B, d], summed over the numbers of each input [B, ...], in the scale that the encoder sees."""
+    """Squared error [B] of the reconstruction from codes [B, d], summed over the numbers of each input [B, ...], in the encoder's scale."""
     decoded = networks.GoalDecoder(hidden, inputs.shape[1:]).apply(params, codes)
     return ((decoded - networks.as_encoded(inputs, standardise)) ** 2).reshape(len(inputs), -1).sum(1)
 
 
 def negative_log_likelihood(error: jax.Array, inputs: jax.Array, vector_std: float) -> jax.Array:
-    """-log p(g | z) in nats of a Gaussian decoder, less its constant, of squared errors [B]; of variance 1 for images, vector_std^2 for vectors."""
+    """-log p(g | z) [B] in nats of a Gaussian decoder without its constant, of squared errors: variance 1 for images, vector_std^2 for vectors."""
     return 0.5 * error / (1.0 if inputs.dtype == jnp.uint8 else vector_std**2)
 
 
@@ -71,12 +71,13 @@ def make(config: VAEConfig) -> Learner:
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Minus the evidence lower bound (Kingma & Welling, Eq. 3), summed over the numbers of an input and then divided by how many there are: its
-        size is comparable with that of the agent's loss, and a `vae_beta` of 1 stays the bound itself. `elbo` and `kl` are in nats for a whole goal,
-        without the decoder's constant.
+        """Minus the evidence lower bound (Kingma & Welling, Eq. 3), divided by the number of numbers of an input.
+
+        The division makes its size comparable with that of the agent's loss, and keeps `vae_beta` = 1 the bound itself. The metrics `elbo` and `kl`
+        are in nats for a whole goal, without the decoder's constant.
         """
         inputs = batch.inputs_of(batch.goals)
-        code = encode(params, inputs)  # Not `batch.encode`, which may see the goals varied: the target is the very input that is encoded.
+        code = encode(params, inputs)  # Not `batch.encode`, which may augment: the target is the input that is encoded.
         error = squared_error(params["decoder"], config.hidden, code.sample(key), inputs, config.standardise_images)
         surprise, kl = negative_log_likelihood(error, inputs, config.vector_std).mean(), kl_to_standard_normal(code).mean()
         size, weight = inputs[0].size, config.vae_beta * warmed_up(state, config.warm_up)

@@ -1,4 +1,4 @@
-"""Relabelling in hindsight, a file each. `registry` is the one place where a new one is named."""
+"""Hindsight relabelling, one file each. A new one is registered in `registry`."""
 
 from infogoal_jax.registry import Entry, Registry
 from infogoal_jax.relabelling import cher, ghrl, her, none

@@ -1,7 +1,8 @@
-"""CHER, curriculum-guided hindsight experience replay (Fang et al. 2019): HER proposes twice the transitions, half of which are learned from.
+"""CHER, curriculum-guided hindsight experience replay (Fang et al. 2019): HER proposes twice as many transitions as an update learns from.
 
-The half is chosen greedily for F(A) = F_div(A) + lambda F_prox(A): its goals cover those of all candidates (facility location), and lie near what
-was achieved instead. lambda grows with every update: diverse goals at first, goals nearly reached in the end.
+Half of them are chosen greedily for F(A) = F_div(A) + lambda F_prox(A). F_div (facility location) is high if the chosen goals cover those of all
+candidates; F_prox is high if they lie near the goals that were achieved. lambda grows with every update: first diverse goals, later goals nearly
+reached.
 """
 
 import dataclasses
@@ -17,24 +18,24 @@ from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 
-CANDIDATES = 2  # For each transition that is learned from [C].
+CANDIDATES = 2  # Candidates for each transition that is learned from [C].
 TRIES = 3  # Candidates compared at each pick [C].
-PRECISION = 1e-6  # Of a difference of products in float32.
-TINY = 1e-12  # Keeps a mean distance of 0, between equal goals, from being divided by.
+PRECISION = 1e-6  # Relative precision of a difference of products in float32.
+TINY = 1e-12  # Avoids a division by 0 where all goals are equal.
 
 
 @dataclasses.dataclass(frozen=True)
 class CHERConfig(her.HERConfig):
-    """How candidates are relabelled (fields of HER), and which of them are chosen."""
+    """How candidates are relabelled (fields of HER) and chosen."""
 
     similarity: Literal["nearest", "dense"] = "nearest"
-    """Which goals cover each other: each its nearest neighbour alone (the authors' code), or all of them (their paper)."""
+    """Which goals cover each other. `nearest`: each its nearest neighbour alone (the authors' code); `dense`: all goals (their paper)."""
     proximity_weight: float = 1.0
     """lambda_0, the weight of proximity before the first update. 0 or more."""
     proximity_growth: float = 1e-4
-    """eta: by which share lambda grows with an update. 0 or more."""
+    """eta, the relative growth of lambda in an update. 0 or more."""
     proximity_unit: Literal["mean", "world"] = "mean"
-    """Unit of the distances to what was achieved: their mean over the candidates, or that of the task's positions (the authors' code)."""
+    """Unit of the distances to what was achieved. `mean`: their mean over the candidates; `world`: the positions' own (the authors' code)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -47,39 +48,40 @@ class CHERConfig(her.HERConfig):
 
 @flax.struct.dataclass
 class Table:
-    """What an epoch's choices need.
-
-    proposals: HER's table; achieved: int32 [R, T + 1, K]; positions: float32 [N, D]; weight: lambda before the epoch's first update.
-    """
+    """What the choices of an epoch need."""
 
     proposals: Any
+    """HER's table."""
     achieved: jax.Array
+    """int32 [R, T + 1, K], goals achieved at each step, padded with -1."""
     positions: jax.Array
+    """float32 [N, D], positions of the goals."""
     weight: jax.Array
+    """float32 [], lambda before the first update of the epoch."""
 
 
 def proximity_weight(config: CHERConfig, updates: jax.Array) -> jax.Array:
-    """lambda_t = lambda_0 (1 + eta)^t after so many updates."""
+    """lambda_t = lambda_0 (1 + eta)^t after t updates."""
     return config.proximity_weight * jnp.exp(updates * math.log1p(config.proximity_growth))  # A power of 1.0001 in float32 would drift.
 
 
 def squared_distances(positions: jax.Array) -> jax.Array:
-    """Between all pairs of positions [n, D]: [n, n], exactly 0 between equal ones.
+    """Squared distances [n, n] between positions [n, D], exactly 0 between equal ones.
 
-    As |a|^2 + |b|^2 - 2 a b, which is ten times faster than differences; what float32 cannot tell from 0 that way is 0.
+    Computed as |a|^2 + |b|^2 - 2 a b, which is ten times faster than differences. What float32 cannot tell from 0 this way is set to 0.
     """
     centred = positions - positions.mean(0)
     products = jnp.matmul(centred, centred.T, precision="highest")
     norms = jnp.diagonal(products)
     largest = norms[:, None] + norms
     squared = largest - 2.0 * products
-    return jax.lax.optimization_barrier(jnp.where(squared > PRECISION * largest, squared, 0.0))  # Else worked out again wherever it is read.
+    return jax.lax.optimization_barrier(jnp.where(squared > PRECISION * largest, squared, 0.0))  # Otherwise XLA computes it again at each use.
 
 
 def neighbour_weights(positions: jax.Array) -> jax.Array:
-    """w_k = sum over the i whose nearest neighbour is k of exp(-d_i^2 / m^2), where d_i is their distance and m the mean of all d: [n, D] to [n].
+    """w_k = sum of exp(-d_i^2 / m^2) over all i with nearest neighbour k, d_i the distance from i to k, m the mean of all d: [n, D] to [n].
 
-    F_div with a similarity to the nearest neighbour alone is the sum of the chosen candidates' w (as in the authors' code).
+    If only the nearest neighbour is similar, F_div is the sum of w over the chosen candidates (as in the authors' code).
     """
     count = positions.shape[0]
     squared = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squared_distances(positions))
@@ -90,23 +92,23 @@ def neighbour_weights(positions: jax.Array) -> jax.Array:
 
 
 def dense_similarity(positions: jax.Array) -> jax.Array:
-    """exp(-d_ij^2 / m^2) of all pairs, m the mean distance between two candidates: [n, D] to [n, n] (as in the paper)."""
+    """exp(-d_ij^2 / m^2) of all pairs, where m is the mean distance of two candidates: [n, D] to [n, n] (as in the paper)."""
     squared, count = squared_distances(positions), positions.shape[0]
     mean = jnp.sqrt(squared).sum() / (count * (count - 1))
     return jnp.exp(-squared / (mean**2 + TINY))
 
 
 def pick(places: jax.Array, count: int, gain: Callable, cover: jax.Array, take: Callable) -> jax.Array:
-    """Candidates int32 [p] picked one after another out of `count`, each the one of greatest gain (the first of equals) among those at the places
-    [p, c] drawn for it, counted among those left in ascending order.
+    """Choose p of `count` candidates one after another, int32 [p].
 
-    gain(cover, candidates [c]) -> [c]; take(cover, candidate) -> cover, which begins as given.
+    Each choice compares c candidates and takes the one with the largest gain, the first among equals. places: int32 [p, c], their places in the
+    ascending list of candidates not chosen yet. gain(cover, candidates [c]) -> [c]. take(cover, candidate) -> cover; `cover` is its first value.
     """
     def step(carry, place):
         left, cover = carry
         candidates = left[place]
         best = gain(cover, candidates).argmax()
-        left = jnp.where(jnp.arange(count) < place[best], left, jnp.roll(left, -1))  # Those behind move up; the end is never read again.
+        left = jnp.where(jnp.arange(count) < place[best], left, jnp.roll(left, -1))  # Those behind move up; the last place is not read again.
         return (left, take(cover, candidates[best])), candidates[best]
 
     return jax.lax.scan(step, (jnp.arange(count), cover), places)[1]
@@ -127,7 +129,7 @@ def pick_dense(similarity: jax.Array, cost: jax.Array, places: jax.Array) -> jax
 
 
 def draw_places(key: jax.Array, count: int, picks: int) -> jax.Array:
-    """For each pick, different places in the list of those left ("lazier than lazy" greedy): int32 [picks, TRIES]."""
+    """Draw for each pick different places in the list of candidates not chosen yet ("lazier than lazy" greedy): int32 [picks, TRIES]."""
     left = count - jnp.arange(picks)
     places = []
     for drawn, try_key in enumerate(jax.random.split(key, TRIES)):
@@ -139,9 +141,9 @@ def draw_places(key: jax.Array, count: int, picks: int) -> jax.Array:
 
 
 def proximity_distances(position: jax.Array, achieved: jax.Array, positions: jax.Array) -> jax.Array:
-    """From each candidate's goal at `position` [n, D] to the nearest of the goals achieved int32 [n, K] instead, padded with -1: float32 [n].
+    """Distance float32 [n] from each candidate's goal, at `position` [n, D], to the nearest goal achieved, int32 [n, K] padded with -1.
 
-    Where nothing was achieved, the farthest of the others'.
+    Where nothing was achieved, it is the largest distance of the other candidates.
     """
     distance = jnp.sqrt(((position[:, None] - positions[achieved]) ** 2).sum(-1))
     distance = jnp.where(achieved >= 0, distance, jnp.inf).min(1)
@@ -151,8 +153,9 @@ def proximity_distances(position: jax.Array, achieved: jax.Array, positions: jax
 def make(config: CHERConfig) -> Relabelling:
     """CHER for goals that are indices.
 
-    Distances are divided by their mean unless the configuration asks for the world's unit. The authors' are metres on a table top, a few tenths each,
-    against covers of about 1; codes of goals have no unit, and grow while they are learned, so that lambda would mean another thing in every task.
+    Distances are divided by their mean unless the configuration asks for the world's unit. The authors' distances are metres on a table top, a few
+    tenths each, beside covers of about 1. Codes of goals have no unit and grow while they are learned, so that lambda would have another meaning in
+    every task.
     """
     proposing = her.make(config)
 

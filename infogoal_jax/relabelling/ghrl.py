@@ -1,7 +1,7 @@
 """GHRL, generalized hindsight (Li, Pinto, Abbeel 2020), by approximate inverse reinforcement learning.
 
-An episode is given the goal that it is the best demonstration of: not the one that it reached first, but the one that it reached sooner than most
-other episodes did. Learned from are both its own goal and this one.
+An episode gets the goal that it demonstrates best: not the goal that it reached first, but the goal that it reached sooner than most other episodes.
+The agent learns from the original goal and from this one.
 """
 
 import dataclasses
@@ -16,17 +16,17 @@ from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Context, Relabelling
 
-VALUES_AT_ONCE = 256  # Episodes whose first observations and goals, perhaps images, are encoded together.
+VALUES_AT_ONCE = 256  # Episodes whose first observations and goals are encoded together; they may be images.
 
 
 @dataclasses.dataclass(frozen=True)
 class GHRLConfig:
-    """Shares of the transitions that are given another goal, and which goals are accepted."""
+    """Shares of the transitions that get another goal, and which goals are accepted."""
 
     share: float = 0.5
-    """Share that is given the best goal of its episode: original and relabelled are learned from equally, as in the authors' code."""
+    """Share that gets the best goal of its episode. With 0.5, original and relabelled ones count equally, as in the authors' code."""
     random_share: float = 0.0
-    """Share that is given any known goal, as in HER: mostly failures, which offline learning sees nowhere else."""
+    """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere else."""
     filter: Literal["none", "advantage"] = "none"
     """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its start."""
 
@@ -41,42 +41,47 @@ class GHRLConfig:
 
 @flax.struct.dataclass
 class Table:
-    """The best goal of the episode that each step belongs to, int32 [R, T + 1], and the step at which it was first reached, -1 where there is none;
-    known: bool [N], goals that may be drawn at random."""
+    """What the draws of an epoch need."""
 
     goal: jax.Array
+    """int32 [R, T + 1], best goal of the episode of each step."""
     hit: jax.Array
+    """int32 [R, T + 1], step at which the episode first reached it; -1 without such a goal."""
     known: jax.Array
+    """bool [N], goals that may be drawn at random."""
 
 
 def percentiles(returns: jax.Array) -> jax.Array:
-    """Rank of each trajectory among all by its return, for each task: [N, G] to int32 [N, G], from 0, the least, to N - 1.
+    """Rank the N trajectories by their returns for each of G tasks: [N, G] to int32 [N, G], from 0 for the lowest to N - 1.
 
-    Equal returns are ranked in their order, as in the authors' code.
+    Equal returns are ranked by their order, as in the authors' code.
     """
     return returns.argsort(axis=0, stable=True).argsort(axis=0).astype(jnp.int32)
 
 
 def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
-    """The task that each trajectory ranks highest in; of equal ranks that of the greatest preference, its return or advantage, then the first.
+    """The task in which each trajectory ranks highest, int32 [N]. Ties go to the largest preference (return or advantage), then to the first task.
 
-    ranks, preference: [N, G]. Returns int32 [N].
+    ranks, preference: [N, G].
     """
     return jnp.where(ranks == ranks.max(1, keepdims=True), preference, -jnp.inf).argmax(1).astype(jnp.int32)
 
 
 def best_goals(context: Context) -> Table:
-    """The goal that each episode reached better than most: the rule of `percentiles` and `choose_task`, with two differences.
+    """The goal that each episode demonstrates best, by the rule of `percentiles` and `choose_task` with two differences.
 
-    Only goals that the episode reached can be chosen: with rewards so sparse the authors' code may choose one never reached, by the order of zeros.
-    And equal returns have equal ranks, the number of episodes with a smaller return, so that nothing hangs on their order; then there is no need to
-    sort, only to count hits by goal and delay. All that is stored is counted: the authors stop at 500 trajectories, as they work each reward out.
-    A goal that held where the episode began does not count: no transition led there. A row that ends cuts its last episode in two.
+    - Only goals that the episode reached can be chosen. With sparse rewards the authors' code may choose a goal that was never reached, by the order
+      of zeros.
+    - Equal returns have equal ranks: the number of episodes with a smaller return. Order then does not matter, and counting hits by goal and delay
+      replaces sorting.
+
+    All stored episodes are compared; the authors stop at 500 trajectories, because they compute each reward. A goal that held at the start of the
+    episode does not count, because no transition led there. The end of a row cuts its last episode in two.
     """
     rows, achieved = context.rows, context.achievements
     num_rows, length, several = achieved.goals.shape
     num_goals = achieved.known.shape[0]
-    led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # By a transition.
+    led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # States that a transition led to.
     begin = her.episode_starts(rows)
     at_start = jax.tree.map(lambda leaf: leaf[jnp.arange(num_rows)[:, None], begin][:, :, None], rows.record)
     again = context.reached(at_start, jnp.maximum(achieved.goals, 0))
@@ -87,11 +92,11 @@ def best_goals(context: Context) -> Table:
     num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
     rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]  # Episodes that were slower, or never got there.
 
-    score = jnp.where(first, rank * length - delay, -length)  # Of equal ranks the greater return, which came sooner.
+    score = jnp.where(first, rank * length - delay, -length)  # Among equal ranks the larger return, which is the shorter delay.
     number = jnp.arange(num_rows)[:, None] * length + begin
 
     def over_episodes(reduce, values):
-        """Of values [R, (T + 1) K], K for each step, those of an episode reduced to one, which stands at every place of the episode."""
+        """Reduce values [R, (T + 1) K], K for each step, over each episode, and repeat the result at every place of the episode."""
         episode = jnp.repeat(number, values.shape[1] // length, axis=1).reshape(-1)
         return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(values.shape)
 
@@ -105,14 +110,14 @@ def best_goals(context: Context) -> Table:
 
 
 def accepted(context: Context, table: Table) -> jax.Array:
-    """Whether an episode's return for its best goal is no less than the value of the policy at its start: bool [R, T + 1], at that start."""
+    """Whether an episode's return for its best goal is at least the value of the policy at its start: bool [R, T + 1], true at starts only."""
     shape = table.hit.shape
     starts = her.episode_starts(context.rows) == jnp.arange(shape[1])
     count = replay.running_count(starts & (table.hit >= 0))
 
     def some(number, passed):
         rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE)
-        place = jnp.searchsorted(count, rank, side="right")  # Beyond the end for ranks that there are not: dropped below.
+        place = jnp.searchsorted(count, rank, side="right")  # Beyond the end for ranks that do not exist: dropped below.
         row, step = jnp.unravel_index(jnp.minimum(place, count.shape[0] - 1), shape)
         value = context.value(jax.tree.map(lambda leaf: leaf[row, step], context.rows.observation), jnp.maximum(table.goal[row, step], 0))
         return passed.at[place].set(context.discount ** (table.hit[row, step] - step - 1) >= value, mode="drop")
@@ -122,7 +127,7 @@ def accepted(context: Context, table: Table) -> jax.Array:
 
 
 def make(config: GHRLConfig) -> Relabelling:
-    """GHRL for goals that are indices. A transition after its episode first reached the goal keeps its own: reaching a goal ends an episode."""
+    """GHRL for goals that are indices. Transitions after the episode first reached the goal keep their own: reaching a goal ends an episode."""
 
     def prepare(context):
         table = best_goals(context)

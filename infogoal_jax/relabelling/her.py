@@ -1,7 +1,8 @@
-"""Relabelling experience replay (Andrychowicz et al. 2017): a transition is given a goal that its own episode achieved later.
+"""HER, hindsight experience replay (Andrychowicz et al. 2017): a transition gets a goal that its episode achieved later.
 
-`future` is the paper's strategy: a later step, then a goal achieved there. `prefix` is that of InfoGoal's authors for graphs: each goal that the
-episode achieved is as likely as any other however long it stayed in view, then one of its occurrences, and what lies before it is given the goal.
+`future` is the paper's strategy: draw a later step, then a goal achieved there. `prefix` is the strategy of InfoGoal's authors for graphs: draw one
+of the goals that the episode achieved, each equally likely however long it stayed in view, then one of its occurrences. The transitions before
+that occurrence get the goal.
 """
 
 import dataclasses
@@ -19,14 +20,14 @@ from infogoal_jax.replay import Trajectories
 
 @dataclasses.dataclass(frozen=True)
 class HERConfig:
-    """Shares of the transitions that are given another goal."""
+    """Shares of the transitions that get another goal."""
 
     future_share: float = 0.8
-    """Share that is given a goal achieved later in the same episode (four of five, as in the paper on HER)."""
+    """Share that gets a goal achieved later in the same episode (four of five, as in the paper on HER)."""
     random_share: float = 0.0
-    """Share that is given any known goal: mostly failures, which offline learning sees nowhere else."""
+    """Share that gets any known goal. These are mostly failures, which offline learning sees nowhere else."""
     strategy: Literal["future", "prefix"] = "future"
-    """Whether every later step at which something was achieved is equally likely, or every goal that the episode achieved [A]."""
+    """`future`: every later step that achieves a goal is equally likely; `prefix`: every goal that the episode achieved is [A]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -39,50 +40,51 @@ class HERConfig:
 
 @flax.struct.dataclass
 class Occurrences:
-    """What was achieved in each row, W = (T + 1) K entries sorted by episode, then by goal, then by step; an episode keeps the places that it had.
-
-    goal: int32 [R, W], N for none; step: int32 [R, W]; size: int32 [R, W], at the first occurrence of a goal in an episode how often the goal occurs
-    there, 0 elsewhere; start: int32 [R, T + 1], the first step of each step's episode.
-    """
+    """What each row achieved: W = (T + 1) K entries sorted by episode, goal and step. The entries of an episode stay at its places in the row."""
 
     goal: jax.Array
+    """int32 [R, W], N for none."""
     step: jax.Array
+    """int32 [R, W]."""
     size: jax.Array
+    """int32 [R, W]: at the first occurrence of a goal in an episode, the number of its occurrences there; 0 elsewhere."""
     start: jax.Array
+    """int32 [R, T + 1], first step of the episode of each step."""
 
 
 @flax.struct.dataclass
 class Prefixes:
-    """What the strategy `prefix` draws from.
-
-    count: int32 [R * W], running count of the first occurrences; steps_left: int32 [R, T]; known: bool [N], as in `Achievements`.
-    """
+    """What the strategy `prefix` draws from."""
 
     occurrences: Occurrences
+    """What was achieved where."""
     count: jax.Array
+    """int32 [R * W], running count of the first occurrences."""
     steps_left: jax.Array
+    """int32 [R, T], as in `Achievements`."""
     known: jax.Array
+    """bool [N], as in `Achievements`."""
 
 
 def future_record(key: jax.Array, buffer: Trajectories, steps_left: jax.Array, row: jax.Array, step: jax.Array):
-    """What was achieved at a step uniform among those after `step` in the same episode: records [B, ...].
+    """The records [B, ...] of a step drawn uniformly among those after `step` in the same episode.
 
-    steps_left: int32 [R, T] of `replay.steps_left`; row, step: int32 [B], valid transitions.
+    steps_left: int32 [R, T] of `replay.steps_left`. row, step: int32 [B], valid transitions.
     """
     ahead = jax.random.randint(key, row.shape, 1, jnp.maximum(steps_left[row, step], 1) + 1)
     return jax.tree.map(lambda leaf: leaf[row, step + ahead], buffer.record)
 
 
 def relabel(key: jax.Array, goal: jax.Array, achieved_later: jax.Array, share: float) -> jax.Array:
-    """Goals [B, ...] of which `share` are replaced by those achieved later [B, ...]."""
+    """Replace a share of the goals [B, ...] by those achieved later [B, ...]."""
     chosen = jax.random.bernoulli(key, share, goal.shape[:1]).reshape(-1, *[1] * (goal.ndim - 1))
     return jnp.where(chosen, achieved_later, goal)
 
 
 def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array) -> jax.Array:
-    """A goal achieved after `step` in the same episode, int32 [B]; -1 where none was.
+    """Draw a goal achieved after `step` in the same episode, int32 [B]; -1 where there is none.
 
-    The step is uniform among those at which something was achieved, the goal among those achieved there.
+    The later step is uniform among those that achieve a goal, the goal uniform among those achieved there.
     """
     choose_step, choose_goal = jax.random.split(key)
     width = achievements.goals.shape[1]
@@ -115,7 +117,7 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
 
 
 def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array) -> jax.Array:
-    """A goal that the episode achieved, each equally likely, int32 [B]; -1 if the occurrence drawn, of all of them, does not lie after `step`."""
+    """Draw a goal that the episode achieved, each equally likely, and one of its occurrences: int32 [B]; -1 if it does not lie after `step`."""
     choose_goal, choose_occurrence = jax.random.split(key)
     seen, (length, width) = table.occurrences, (table.occurrences.start.shape[1], table.occurrences.goal.shape[1])
     several = width // length
@@ -129,7 +131,7 @@ def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array
 
 
 def prefixes(context: Context) -> Prefixes:
-    """The table of the strategy `prefix`, once an epoch."""
+    """The table of an epoch for the strategy `prefix`."""
     achieved = context.achievements
     seen = occurrences(achieved.goals, context.rows, achieved.known.shape[0])
     return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)

@@ -1,4 +1,4 @@
-"""No relabelling: a transition keeps the goal that it was made for."""
+"""No relabelling: a transition keeps its desired goal."""
 
 import dataclasses
 
@@ -7,12 +7,12 @@ from infogoal_jax.relabelling.relabelling import Relabelling
 
 @dataclasses.dataclass(frozen=True)
 class NoneConfig:
-    """There is nothing to choose."""
+    """No settings."""
 
     def check(self, config) -> None:
-        """Always right."""
+        """Nothing to validate."""
 
 
 def make(config: NoneConfig) -> Relabelling | None:
-    """None: nothing is relabelled."""
+    """None."""
     return None

@@ -1,4 +1,7 @@
-"""What a relabelling is: functions that give sampled transitions other goals, by indices, when a batch is drawn. Nothing is stored."""
+"""The contract of a relabelling: functions that give sampled transitions other desired goals when a batch is drawn. Nothing is stored.
+
+Shapes: R rows of T transitions, B transitions, N goals, K goals achieved at one step, D coordinates. A goal is an int32 index.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,47 +14,47 @@ from infogoal_jax.replay import Trajectories
 
 @flax.struct.dataclass
 class Achievements:
-    """What was achieved in the rows of a replay buffer; fixed while an epoch's updates run.
-
-    goals: int32 [R, T + 1, K] achieved at each step and known, padded with -1; count: int32 [R * (T + 1)], running count of the steps at which there
-    are some; steps_left: int32 [R, T] of `replay.steps_left`; known: bool [N], goals that may be drawn at random.
-    """
+    """What the rows of a replay buffer achieved. Fixed during the updates of an epoch."""
 
     goals: jax.Array
+    """int32 [R, T + 1, K], known goals achieved at each step, padded with -1."""
     count: jax.Array
+    """int32 [R * (T + 1)], running count of the steps that achieve a goal."""
     steps_left: jax.Array
+    """int32 [R, T] of `replay.steps_left`."""
     known: jax.Array
+    """bool [N], goals that may be drawn at random."""
 
 
 class Context(NamedTuple):
-    """What a relabelling may look at, once an epoch.
-
-    rows: all that updates may be drawn from; written: bool [R], which of them hold something; positions() -> float32 [N, D]: where goals lie, in the
-    world's units where the task knows them, else in the space of goal codes; value(observation [B, ...], goal int32 [B]) -> float32 [B]: of the
-    agent's policy, by the epoch's first parameters; reached(record [...], goal int32 [...]) -> bool [...]: the environment's own judgement;
-    discount: of a step; updates: int32, how many were made before this epoch.
-    """
+    """What a relabelling sees, once an epoch."""
 
     rows: Trajectories
+    """The replay buffer, or the recorded trajectories."""
     written: jax.Array
+    """bool [R], rows that hold something."""
     achievements: Achievements
+    """What the rows achieved."""
     positions: Callable[[], jax.Array]
+    """() -> float32 [N, D], positions of the goals: in the world's units where the task knows them, else their codes."""
     value: Callable[[Any, jax.Array], jax.Array]
+    """(observation [B, ...], goal int32 [B]) -> float32 [B], value of the agent's policy with the epoch's first parameters."""
     reached: Callable[[Any, jax.Array], jax.Array]
+    """(record [...], goal int32 [...]) -> bool [...], as the environment decides."""
     discount: jax.Array
+    """float32 [], discount of one step."""
     updates: jax.Array
+    """int32 [], updates before this epoch."""
 
 
 class Relabelling(NamedTuple):
-    """A relabelling.
-
-    prepare(context: Context) -> table: what the epoch's draws need, a pytree.
-    relabel(key, table, row int32 [B], step int32 [B], goal int32 [B]) -> goal int32 [B], for transitions that start at these rows and steps.
-    choose(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions are learned from; None: all.
-    candidates: transitions that are drawn for each that is learned from.
-    """
+    """A relabelling."""
 
     prepare: Callable[[Context], Any]
+    """(context: Context) -> table: what the draws of an epoch need, a pytree."""
     relabel: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array]
+    """(key, table, row int32 [B], step int32 [B], goal int32 [B]) -> goal int32 [B], for transitions that start at these rows and steps."""
     choose: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
+    """(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions to learn from; None: all."""
     candidates: int = 1
+    """Transitions drawn for each that is learned from."""

@@ -1,6 +1,6 @@
 """The Fetch tasks as environments: control, observation, resets, goals and success of Gymnasium-Robotics, version 4 (FetchReach, FetchPush, ...).
 
-One record of pure functions over the state of one robot; `jax.vmap` makes thousands. Goals are positions here, [3] in m.
+A record of pure functions over the state of one robot; batch it with `jax.vmap`. Goals are positions here, [3] in m.
 """
 
 import flax.struct
@@ -15,41 +15,46 @@ from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
 from infogoal_jax.errors import UserError, require
 
 DISTANCE_THRESHOLD = 0.05
-"""A goal is reached nearer than this, in m."""
+"""Distance, in m, below which a goal is reached."""
 NEAREST_START = 0.1
-"""The object starts at least this far from the grip, along the table, in m."""
+"""Smallest distance of the object's start from the grip along the table, in m."""
 HIGHEST_GOAL = 0.45
-"""A goal in the air is at most this far above the object's start, in m."""
+"""Largest height of a goal in the air above the object's start, in m."""
 LATE = 0.002
-"""Fingers that move are simulated last of all: the reference then reads its positions one substep late, in s."""
+"""Delay, in s, of the positions in observations where fingers move: the reference reads them one substep late."""
 WORLD = 5.0
-"""Nothing gets this far from the robot's base (m) unless the simulation has diverged."""
+"""Distance from the robot's base, in m, beyond which the simulation counts as diverged."""
 FASTEST = 1000.0
-"""Nothing moves this fast (m/s or rad/s) unless the simulation has diverged; a puck that slips from under the fingers may spin at a few hundred."""
+"""Speed (m/s or rad/s) beyond which the simulation counts as diverged. A puck that slips from under the fingers may spin at a few hundred."""
 
 
 @flax.struct.dataclass
 class FetchState:
-    """One episode. observation [10 or 25]; goal [3]; time: steps taken, int32; gripper [3] and gripper_quaternion [4]: the pose that the next
-    action starts from.
-
-    terminated (goal reached) and truncated (time is up, or the simulation diverged) are never both set; diverged: the last step was thrown away.
-    """
+    """One episode. `terminated` and `truncated` are never both set."""
 
     motion: Motion
+    """State of the simulation."""
     observation: jax.Array
+    """float32 [10 or 25]."""
     gripper: jax.Array
+    """float32 [3] in m, position that the next action starts from."""
     gripper_quaternion: jax.Array
+    """float32 [4], orientation that the next action starts from."""
     goal: jax.Array
+    """float32 [3] in m."""
     time: jax.Array
+    """int32, steps so far."""
     terminated: jax.Array
+    """bool, the goal is reached."""
     truncated: jax.Array
+    """bool, the time is up, or the simulation diverged."""
     diverged: jax.Array
+    """bool, the simulation diverged, and the last step was taken back."""
 
 
 @flax.struct.dataclass
 class Fetch(Environment):
-    """A Fetch task: pure functions over `FetchState`. A pytree without leaves: all it knows is compiled in."""
+    """A Fetch task: pure functions over `FetchState`. A pytree without leaves: its constants are compiled in."""
 
     task: Task = flax.struct.field(pytree_node=False)
     physics: Physics = flax.struct.field(pytree_node=False)
@@ -72,7 +77,7 @@ class Fetch(Environment):
         return np.array([[*table[0, :2], 0.35], [*table[1, :2], 0.95]])
 
     def reset(self, key: jax.Array) -> FetchState:
-        """A new episode: goal and object placed anew around the grip, as the reference draws them."""
+        """A new episode with a new goal and object position, drawn as in the reference."""
         goal_key, object_key = jax.random.split(key)
         return self.begin_anew(object_key, self.sample_goal(goal_key))
 
@@ -146,11 +151,11 @@ class Fetch(Environment):
         return state.replace(time=time, terminated=terminated, truncated=((time >= self.episode_length) | diverged) & ~terminated, diverged=diverged)
 
     def observe(self, state: FetchState) -> jax.Array:
-        """What is stored of the observation: all of it, float32 [10 or 25]."""
+        """The stored observation: all of it, float32 [10 or 25]."""
         return state.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
-        """What the network sees: the observation itself."""
+        """What the network sees: the observation."""
         return observation
 
     def achieved(self, state: FetchState) -> jax.Array:

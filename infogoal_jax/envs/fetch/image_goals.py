@@ -1,7 +1,7 @@
 """The Fetch tasks as the paper has them (Sec. V-A.1): a goal is an image of the object, or the gripper, at the desired position.
 
-The finite goal space is a grid of rendered positions; training, validation and test goals lie between its points. Whether a goal is reached is a
-matter of true distance; which goal a position counts as, for representation learning, is a matter of the nearest grid point.
+The finite goal space is a grid of rendered positions. Training, validation and test goals lie between its points. The true distance decides whether
+a goal is reached. The nearest grid point decides which goal a position achieves, for representation learning and relabelling.
 """
 
 import flax.struct
@@ -17,21 +17,23 @@ from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.goals import GoalSet
 
 POSITION_SCALE = 0.1
-"""Positions enter the networks in units of this, from the start of the grip, in m."""
+"""Unit, in m, of positions relative to the grip's start in the input of networks."""
 VELOCITY_SCALE = 0.02
-"""Velocities (times 40 ms) enter the networks in units of this: a gripper at full speed moves twice as far in a step, in m."""
+"""Unit, in m, of velocities times 40 ms in the input of networks. A gripper at full speed moves twice as far in a step."""
 FINGER_SCALE = 0.05
-"""Openings of the fingers enter the networks in units of this, the widest, in m."""
+"""Unit, in m, of the fingers' opening in the input of networks: the widest opening."""
 VISIT_CELL = 0.025
 """Side of the cells in which visits are counted, in m."""
 
 
 @flax.struct.dataclass
 class ImageGoalState:
-    """One episode: the robot's state, whose goal is a position [3], and the index of the goal, int32."""
+    """One episode."""
 
     robot: environment.FetchState
+    """State of the robot, whose goal is a position [3] in m."""
     goal: jax.Array
+    """int32, desired goal."""
 
     time = property(lambda self: self.robot.time)
     terminated = property(lambda self: self.robot.terminated)
@@ -41,21 +43,24 @@ class ImageGoalState:
 
 @flax.struct.dataclass
 class ImageGoals(Environment):
-    """A Fetch task with image goals. A pytree of the goal images and what belongs to them.
-
-    positions: float32 [N, 3] of each goal (m). train_backgrounds, test_backgrounds: uint8 [M, 64, 64, 3], to corrupt goal images with.
-    grid_low: float32 [3], the grid's first point; spacing: its step (m); grid_shape: its points along x, y, z. Grid goals come first.
-    """
+    """A Fetch task with N image goals. A pytree."""
 
     robot: environment.Fetch
+    """The task with positions as goals."""
     goals: GoalSet
+    """The goals; those of the grid come first."""
     positions: jax.Array
+    """float32 [N, 3], position of each goal in m."""
     train_backgrounds: jax.Array = flax.struct.field(kw_only=True)  # The contract's default, None, is not one here.
     test_backgrounds: jax.Array = flax.struct.field(kw_only=True)
     grid_low: jax.Array
+    """float32 [3], first point of the grid in m."""
     spacing: jax.Array
+    """float32 [], step of the grid in m."""
     grid_shape: tuple[int, int, int] = flax.struct.field(pytree_node=False)
+    """Points of the grid along x, y and z."""
     source: str = flax.struct.field(pytree_node=False)
+    """The data in words."""
 
     discrete = False
     has_target_states = True
@@ -67,7 +72,7 @@ class ImageGoals(Environment):
 
     @property
     def action_size(self) -> int:
-        """Numbers of an action."""
+        """Size of an action."""
         return self.robot.action_size
 
     @property
@@ -89,7 +94,7 @@ class ImageGoals(Environment):
         return state.replace(robot=self.robot.step(state.robot, action))
 
     def observe(self, state: ImageGoalState) -> jax.Array:
-        """What is stored of the observation: all of it, float32 [10 or 25]."""
+        """The stored observation: all of it, float32 [10 or 25]."""
         return state.robot.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
@@ -107,7 +112,7 @@ class ImageGoals(Environment):
 
     @property
     def goal_positions(self) -> jax.Array:
-        """Where goals lie, float32 [N, 3] (m)."""
+        """Positions of the goals, float32 [N, 3] (m)."""
         return self.positions
 
     @property
@@ -116,7 +121,7 @@ class ImageGoals(Environment):
 
     @property
     def num_cells(self) -> int:
-        """Cells in which visits are counted, and one for everywhere outside of them."""
+        """Number of cells in which visits are counted; the last one is everything outside the grid."""
         return self._visit_cells.count + 1
 
     def cell_of(self, record: jax.Array) -> jax.Array:
@@ -126,7 +131,7 @@ class ImageGoals(Environment):
         return jnp.where(cell < 0, cells.count, cell)
 
     def goals_of(self, record: jax.Array) -> jax.Array:
-        """The grid goal nearest to each position, int32 [..., 1]; -1 where the position is more than a step outside of the grid."""
+        """The grid goal nearest to each position, int32 [..., 1]; -1 for positions more than a step outside the grid."""
         place = (record - self.grid_low) / self.spacing
         last = jnp.array(self.grid_shape) - 1
         near = ((place > -1.0) & (place < last + 1.0)).all(-1)
@@ -134,7 +139,7 @@ class ImageGoals(Environment):
         return jnp.where(near, (x * self.grid_shape[1] + y) * self.grid_shape[2] + z, -1)[..., None]
 
     def action_mask(self, observation: jax.Array) -> jax.Array:
-        """All actions can be taken, bool [..., A]."""
+        """Legal actions, bool [..., A]: all."""
         return jnp.ones((*observation.shape[:-1], self.action_size), bool)
 
 
@@ -151,7 +156,7 @@ def observation_units(robot: environment.Fetch) -> tuple[np.ndarray, np.ndarray]
 
 
 def make(name: str, config: FetchConfig) -> ImageGoals:
-    """The task with the goal images and backgrounds that the configuration names. Raises `UserError` for files that cannot be used."""
+    """Make the task from the goal images and backgrounds of the configuration. Raises `UserError` for unusable files."""
     robot = environment.make(name, config)
     bank = goal_images.load(config.goal_images or goal_images.shipped(name), name)
     behind = backgrounds.load(config.backgrounds)

@@ -1,4 +1,4 @@
-"""Target states: what the high level of HRAC asks of the low level, read off the observation (paper, Sec. V-C: "a target state").
+"""Target states, which the high level of HRAC chooses and the low level reaches (paper, Sec. V-C: "a target state").
 
 fetch_reach: the grip [3]. With an object: grip and object [6]; the grip has to be near the object's target, the object has to be there.
 """
@@ -15,18 +15,18 @@ from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.tasks import Task
 
 REACHED = environment.DISTANCE_THRESHOLD
-"""A target state counts as reached when grip (fetch_reach) or object is as near as a goal has to be, in m."""
+"""Distance, in m, of grip (fetch_reach) or object below which a target state is reached: that of goals."""
 BESIDE = 0.1
-"""The grip is beside the object's target: a pushing finger touches the cube up to 7 cm from its centre, in m."""
+"""Distance, in m, of the grip from its target in tasks with an object: a pushing finger touches the cube up to 7 cm from its centre."""
 PRECISE = 0.03
-"""How near the low level is rewarded for coming, in m: nearer than `REACHED`, so that what it leaves over adds little to the goal's own 5 cm."""
+"""Distance, in m, below which the low level is rewarded. Below `REACHED`, so that its error adds little to a goal's 5 cm."""
 FARTHEST, HELD = 0.15, 5
-"""A moving target lies up to this far from where grip or object are, along each axis (m), and is held for so many steps."""
+"""Largest distance of a moving target from grip or object along each axis, in m, and steps between two targets."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TargetSpace:
-    """Target states of one task, all in m."""
+    """Target states of one task, in m."""
 
     task: Task
 
@@ -37,11 +37,11 @@ class TargetSpace:
 
     @property
     def components(self) -> int:
-        """Positions that a target state is made of."""
+        """Number of positions in a target state."""
         return self.size // 3
 
     def of(self, observation: jax.Array) -> jax.Array:
-        """The state [..., S] that an observation [..., 10 or 25] shows, in the space of targets."""
+        """The present state [..., S] in the space of targets, from an observation [..., 10 or 25]."""
         return observation[..., : self.size]
 
     def reached(self, state: jax.Array, target: jax.Array, precision: float = REACHED) -> jax.Array:
@@ -69,7 +69,7 @@ class TargetSpace:
         return np.array([low, high])
 
     def parts(self, states: jax.Array) -> jax.Array:
-        """Grip and object of target states [..., S], which are remembered apart: [components, ..., 3]."""
+        """Grip and object of target states [..., S], which have adjacency matrices of their own: [components, ..., 3]."""
         return jnp.moveaxis(states.reshape(*states.shape[:-1], self.components, 3), -2, 0)
 
     def network_input(self, part: jax.Array, scale: float) -> jax.Array:
@@ -107,7 +107,7 @@ class TargetState:
 
     @property
     def terminated(self) -> jax.Array:
-        """Never set: the robot has to stay at its target."""
+        """False: the robot has to stay at its target."""
         return jnp.zeros_like(self.robot.terminated)
 
     @property
@@ -117,7 +117,7 @@ class TargetState:
 
     @property
     def diverged(self) -> jax.Array:
-        """The last step was thrown away."""
+        """The last step was taken back."""
         return self.robot.diverged
 
 
@@ -158,7 +158,7 @@ class TargetReaching:
         return state.replace(goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal))
 
     def decides(self, state: TargetState) -> jax.Array:
-        """Whether an action is decided now: at every step."""
+        """Whether the agent chooses the next action: always."""
         return jnp.ones_like(state.moving)
 
     def observe(self, state: TargetState) -> jax.Array:

@@ -1,5 +1,4 @@
-"""What sets the four Fetch tasks apart: object, goals and starting poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the
-environments)."""
+"""The four Fetch tasks: object, goals and start poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the environments)."""
 
 import dataclasses
 from typing import Literal

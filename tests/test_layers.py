@@ -1,0 +1,50 @@
+"""Who may import whom, as docs/architecture.md says it: no file of the package imports from a layer above its own."""
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parent.parent / "infogoal_jax"
+LAYERS = (
+    {"errors", "config", "registry", "hyperparameters", "goals", "pairs", "networks", "replay", "angles"},
+    {"learners", "relabelling", "agents", "exploration", "data"}, {"stand_ins", "envs"}, {"presets"}, {"train"}, {"report", "bridges"}, {"cli"},
+)
+EVERYTHING = {"__init__", "__main__"}  # The package's own face.
+NOT_OF_LEARNING = {"data": {"goals", "errors"}, "envs": {"goals", "errors", "replay", "registry", "angles"}}
+"""What data and environments may know of the lowest layer."""
+
+
+def layer_of(name: str) -> int:
+    """The number of the layer that a module or folder of the package belongs to."""
+    (found,) = (number for number, names in enumerate(LAYERS) if name in names)
+    return found
+
+
+def imported_by(path: Path) -> set[str]:
+    """Modules and folders of the package that a file imports, inside of functions too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
+            below = node.module.split(".")[1:]
+            found |= {below[0]} if below else {alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith(f"{PACKAGE.name}.")}
+    return {name for name in found if (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file()}
+
+
+def files() -> dict[Path, str]:
+    """Every file of the package and the module or folder that it belongs to."""
+    own = {path: path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")}
+    return {path: name for path, name in own.items() if name not in EVERYTHING}
+
+
+def test_no_layer_imports_from_above():
+    upwards = {f"{path.relative_to(PACKAGE)} imports {other}" for path, own in files().items() for other in imported_by(path)
+               if layer_of(other) > layer_of(own)}
+    assert not upwards
+
+
+def test_data_and_environments_know_nothing_of_learning():
+    learning = LAYERS[0] | {"learners", "relabelling", "agents", "exploration"}
+    known = {f"{path.relative_to(PACKAGE)} imports {other}" for path, own in files().items() if own in NOT_OF_LEARNING
+             for other in imported_by(path) & learning - NOT_OF_LEARNING[own]}
+    assert not known
