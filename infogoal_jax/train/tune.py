@@ -176,7 +176,8 @@ def lanes_at_once(train: Train, count: int, mesh: jax.sharding.Mesh) -> int:
     one = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env)
     memory = min(devices.device_memory(device) for device in mesh.devices.flat)
     try:
-        return devices.seeds_at_once(devices.bytes_of(one), devices.working_bytes(train), devices.bytes_of(train.env), count // mesh.size, memory, mesh.size)
+        state, working, data = devices.bytes_of(one), devices.working_bytes(train), devices.bytes_of(train.env)
+        return devices.seeds_at_once(state, working, data, count // mesh.size, memory, mesh.size)
     except UserError as error:
         raise UserError(f"trials x {error}") from error
 
