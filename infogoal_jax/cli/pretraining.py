@@ -11,7 +11,7 @@ from infogoal_jax.cli.folders import new_folder
 from infogoal_jax.errors import UserError, nearest
 
 JOINTS = "object_manipulation"
-"""The task whose seeds end alike: one is trained where nothing else is asked for."""
+"""Trained with one seed where nothing else is asked for, as the shipped one was."""
 
 
 def pretrain(

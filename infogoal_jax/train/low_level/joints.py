@@ -54,7 +54,7 @@ class JointPretrainConfig(PretrainConfig):
     """Gradient updates in an epoch."""
     batch_size: int = 512
     """Moves in an update."""
-    network: LowLevelConfig = LowLevelConfig((128, 128))
+    network: LowLevelConfig = dataclasses.field(default_factory=lambda: LowLevelConfig((128, 128)))
     """Sizes of the network."""
     hyper: JointHyperparameters = dataclasses.field(default_factory=JointHyperparameters)
     """Default values of the compiled program's arguments."""

@@ -60,7 +60,7 @@ class TargetAgent(NamedTuple):
     draw(experience, key, number, hyper) -> (batches, keys): of all updates of this epoch, leaves [U, ...], and the key [U] of each.
     loss(params, target_params, experience, batch, key, hyper) -> (loss, metrics).
     learning_rate(hyper, update) -> float32: Adam's step at this update, counted from 0 over all epochs.
-    key(key, purpose, number) -> the seed's key for `INITIAL`, `COLLECT`, `UPDATE` or `EVALUATE` and the number of an epoch or of a round of evaluation.
+    key(key, purpose, number) -> the seed's key for `INITIAL`, `COLLECT`, `UPDATE` or `EVALUATE` and a number, such as that of the epoch.
     curve: metrics of an epoch that are written down; measured: those of `run` at the end; compared: by which of these, in this order, a low level is
     better than another.
     describe(report) -> what a low level reached, in words; header: what its file says beside.
@@ -98,7 +98,8 @@ class PretrainState:
 class Trainer(NamedTuple):
     """The functions that a low level's training is made of, all pure: vmap them over seeds or hyperparameters.
 
-    initial(key, hyper) -> state; policy(state) -> low level; learn(state, rows, number, hyper) -> (state, metrics) with the rows of `TargetAgent.run`;
+    initial(key, hyper) -> state; policy(state) -> low level.
+    learn(state, rows, number, hyper) -> (state, metrics): an epoch's updates, with the rows of `TargetAgent.run`.
     epoch(state, number, hyper) -> (state, metrics): a run to learn from, then `learn`.
     """
 
