@@ -28,7 +28,7 @@ from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.host import stop_on_signal
 from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level.presets import make_agent
-from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, PretrainState, TargetAgent, Trainer, make_trainer
+from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
 
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
@@ -68,18 +68,19 @@ def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
         yield advance
 
 
-def compiled_functions(trainer: Trainer, states: PretrainState, hyper: Any):
-    """`run` and `learn` over all seeds, compiled side by side; and `policy`. The robot is simulated by one program, in training and evaluation."""
-    options = compiler_options()
+def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
+    """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in training and evaluation."""
+    options, explores, number = compiler_options(), jnp.bool(True), jnp.int32(0)
+    initial = jax.jit(jax.vmap(trainer.initial, in_axes=(0, None)), compiler_options=options)
     policy = jax.jit(jax.vmap(trainer.policy), compiler_options=options)
     run = jax.jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)), compiler_options=options)
     learn = jax.jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), donate_argnums=0, compiler_options=options)
+    states = jax.eval_shape(initial, keys, hyper)
     low_levels = jax.eval_shape(policy, states)
-    rows = jax.eval_shape(run, low_levels, states.key, jnp.bool(True), hyper)[0]
+    rows = jax.eval_shape(run, low_levels, keys, explores, hyper)[0]
+    calls = ((initial, (keys, hyper)), (policy, (states,)), (run, (low_levels, keys, explores, hyper)), (learn, (states, rows, number, hyper)))
     with ThreadPoolExecutor() as pool:
-        jobs = [pool.submit(lambda: run.lower(low_levels, states.key, jnp.bool(True), hyper).compile()),
-                pool.submit(lambda: learn.lower(states, rows, jnp.int32(0), hyper).compile())]
-        return policy, *(job.result() for job in jobs)
+        return list(pool.map(lambda call: call[0].lower(*call[1]).compile(), calls))
 
 
 def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_episodes: int = 2000, command: str = "") -> Pretrained:
@@ -101,8 +102,8 @@ def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_
         return jax.vmap(lambda key: agent.key(key, purpose, jnp.int32(number)))(keys)
 
     started = time.perf_counter()
-    states = jax.jit(jax.vmap(trainer.initial, in_axes=(0, None)))(keys, hyper)
-    policy, run, learn = compiled_functions(trainer, states, hyper)
+    initial, policy, run, learn = compiled_functions(trainer, keys, hyper)
+    states = initial(keys, hyper)
     jax.block_until_ready((policy(states), keys_of(COLLECT, 0)))
     compile_seconds = time.perf_counter() - started
 
