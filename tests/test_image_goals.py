@@ -26,7 +26,7 @@ from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.encoding import training_view
 from infogoal_jax.train.evaluation import evaluate, goal_starts
-from infogoal_jax.train.low_level_file import shipped
+from infogoal_jax.train.low_level.file import shipped
 
 GRIDS = {}
 

@@ -81,7 +81,7 @@ def test_the_low_level_of_another_arm(tmp_path, capsys):
     arguments = ["train", "object_manipulation", *given, "--num-envs", 4, "--rollout-steps", 10, "--out", tmp_path / "run", *TINY]
     assert main([str(argument) for argument in arguments]) == 2
     assert "3 joints and 6 moves, the dataset's has 2 and 4" in capsys.readouterr().err
-    run("pretrain", "object_manipulation", *given, "--num-updates", 2000, "--batch-size", 256, "--out", tmp_path / "low")
+    run("pretrain", "object_manipulation", *given, "--num-epochs", 4, "--batch-size", 256, "--out", tmp_path / "low")
     assert float(capsys.readouterr().out.split("every joint: ")[1].split()[0]) > 0.9
     run(*arguments, "--agent.low-level", tmp_path / "low")
 

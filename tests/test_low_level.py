@@ -4,20 +4,27 @@ import dataclasses
 import json
 import signal
 
+import hand_made_frames
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from infogoal_jax import replay
+from infogoal_jax.agents.low_level import LowLevelConfig
 from infogoal_jax.cli.main import main
+from infogoal_jax.envs import object_manipulation
 from infogoal_jax.envs.fetch.targets import BESIDE, FARTHEST, HELD, PRECISE, REACHED, TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import checkpoint, files, low_level_file, pretrain_host
-from infogoal_jax.train.pretrain import COLLECT, PRESETS, make_pretrain, numbered, preset
+from infogoal_jax.train import checkpoint, files
+from infogoal_jax.train.low_level import file as low_level_file
+from infogoal_jax.train.low_level import host, joints
+from infogoal_jax.train.low_level.fetch import PRESETS
+from infogoal_jax.train.low_level.presets import make_agent, preset
+from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer, numbered
 
 each_task = pytest.mark.parametrize("task", PRESETS)
 
@@ -44,9 +51,9 @@ def rows() -> Trajectories:
 
 @pytest.fixture(scope="module")
 def reaching():
-    """The program of fetch_reach with 128 environments, and its `run`, compiled."""
-    program = make_pretrain(preset("fetch_reach", num_envs=128))
-    return program, jax.jit(program.run)
+    """The training of fetch_reach with 128 environments, and the agent's `run`, compiled."""
+    trainer = make_trainer(make_agent(preset("fetch_reach", num_envs=128)))
+    return trainer, jax.jit(trainer.agent.run)
 
 
 def drawn(rows: Trajectories, num: int = 2000):
@@ -128,8 +135,8 @@ def test_a_target_is_reached_within_the_tolerance_of_each_component():
 
 @pytest.mark.long
 def test_shipped_reach_policy_reaches_and_follows(reaching):
-    program, run = reaching
-    rows, metrics = run(low_level_file.load("", "fetch_reach"), jax.random.key(7), False, program.config.hyper)
+    trainer, run = reaching
+    rows, metrics = run(low_level_file.load("", "fetch_reach"), jax.random.key(7), False, trainer.agent.config.hyper)
     assert metrics["success_rate"] >= 0.95
     assert metrics["following_rate"] >= 0.95
     assert (jnp.abs(rows.action) <= 1.0).all() and rows.valid.all()
@@ -137,23 +144,23 @@ def test_shipped_reach_policy_reaches_and_follows(reaching):
 
 
 def test_targets_move_as_a_high_level_moves_them(reaching):
-    program, run = reaching
-    rows, _ = run(low_level_file.load("", "fetch_reach"), jax.random.key(8), True, program.config.hyper)
+    trainer, run = reaching
+    rows, _ = run(low_level_file.load("", "fetch_reach"), jax.random.key(8), True, trainer.agent.config.hyper)
     changes = np.asarray((rows.goal[:, 1:] != rows.goal[:, :-1]).any(-1))
     assert not changes[:16].any()  # The eighth that is measured.
     moving = changes.any(1)
     assert 0.3 < moving[16:].mean() < 0.7
     assert changes.sum() == changes[:, HELD - 1::HELD].sum()  # Only where one is due.
-    low, high = program.env.space.bounds
+    low, high = TargetSpace(TASKS["fetch_reach"]).bounds
     aimed, grip = np.asarray(rows.goal)[moving][:, ::HELD], np.asarray(rows.record)[moving][:, :-1:HELD]
     assert (aimed >= low - 1e-6).all() and (aimed <= high + 1e-6).all()
     assert (np.abs(aimed - np.clip(grip, low, high)) <= FARTHEST + 1e-6).all()
 
 
 def test_same_key_gives_the_same_bits(reaching):
-    program, run = reaching
+    trainer, run = reaching
     policy = low_level_file.load("", "fetch_reach")
-    first, again, other = (run(policy, jax.random.key(seed), True, program.config.hyper)[0] for seed in (1, 1, 2))
+    first, again, other = (run(policy, jax.random.key(seed), True, trainer.agent.config.hyper)[0] for seed in (1, 1, 2))
     jax.tree.map(np.testing.assert_array_equal, first, again)
     assert not np.array_equal(first.observation, other.observation)
 
@@ -196,6 +203,27 @@ def test_a_low_level_survives_its_file(tmp_path):
     jax.tree.map(np.testing.assert_array_equal, low_level_file.load(str(tmp_path), "fetch_reach"), policy)
 
 
+def test_no_key_of_the_joints_is_used_twice():
+    """Of parameters, updates, and the episodes that measure: the first updates too."""
+    key = jax.random.key(0)
+    found = [joints.key_of(key, INITIAL, 0)] + [joints.key_of(key, purpose, number) for purpose in (UPDATE, COLLECT, EVALUATE) for number in range(5)]
+    assert len({tuple(jax.random.key_data(each).tolist()) for each in found}) == len(found)
+
+
+def test_the_low_level_of_the_joints_is_trained_and_written_as_any_other(tmp_path, monkeypatch):
+    """Several seeds in one program, a curve, the best of them in a file that HRAC loads."""
+    env = hand_made_frames.manipulation()
+    monkeypatch.setattr(object_manipulation, "make", lambda config: env)
+    config = preset("object_manipulation", num_envs=200, num_epochs=4, updates_per_epoch=5, network=LowLevelConfig((32, 32)))
+    result = host.pretrain(config, [0, 1], tmp_path, evaluation_episodes=400)
+    lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
+    assert [(line["seed"], line["epoch"]) for line in lines] == [(seed, epoch) for epoch in range(1, 5) for seed in (0, 1)]
+    header, policy = low_level_file.load_joint_level(str(tmp_path), 3, 6)
+    assert header["seeds"] == result.seeds and header["evaluation_episodes"] == 400 and policy.hidden == (32, 32)
+    assert header["kept"] == max(result.seeds, key=lambda report: report["success_rate"])["seed"] and not header["stopped"]
+    assert (header["joints"], header["moves"], header["data"]) == (3, 6, env.source)
+
+
 def test_what_cannot_be_trained_is_refused_before_compiling(tmp_path, capsys):
     assert main(["pretrain", "fetch_slide"]) == 2
     assert "Known: fetch_reach, fetch_push, fetch_pick_and_place" in capsys.readouterr().err
@@ -209,17 +237,19 @@ def test_what_cannot_be_trained_is_refused_before_compiling(tmp_path, capsys):
     assert main(["pretrain", "fetch_reach", "--out", str(tmp_path)]) == 2
     assert "give another folder" in capsys.readouterr().err
     assert (tmp_path / "low_level").read_bytes() == b"precious" and not (tmp_path / "new").exists()
-    with pytest.raises(UserError, match="hyper.moving_share = 2"):
-        preset("fetch_push", hyper=dataclasses.replace(preset("fetch_push").hyper, moving_share=2)).hyper.check()
+    with pytest.raises(UserError, match="hyper.moving_share = 2: give a number in"):
+        preset("fetch_push", hyper=dataclasses.replace(preset("fetch_push").hyper, moving_share=2))
+    with pytest.raises(UserError, match="hyper.discount = 1"):
+        preset("object_manipulation", hyper=dataclasses.replace(preset("object_manipulation").hyper, discount=1.0))
     with pytest.raises(UserError, match="num_envs = 4"):
         preset("fetch_push", num_envs=4)
 
 
 @pytest.mark.long
 def test_training_learns_to_reach_and_is_reproducible(reaching):
-    program, run = reaching
-    hyper = program.config.hyper
-    learn, policy, initial = jax.jit(program.learn), jax.jit(program.policy), jax.jit(program.initial)
+    trainer, run = reaching
+    hyper = trainer.agent.config.hyper
+    learn, policy, initial = jax.jit(trainer.learn), jax.jit(trainer.policy), jax.jit(trainer.initial)
 
     def train(num_epochs: int):
         state = initial(jax.random.key(0), hyper)
@@ -244,7 +274,7 @@ def test_a_stopped_training_leaves_its_curve_and_what_was_learned(tmp_path, monk
 
     monkeypatch.setattr(files, "append_rows", interrupted)
     config = preset("fetch_reach", num_envs=16, num_epochs=3, updates_per_epoch=2)
-    result = pretrain_host.pretrain(config, [5, 6], tmp_path, evaluation_episodes=16, command="infogoal pretrain fetch_reach")
+    result = host.pretrain(config, [5, 6], tmp_path, evaluation_episodes=16, command="infogoal pretrain fetch_reach")
     assert result.stopped
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [(line["seed"], line["epoch"], line["env_steps"]) for line in lines] == [(5, 1, 800), (6, 1, 800)]
@@ -255,7 +285,7 @@ def test_a_stopped_training_leaves_its_curve_and_what_was_learned(tmp_path, monk
 @pytest.mark.long
 @pytest.mark.parametrize("task", ["fetch_push", "fetch_pick_and_place"])
 def test_shipped_policies_move_the_object(task):
-    program = make_pretrain(preset(task, num_envs=256))
-    metrics = jax.jit(program.run)(low_level_file.load("", task), jax.random.key(3), False, program.config.hyper)[1]
+    agent = make_agent(preset(task, num_envs=256))
+    metrics = jax.jit(agent.run)(low_level_file.load("", task), jax.random.key(3), False, agent.config.hyper)[1]
     assert metrics["success_rate"] >= 0.95
     assert metrics["following_rate"] >= 0.95

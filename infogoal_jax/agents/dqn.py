@@ -39,11 +39,22 @@ def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
     return jnp.take_along_axis(values, actions[:, None], axis=1)[:, 0]
 
 
-def double_q_target(values, params, target_params, batch: AgentBatch) -> jax.Array:
-    """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4) over the steps of each transition, float32 [B], without gradient."""
-    chosen = greedy(values(params, batch.next_features, batch.next_code), batch.next_action_mask)
-    following = of_actions(values(target_params, batch.target_features, batch.target_code), chosen)
-    return jax.lax.stop_gradient(batch.reward + batch.discount * following)
+def double_q_target(reward, discount, next_values, target_values, next_action_mask) -> jax.Array:
+    """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4), float32 [B], without gradient: the trained network chooses what follows, the
+    target network says what it is worth.
+
+    reward, discount: float32 [B], of the transition and of what follows it; next_values, target_values: float32 [B, A] after the transition, by the
+    trained and by the target network; next_action_mask: bool [B, A].
+    """
+    chosen = greedy(next_values, next_action_mask)
+    return jax.lax.stop_gradient(reward + discount * of_actions(target_values, chosen))
+
+
+def td_loss(values: jax.Array, actions: jax.Array, target: jax.Array, huber: bool) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Temporal-difference error of the values float32 [B, A] of these actions int32 [B] against their targets float32 [B]: (loss, metrics)."""
+    predicted = of_actions(values, actions)
+    error = optax.huber_loss(predicted, target) if huber else optax.l2_loss(predicted, target)
+    return error.mean(), {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean()}
 
 
 def make(config: DQNConfig, env) -> Agent:
@@ -76,12 +87,13 @@ def value_agent(config: DQNConfig, env, regulariser) -> Agent:
         return jnp.where(action_mask, values(params, features, code), -jnp.inf).max(-1)
 
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
-        """Temporal-difference error of double Q-learning, plus the regulariser."""
-        target = double_q_target(values, params, target_params, batch)
+        """Temporal-difference error of double Q-learning, and the regulariser."""
+        next_values = values(params, batch.next_features, batch.next_code)
+        target_values = values(target_params, batch.target_features, batch.target_code)
+        target = double_q_target(batch.reward, batch.discount, next_values, target_values, batch.next_action_mask)
         every = values(params, batch.features, batch.code)
-        predicted = of_actions(every, batch.action)
-        error = optax.huber_loss(predicted, target) if config.huber else optax.l2_loss(predicted, target)
-        extra, metrics = regulariser(every, batch, hyper)
-        return error.mean() + extra, {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean(), **metrics}
+        error, metrics = td_loss(every, batch.action, target, config.huber)
+        extra, own_metrics = regulariser(every, batch, hyper)
+        return error + extra, metrics | own_metrics
 
     return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)

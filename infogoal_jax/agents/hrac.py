@@ -139,22 +139,15 @@ def make(config: HRACConfig, env) -> Agent:
         frozen = jax.lax.stop_gradient(params)
         inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
         target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)
-        next_action = td3.smoothed(key, actor.apply(target_params["actor"], target_inputs), hyper.target_noise)
-        following = critic.apply(target_params["critic"], target_inputs, next_action).min(0)
-        target = batch.reward + batch.discount * following
-        values = critic.apply(params["critic"], inputs, batch.action)
-        critic_error = td3.critic_loss(values, target, huber=True)
-
-        subgoal = actor.apply(params["actor"], jax.lax.stop_gradient(inputs))
-        expected = critic.apply(frozen["critic"], jax.lax.stop_gradient(inputs), subgoal)[0].mean()
-        asked = space.from_subgoal(batch.observation, subgoal, config.subgoal_scale)
+        following = td3.next_value(key, actor, critic, target_params, target_inputs, hyper.target_noise)
+        learned = td3.losses(actor, critic, params, inputs, batch.action, batch.reward + batch.discount * following, huber=True)
+        asked = space.from_subgoal(batch.observation, learned.actions, config.subgoal_scale)
         distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
         penalty = adjacency_penalty(distance).mean()
         adjacency_error = learn_adjacency(params, batch, apart)
-        metrics = {
-            "td_error": jnp.abs(values - target).mean(), "value": values.mean(), "adjacency_loss": adjacency_error, "adjacency_penalty": penalty,
-            "subgoal_size": jnp.abs(subgoal).mean(),
+        metrics = learned.metrics | {
+            "adjacency_loss": adjacency_error, "adjacency_penalty": penalty, "subgoal_size": jnp.abs(learned.actions).mean(),
         }
-        return critic_error - expected + hyper.adjacency_weight * penalty + adjacency_error, metrics
+        return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
     return Agent(init, act, value, loss, observe, config.interval * config.num_decisions)

@@ -4,6 +4,8 @@ Both levels of HRAC use it: the high level in `agents/hrac.py`, and the low leve
 often as the critics.
 """
 
+from typing import NamedTuple
+
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -48,8 +50,42 @@ def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float
     return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape), -largest, largest), -1.0, 1.0)
 
 
+def next_value(key: jax.Array, actor: Actor, critic: TwinCritic, target_params: dict, inputs: jax.Array, noise: jax.Array) -> jax.Array:
+    """What follows a transition, float32 [B]: the smaller of both target critics' values of the target actor's action, with noise (Eq. 10, 14).
+
+    inputs: [B, D] after the transition.
+    """
+    action = smoothed(key, actor.apply(target_params["actor"], inputs), noise)
+    return critic.apply(target_params["critic"], inputs, action).min(0)
+
+
 def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
     """Temporal-difference error of both critics [2, B] against one target [B] (clipped double Q-learning, Eq. 10)."""
     target = jnp.broadcast_to(jax.lax.stop_gradient(target), values.shape)
     error = optax.huber_loss(values, target) if huber else optax.l2_loss(values, target)
     return error.mean(1).sum()
+
+
+class Losses(NamedTuple):
+    """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost something beside it.
+
+    metrics: mean temporal-difference error and value, scalars.
+    """
+
+    critic: jax.Array
+    actor: jax.Array
+    actions: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+def losses(actor: Actor, critic: TwinCritic, params: dict, inputs: jax.Array, action: jax.Array, target: jax.Array, huber: bool) -> Losses:
+    """The losses of `params` {"actor", "critic", ...} for transitions that start at inputs [B, D] by action [B, A] and are worth target [B].
+
+    The actor's loss has no gradient for the critics, nor for what the inputs were made by.
+    """
+    values = critic.apply(params["critic"], inputs, action)
+    inputs = jax.lax.stop_gradient(inputs)
+    own = actor.apply(params["actor"], inputs)
+    expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0].mean()
+    metrics = {"td_error": jnp.abs(values - target).mean(), "value": values.mean()}
+    return Losses(critic_loss(values, target, huber), -expected, own, metrics)

@@ -1,6 +1,5 @@
 """`infogoal pretrain TASK`: the low levels that drive a robot to target states."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +9,9 @@ from tyro.conf import Suppress
 from infogoal_jax.cli.commands import Group, TaskCommands, first_word, named
 from infogoal_jax.cli.folders import new_folder
 from infogoal_jax.errors import UserError, nearest
+
+JOINTS = "object_manipulation"
+"""Trained with one seed where nothing else is asked for, as the shipped one was."""
 
 
 def pretrain(
@@ -33,41 +35,29 @@ def pretrain(
     Returns:
         0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
     """
-    from infogoal_jax.train import pretrain_host
     from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.train.low_level import host
 
     if seeds <= 0:
         raise UserError(f"seeds = {seeds}: give at least 1")
     use_compilation_cache()
     folder = Path(out) if out else new_folder(config.task, "low-level")
-    result = pretrain_host.pretrain(config, list(range(first_seed, first_seed + seeds)), folder, evaluation_episodes, command)
-    pretrain_host.print_result(result)
+    result = host.pretrain(config, list(range(first_seed, first_seed + seeds)), folder, evaluation_episodes, command)
+    host.print_result(result)
     return 130 if result.stopped else 0
-
-
-def pretrain_of_joints(config: Annotated[Any, tyro.conf.arg(name="")], command: Suppress[str] = "") -> int:
-    """Train the low level of object manipulation, which moves an arm's joints by steps."""
-    from infogoal_jax.train import pretrain_joints
-    from infogoal_jax.train.compilation import use_compilation_cache
-
-    use_compilation_cache()
-    config = dataclasses.replace(config, out=config.out or str(new_folder(pretrain_joints.TASK, "low-level")))
-    pretrain_joints.print_result(pretrain_joints.pretrain(config, command))
-    return 0
 
 
 def tasks(arguments: list[str]) -> TaskCommands:
     """`pretrain` for each task that has a low level, with its configuration as the defaults."""
     from infogoal_jax.cli.flags import configuration_flags
-    from infogoal_jax.train.pretrain import PRESETS, preset
-    from infogoal_jax.train.pretrain_joints import TASK, JointPretrainConfig
+    from infogoal_jax.train.low_level.presets import TASKS, preset
 
-    task, known = first_word(arguments), [*PRESETS, TASK]
-    if task and task not in known:
-        raise UserError(f"task = {task!r}: no low level can be trained for it.{nearest(task, known)} Known: {', '.join(known)}")
+    task = first_word(arguments)
+    if task and task not in TASKS:
+        raise UserError(f"task = {task!r}: no low level can be trained for it.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
     written = " ".join(["infogoal pretrain", *arguments])
-    commands = {task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written) for task in PRESETS}
+    commands = {task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written) for task in TASKS}
     help = "The low level of object manipulation (docs/object_manipulation.md)."
-    commands[TASK] = named(pretrain_of_joints, help, config=JointPretrainConfig(), command=written)
+    commands[JOINTS] = named(pretrain, help, config=preset(JOINTS), command=written, seeds=1, evaluation_episodes=4000)
     group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)
     return TaskCommands(group, arguments, configuration_flags(brief=False))

@@ -1,5 +1,9 @@
-"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped (docs/low_level.md)."""
+"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped (docs/low_level.md).
 
+The header names the task and the widths of the layers, and how it was trained; the arrays are those of the policy, without critics.
+"""
+
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +20,8 @@ from infogoal_jax.envs.fetch.tasks import find
 from infogoal_jax.errors import UserError
 from infogoal_jax.train import checkpoint
 
-SHIPPED = Path(__file__).parent.parent / "data" / "files" / "fetch" / "low_level"
-SHIPPED_JOINT_LEVEL = Path(__file__).parent.parent / "data" / "files" / "cube" / "low_level"
+DATA = Path(__file__).parent.parent.parent / "data" / "files"
+SHIPPED, SHIPPED_JOINT_LEVEL = DATA / "fetch" / "low_level", DATA / "cube" / "low_level"
 KIND = "low level"
 
 
@@ -30,14 +34,13 @@ def shipped(task: str) -> Path:
     return path
 
 
-def save(path: Path, header: dict[str, Any], low_level: LowLevel) -> None:
-    """Write a low level: actor and normalisation, no critics. header: JSON values, `task` among them."""
-    header = {"kind": KIND, **header, "hidden": list(low_level.hidden)}
-    checkpoint.save(path, header, {"actor": low_level.actor, "mean": low_level.mean, "std": low_level.std})
+def save(path: Path, header: dict[str, Any], low_level: LowLevel | JointLevel) -> None:
+    """Write a low level. header: JSON values, `task` among them, and `joints` and `moves` of an arm that is moved by joint steps."""
+    checkpoint.save(path, {"kind": KIND, **header, "hidden": list(low_level.hidden)}, low_level)
 
 
 def load(path: str, task: str) -> LowLevel:
-    """The low level of a task from its file, or from the folder that it was trained in; empty: the shipped one.
+    """The low level of a Fetch task from its file, or from the folder that it was trained in; empty: the shipped one.
 
     Raises `UserError` for a file that is missing, damaged, something else, of another task, or of other shapes.
     """
@@ -46,14 +49,27 @@ def load(path: str, task: str) -> LowLevel:
 
 def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
     """The header and the low level, as `load` reads them."""
-    file, header = find_file(path, shipped(task) if not path else Path(path), task)
-    template = empty(task, tuple(header["hidden"]))
-    tree = read_arrays(file, {"actor": template.actor, "mean": template.mean, "std": template.std}, task)
-    return header, template.replace(**tree)
+    return read(Path(path) if path else shipped(task), task, lambda header: empty(task, tuple(header["hidden"])))
 
 
-def find_file(path: str, file: Path, task: str) -> tuple[Path, dict[str, Any]]:
-    """The file of a low level of this task and its header."""
+def load_joint_level(path: str, num_joints: int, num_moves: int, task: str = "object_manipulation") -> tuple[dict[str, Any], JointLevel]:
+    """The header and the low level of an arm with so many joints and moves, from a file as `load` takes it."""
+    file = Path(path) if path else SHIPPED_JOINT_LEVEL
+
+    def empty_joint_level(header):
+        if (header["joints"], header["moves"]) != (num_joints, num_moves):
+            raise UserError(f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, the dataset's has "
+                            f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it with "
+                            "--agent.low-level")
+        hidden, joints = tuple(header["hidden"]), jnp.zeros(num_joints)
+        params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
+        return JointLevel(params, hidden, num_moves)
+
+    return read(file, task, empty_joint_level)
+
+
+def read(file: Path, task: str, empty: Callable[[dict[str, Any]], Any]) -> tuple[dict[str, Any], Any]:
+    """The header and the low level of a task, whose shapes are those of `empty(header)`."""
     file = file / "low_level" if file.is_dir() else file
     if not file.exists():
         raise UserError(f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or none at all for the "
@@ -63,33 +79,12 @@ def find_file(path: str, file: Path, task: str) -> tuple[Path, dict[str, Any]]:
         raise UserError(f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain {task}` wrote")
     if header["task"] != task:
         raise UserError(f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal pretrain {task}`")
-    return file, header
-
-
-def read_arrays(file: Path, template: dict, task: str) -> dict:
-    """The arrays of a low level, if they have the shapes of the template."""
+    template = empty(header)
     try:
-        return jax.tree.map(jnp.asarray, checkpoint.load(file, template)[1])
+        return header, jax.tree.map(jnp.asarray, checkpoint.load(file, template)[1])
     except UserError as error:
         raise UserError(f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal pretrain {task}`"
                         ) from error
-
-
-def save_joint_level(path: Path, header: dict[str, Any], low_level: JointLevel) -> None:
-    """Write the low level of an arm moved by joint steps. header: JSON values, `task`, `joints` and `moves` among them."""
-    checkpoint.save(path, {"kind": KIND, **header, "hidden": list(low_level.hidden)}, {"params": low_level.params})
-
-
-def load_joint_level(path: str, num_joints: int, num_moves: int, task: str = "object_manipulation") -> tuple[dict[str, Any], JointLevel]:
-    """The header and the low level of an arm with so many joints and moves, from a file as `load` takes it."""
-    file, header = find_file(path, Path(path) if path else SHIPPED_JOINT_LEVEL, task)
-    if (header["joints"], header["moves"]) != (num_joints, num_moves):
-        raise UserError(f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, the dataset's has "
-                        f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it with --agent.low-level")
-    hidden = tuple(header["hidden"])
-    joints = jnp.zeros(num_joints)
-    params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
-    return header, JointLevel(read_arrays(file, {"params": params}, task)["params"], hidden, num_moves)
 
 
 def empty(task: str, hidden: tuple[int, ...]) -> LowLevel:

@@ -23,21 +23,23 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import infogoal_jax
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.train import files, low_level_file
+from infogoal_jax.train import files
 from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.host import stop_on_signal
-from infogoal_jax.train.pretrain import COLLECT, EVALUATE, Pretrain, PretrainConfig, PretrainState, make_pretrain, numbered
+from infogoal_jax.train.low_level import file as low_level_file
+from infogoal_jax.train.low_level.presets import make_agent
+from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
 
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
 CHOICE = "highest success on target states over fresh episodes: the low level's own task, no goal of the high level is looked at"
-CURVE = ("env_steps", "success_rate", "success_any", "value", "td_error")
 
 
 @dataclasses.dataclass
 class Pretrained:
     """A finished or stopped training. seeds: what each reached; stopped: by Ctrl-C before the end."""
 
+    agent: TargetAgent
     folder: Path
     seeds: list[dict[str, Any]]
     kept: dict[str, Any]
@@ -66,18 +68,19 @@ def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
         yield advance
 
 
-def compiled_functions(program: Pretrain, states: PretrainState, hyper: Any):
-    """`run` and `learn` over all seeds, compiled side by side; and `policy`. The robot is simulated by one program, in training and evaluation."""
-    options = compiler_options()
-    policy = jax.jit(jax.vmap(program.policy), compiler_options=options)
-    run = jax.jit(jax.vmap(program.run, in_axes=(0, 0, None, None)), compiler_options=options)
-    learn = jax.jit(jax.vmap(program.learn, in_axes=(0, 0, None, None)), donate_argnums=0, compiler_options=options)
+def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
+    """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in training and evaluation."""
+    options, explores, number = compiler_options(), jnp.bool(True), jnp.int32(0)
+    initial = jax.jit(jax.vmap(trainer.initial, in_axes=(0, None)), compiler_options=options)
+    policy = jax.jit(jax.vmap(trainer.policy), compiler_options=options)
+    run = jax.jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)), compiler_options=options)
+    learn = jax.jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), donate_argnums=0, compiler_options=options)
+    states = jax.eval_shape(initial, keys, hyper)
     low_levels = jax.eval_shape(policy, states)
-    rows = jax.eval_shape(run, low_levels, states.key, jnp.bool(True), hyper)[0]
+    rows = jax.eval_shape(run, low_levels, keys, explores, hyper)[0]
+    calls = ((initial, (keys, hyper)), (policy, (states,)), (run, (low_levels, keys, explores, hyper)), (learn, (states, rows, number, hyper)))
     with ThreadPoolExecutor() as pool:
-        jobs = [pool.submit(lambda: run.lower(low_levels, states.key, jnp.bool(True), hyper).compile()),
-                pool.submit(lambda: learn.lower(states, rows, jnp.int32(0), hyper).compile())]
-        return policy, *(job.result() for job in jobs)
+        return list(pool.map(lambda call: call[0].lower(*call[1]).compile(), calls))
 
 
 def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_episodes: int = 2000, command: str = "") -> Pretrained:
@@ -91,58 +94,59 @@ def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_
     for name in ("low_level", "curve.csv", "curve.jsonl"):
         if (folder / name).exists():
             raise UserError(f"out = {str(folder)!r}: holds a low level or its curve already; give another folder")
-    program, hyper = make_pretrain(config), jax.device_put(config.hyper)
+    agent, hyper = make_agent(config), jax.device_put(config.hyper)
     files.make_folder(folder)
-    keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
-    folded = jax.vmap(numbered, in_axes=(0, None, None))
+    trainer, keys = make_trainer(agent), jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+
+    def keys_of(purpose: int, number: int) -> jax.Array:
+        return jax.vmap(lambda key: agent.key(key, purpose, jnp.int32(number)))(keys)
+
     started = time.perf_counter()
-    states = jax.jit(jax.vmap(program.initial, in_axes=(0, None)))(keys, hyper)
-    policy, run, learn = compiled_functions(program, states, hyper)
-    jax.block_until_ready((policy(states), folded(keys, COLLECT, jnp.int32(0))))
+    initial, policy, run, learn = compiled_functions(trainer, keys, hyper)
+    states = initial(keys, hyper)
+    jax.block_until_ready((policy(states), keys_of(COLLECT, 0)))
     compile_seconds = time.perf_counter() - started
 
     curve, done, env_steps = [], 0, np.zeros(len(seeds), np.int64)
     started = time.perf_counter()
     with stop_on_signal() as stop, progress_line(config, len(seeds)) as advance:
         while done < config.num_epochs and not stop.requested:
-            number = jnp.int32(done)
-            rows, success = run(policy(states), folded(keys, COLLECT, number), jnp.bool(True), hyper)
-            states, metrics = learn(states, rows, number, hyper)
-            metrics = jax.device_get(metrics | success)
+            rows, found = run(policy(states), keys_of(COLLECT, done), jnp.bool(True), hyper)
+            states, metrics = learn(states, rows, jnp.int32(done), hyper)
+            metrics = jax.device_get(metrics | found)
             done, seconds = done + 1, time.perf_counter() - started
-            env_steps = env_steps + metrics["env_steps"]
-            shown = {name: metrics[name] for name in CURVE} | {"env_steps": env_steps}
-            curve += [{"seed": seed, "epoch": done, "seconds": round(seconds, 3)} | {name: value[i].item() for name, value in shown.items()}
+            if "env_steps" in metrics:
+                metrics["env_steps"] = env_steps = env_steps + metrics["env_steps"]
+            curve += [{"seed": seed, "epoch": done, "seconds": round(seconds, 3)} | {name: metrics[name][i].item() for name in agent.curve}
                       for i, seed in enumerate(seeds)]
             files.append_rows(folder, "curve", curve[-len(seeds):])
             advance(done, seconds, metrics["success_rate"])
     run_seconds, stopped = time.perf_counter() - started, done < config.num_epochs
 
     low_levels = policy(states)
-    rounds = 1 if stopped else -(-evaluation_episodes // (config.num_envs // 2))  # Half of the episodes have targets that stay.
-    measured = [jax.device_get(run(low_levels, folded(keys, EVALUATE, jnp.int32(i)), jnp.bool(False), hyper)[1]) for i in range(rounds)]
+    rounds = 1 if stopped else -(-evaluation_episodes // agent.num_measured)
+    measured = [jax.device_get(run(low_levels, keys_of(EVALUATE, number), jnp.bool(False), hyper)[1]) for number in range(rounds)]
     reports = [
-        {"seed": seed} | {name: round(float(np.mean([each[name][i] for each in measured])), 5) for name in measured[0]}
+        {"seed": seed} | {name: round(float(np.mean([each[name][i] for each in measured])), 5) for name in agent.measured}
         | {"seconds_to": {str(rate): first_time(curve, seed, rate) for rate in MILESTONES}}
         for i, seed in enumerate(seeds)
     ]
-    best = max(range(len(seeds)), key=lambda i: (reports[i]["success_rate"], reports[i]["following_rate"]))
+    best = max(range(len(seeds)), key=lambda i: [reports[i][name] for name in agent.compared])
     header = {
         "task": config.task, "command": command, "config": dataclasses.asdict(config), "epochs": done, "stopped": stopped,
-        "kept": seeds[best], "chosen_by": CHOICE, "seeds": reports, "evaluation_episodes": rounds * (config.num_envs // 2),
+        "kept": seeds[best], "chosen_by": CHOICE, "seeds": reports, "evaluation_episodes": rounds * agent.num_measured,
         "compile_seconds": round(compile_seconds, 1), "run_seconds": round(run_seconds, 1), "versions": versions(),
-        "device": jax.devices()[0].device_kind, "date": datetime.date.today().isoformat(),
+        "device": jax.devices()[0].device_kind, "date": datetime.date.today().isoformat(), **agent.header,
     }
     low_level_file.save(folder / "low_level", header, jax.device_get(jax.tree.map(lambda leaf: leaf[best], low_levels)))
-    return Pretrained(folder, reports, reports[best], stopped, compile_seconds, run_seconds)
+    return Pretrained(agent, folder, reports, reports[best], stopped, compile_seconds, run_seconds)
 
 
 def print_result(result: Pretrained) -> None:
     """What each seed reached and when, and where the best one is."""
     for report in result.seeds:
         times = ", ".join(f"{rate} after {'never' if seconds is None else f'{seconds:.1f} s'}" for rate, seconds in report["seconds_to"].items())
-        success = f"target states {report['success_rate']:.4f}, moving ahead to the goal {report['following_rate']:.4f}"
-        print(f"seed {report['seed']:<6} {success}; {times}")
+        print(f"seed {report['seed']:<6} {result.agent.describe(report)}; {times}")
     print(f"compiling   {result.compile_seconds:.1f} s, running {result.run_seconds:.1f} s")
     print(f"low level   {result.folder / 'low_level'}, seed {result.kept['seed']}{', stopped before the end' if result.stopped else ''}")
 

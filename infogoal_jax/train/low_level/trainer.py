@@ -1,0 +1,153 @@
+"""Training a low level, as pure functions of a key: gradient updates of any agent for target states.
+
+    epoch = run every environment for one episode, remember it, scan over updates
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import optax
+
+from infogoal_jax import hyperparameters
+from infogoal_jax.agents.low_level import LowLevelConfig
+from infogoal_jax.errors import require
+
+INITIAL, COLLECT, UPDATE, EVALUATE = range(4)
+"""Purposes for which keys are folded from the seed's key."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PretrainConfig:
+    """What decides the compiled program of a low level's training, whatever it drives."""
+
+    task: str
+    """Name of the task."""
+    num_envs: int = 1024
+    """Episodes in an epoch, side by side."""
+    num_epochs: int = 60
+    """Epochs: each runs one episode in every environment, then updates."""
+    updates_per_epoch: int = 1000
+    """Gradient updates in an epoch."""
+    batch_size: int = 2048
+    """Transitions in an update [RL-Zoo]."""
+    network: LowLevelConfig = dataclasses.field(default_factory=LowLevelConfig)
+    """Sizes of the networks."""
+    hyper: Any = None
+    """Default values of the compiled program's arguments."""
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int) and not isinstance(value, bool):
+                require(value > 0, field.name, value, "give a whole number greater than 0")
+        require(len(self.network.hidden) > 0 and all(width > 0 for width in self.network.hidden), "network.hidden", self.network.hidden,
+                "give widths greater than 0, for example 256 256 256")
+        if isinstance(self.hyper.learning_rate, int | float):
+            hyperparameters.check(self.hyper)
+
+
+class TargetAgent(NamedTuple):
+    """An agent that learns to drive to target states: what differs between one robot and another.
+
+    initial(key, hyper) -> (params, experience): parameters are trained by gradient, experience is what they are trained on.
+    policy(params, experience) -> low level, a pytree with `act(observation, target) -> action`.
+    run(low_level, key, explores, hyper) -> (rows, metrics): an episode in every environment, with noise to learn from, or (explores False) without.
+    remember(experience, rows, number) -> experience: with the rows of this epoch.
+    draw(experience, key, number, hyper) -> (batches, keys): of all updates of this epoch, leaves [U, ...], and the key [U] of each.
+    loss(params, target_params, experience, batch, key, hyper) -> (loss, metrics).
+    learning_rate(hyper, update) -> float32: Adam's step at this update, counted from 0 over all epochs.
+    key(key, purpose, number) -> the seed's key for `INITIAL`, `COLLECT`, `UPDATE` or `EVALUATE` and a number, such as that of the epoch.
+    curve: metrics of an epoch that are written down; measured: those of `run` at the end; compared: by which of these, in this order, a low level is
+    better than another.
+    describe(report) -> what a low level reached, in words; header: what its file says beside.
+    num_measured: episodes of a run without exploration that count.
+    """
+
+    config: PretrainConfig
+    initial: Callable[..., tuple[dict, Any]]
+    policy: Callable[[dict, Any], Any]
+    run: Callable[..., tuple[Any, dict[str, jax.Array]]]
+    remember: Callable[..., Any]
+    draw: Callable[..., tuple[Any, jax.Array]]
+    loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]
+    learning_rate: Callable[..., jax.Array]
+    key: Callable[..., jax.Array]
+    curve: tuple[str, ...]
+    measured: tuple[str, ...]
+    compared: tuple[str, ...]
+    describe: Callable[[dict], str]
+    header: dict[str, Any]
+    num_measured: int
+
+
+@flax.struct.dataclass
+class PretrainState:
+    """What training carries from epoch to epoch, for one seed."""
+
+    params: dict
+    target_params: dict
+    optimizer_state: Any
+    experience: Any
+    key: jax.Array
+
+
+class Trainer(NamedTuple):
+    """The functions that a low level's training is made of, all pure: vmap them over seeds or hyperparameters.
+
+    initial(key, hyper) -> state; policy(state) -> low level.
+    learn(state, rows, number, hyper) -> (state, metrics): an epoch's updates, with the rows of `TargetAgent.run`.
+    epoch(state, number, hyper) -> (state, metrics): a run to learn from, then `learn`.
+    """
+
+    agent: TargetAgent
+    initial: Callable[[jax.Array, Any], PretrainState]
+    policy: Callable[[PretrainState], Any]
+    learn: Callable[..., tuple[PretrainState, dict[str, jax.Array]]]
+    epoch: Callable[..., tuple[PretrainState, dict[str, jax.Array]]]
+
+
+def make_trainer(agent: TargetAgent) -> Trainer:
+    """The training program of an agent for target states."""
+    optimizer, num_updates = optax.scale_by_adam(), agent.config.updates_per_epoch
+
+    def initial(key, hyper) -> PretrainState:
+        params, experience = agent.initial(key, hyper)
+        return PretrainState(params, params, optimizer.init(params), experience, key)
+
+    def policy(state: PretrainState):
+        return agent.policy(state.params, state.experience)
+
+    def learn(state: PretrainState, rows, number, hyper):
+        experience = agent.remember(state.experience, rows, number)
+        batches, keys = agent.draw(experience, state.key, number, hyper)
+
+        def update(carry, drawn):
+            params, target_params, optimizer_state = carry
+            batch, key, count = drawn
+            gradient, metrics = jax.grad(agent.loss, has_aux=True)(params, target_params, experience, batch, key, hyper)
+            direction, optimizer_state = optimizer.update(gradient, optimizer_state)
+            rate = agent.learning_rate(hyper, count)
+            params = jax.tree.map(lambda leaf, by: leaf - rate * by, params, direction)
+            return (params, optax.incremental_update(params, target_params, hyper.target_rate), optimizer_state), metrics
+
+        drawn = batches, keys, number * num_updates + jnp.arange(num_updates)
+        carry, metrics = jax.lax.scan(update, (state.params, state.target_params, state.optimizer_state), drawn)
+        params, target_params, optimizer_state = carry
+        return PretrainState(params, target_params, optimizer_state, experience, state.key), jax.tree.map(jnp.mean, metrics)
+
+    def epoch(state: PretrainState, number, hyper):
+        rows, found = agent.run(policy(state), agent.key(state.key, COLLECT, number), True, hyper)
+        state, metrics = learn(state, rows, number, hyper)
+        metrics = metrics | found
+        return state, {name: metrics[name] for name in agent.curve}
+
+    return Trainer(agent, initial, policy, learn, epoch)
+
+
+def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
+    """A seed's key for a purpose and a number, neither batched."""
+    return jax.random.fold_in(jax.random.fold_in(key, purpose), number)
