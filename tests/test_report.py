@@ -161,7 +161,7 @@ def test_evaluation_refuses_what_makes_no_sense(sweep, env):
     for starts, seed, epsilon, field in ((0, 1, 0.0, "starts"), (5, -1, 0.0, "start_seed"), (5, 1, 1.5, "test_epsilon")):
         with pytest.raises(UserError, match=field):
             evaluate_run(sweep.folder, starts, seed, epsilon, env=env)
-    with pytest.raises(UserError, match="goals of object_search are no images"):
+    with pytest.raises(UserError, match="goals of object_search are not images"):
         evaluate_run(sweep.folder, 5, 1, 0.0, 0.4, env=env)
 
 

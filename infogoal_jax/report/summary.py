@@ -126,7 +126,7 @@ def evaluate_run(
     run, console = load_run(folder), console or Console()
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
     has_images = has_image_goals(train.env)
-    require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are no images; leave it out")
+    require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are not images; leave it out")
     weight = run.config.test_corruption if corruption is None else float(corruption)
     params = read_params(run, train)
     epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]

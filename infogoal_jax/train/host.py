@@ -199,7 +199,7 @@ def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> 
     then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in described)
     unknown = sorted(now.keys() - then.keys())
     if unknown:
-        raise UserError(f"{saved}: written by an earlier version, which has no {', '.join(unknown)}; it cannot be gone on with: start a new run")
+        raise UserError(f"{saved}: written by an earlier version, which has no {', '.join(unknown)}; it cannot be resumed: start a new run")
     different = differences(then, now)
     if different:
         raise UserError(f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or start a new run")

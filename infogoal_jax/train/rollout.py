@@ -13,8 +13,9 @@ Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
-    """`num_steps` steps of E environments. A finished one is reset by its next step, which is marked invalid and is no transition; nor is a step
-    that diverged.
+    """`num_steps` steps of E environments.
+
+    A finished one is reset by its next step, which is marked invalid, as a step that diverged is.
 
     Returns the environments' states [E] and the rows [E, num_steps] that they went through.
     """
