@@ -92,7 +92,8 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     if explorer != "none":
         yield from refusals_of_explorer(explorer, agent, traits)
     if config.training_corruption and not traits.image_goals:
-        yield Refusal("training_corruption", config.training_corruption, f"goals of {config.task} are not images, which alone can be corrupted", "give 0")
+        yield Refusal("training_corruption", config.training_corruption, f"goals of {config.task} are not images, which alone can be corrupted",
+                      "give 0")
     if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
         yield Refusal("stop_encoder_gradient", True, f"nothing else than the agent's loss trains the goal encoder of learner "
                       f"{learners.registry.name_of(config.learner)!r}", "give False, or another learner")
