@@ -14,8 +14,8 @@ from scipy import optimize
 
 from infogoal_jax.envs.fetch import solver
 from infogoal_jax.envs.fetch.contacts import Contacts, tangents
-from infogoal_jax.envs.fetch.multibody import Axes, once
-from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined
+from infogoal_jax.envs.fetch.multibody import Axes
+from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined, once
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

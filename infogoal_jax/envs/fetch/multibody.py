@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined
+from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined, once, vectors
 
 GRAVITY = 9.81
 """Acceleration of a body in free fall, in m / s^2."""
@@ -175,20 +175,11 @@ class Multibody:
         return axes, inertia, force - self.damping * velocity
 
 
-once = jax.lax.optimization_barrier
-"""What goes through here is computed once. XLA's CPU fusions would compute it anew for every number that it is needed for."""
-
-
 def summed(weights: np.ndarray, tree):
     """Sums of the tree's arrays [n] under constant weights [m, n], all of them in one matrix product: arrays [m]."""
     leaves, structure = jax.tree.flatten(tree)
     sums = jnp.matmul(jnp.stack(leaves), weights.T, precision=jax.lax.Precision.HIGHEST)
     return structure.unflatten(list(sums))
-
-
-def vectors(array: np.ndarray) -> Vector:
-    """Constant vectors [n, 3]."""
-    return Vector.of(np.float32(array))
 
 
 def jumps_to_the_root(parents: np.ndarray) -> list[np.ndarray]:

@@ -15,9 +15,9 @@ import numpy as np
 from infogoal_jax.envs.fetch import constraints, contacts, model, multibody, solver
 from infogoal_jax.envs.fetch.constraints import ContactKind, FrictionPyramids, Limits, RowKinds, Softness, Weld
 from infogoal_jax.envs.fetch.contacts import Box, Capsule, Contacts
-from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody, once
+from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
 from infogoal_jax.envs.fetch.tasks import Task
-from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined
+from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined, once, vectors
 
 GRIPPER_TURN = np.array([1.0, 0.0, 1.0, 0.0], np.float32)
 FINGER_GAIN = 30000.0
@@ -61,13 +61,13 @@ class Physics:
         self.one_hand = task.blocks_fingers and not setting.whole_body
         self.fingers = slice(self.joints - 2, self.joints)
         self.wrist = self.joint_of("wrist_roll")
-        self.gripper_place, self.grip_place = (Vector.of(np.float32(mj.site(name).pos)) for name in ("gripper", "grip"))
+        self.gripper_place, self.grip_place = (vectors(mj.site(name).pos) for name in ("gripper", "grip"))
         self.damping = np.float32(setting.timestep * mj.dof_damping)
         self.start_frames = self.frames_by_mujoco()
         self.place_geoms()
         self.make_constraints()
 
-    def joint_of(self, body: str) -> int:
+    def joint_of(self, body: str | int) -> int:
         """The joint that moves this body of the robot."""
         return int(self.mujoco_model.body(body).jntadr[0])
 
@@ -81,7 +81,7 @@ class Physics:
         self.hands = slice(self.wrist, self.wrist + 1) if self.one_hand else self.fingers
         self.hand_place, self.hand_half = Vector.of(place), Vector.of(half)
         palm = mj.geom("palm")
-        self.palm_place, self.palm_radius = Vector.of(np.float32(palm.pos)), float(palm.size[0])
+        self.palm_place, self.palm_radius = vectors(palm.pos), float(palm.size[0])
         self.table = contacts.block(model.table_of(self.task))
         self.robot_pairs = model.ROBOT_PAIRS if self.setting.whole_body else ()
         self.capsules = [[self.capsule(name) for name in names] for names in zip(*self.robot_pairs, strict=True)]
@@ -90,8 +90,7 @@ class Physics:
         """A capsule of the robot: the joint that moves it, and where it lies on its body."""
         geom = self.mujoco_model.geom(name)
         axis = multibody.matrix_of(geom.quat)[:, 2] * geom.size[1]
-        joint = int(self.mujoco_model.body(geom.bodyid[0]).jntadr[0])
-        return joint, Capsule(Vector.of(np.float32(geom.pos)), Vector.of(np.float32(axis)), np.float32(geom.size[0]))
+        return self.joint_of(geom.bodyid[0]), Capsule(vectors(geom.pos), vectors(axis), np.float32(geom.size[0]))
 
     def make_constraints(self) -> None:
         """The constants of all constraint rows, in the order in which `rows` lists them."""
@@ -139,7 +138,7 @@ class Physics:
         bodies = self.mujoco_model.jnt_bodyid[: self.joints]
         return Frames(
             Quaternion.of(np.float32(data.xquat[bodies])), Rotation.of(np.float32(data.xmat[bodies].reshape(-1, 3, 3))),
-            Vector.of(np.float32(data.xpos[bodies])),
+            vectors(data.xpos[bodies]),
         )
 
     def robot_start(self) -> np.ndarray:

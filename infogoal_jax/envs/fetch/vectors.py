@@ -7,6 +7,7 @@ along so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
 import flax.struct
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 @flax.struct.dataclass
@@ -128,3 +129,12 @@ class Quaternion:
 def joined(*parts):
     """Vectors, rotations, quaternions or arrays [n, ...] one after the other."""
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+
+def vectors(array: np.ndarray) -> Vector:
+    """Constant vectors [n, 3]."""
+    return Vector.of(np.float32(array))
+
+
+once = jax.lax.optimization_barrier
+"""What goes through here is computed once. XLA's CPU fusions would compute it anew for every number that it is needed for."""
