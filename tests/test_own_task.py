@@ -1,6 +1,8 @@
 """docs/own_task.md: a task made outside of the repository keeps the contract, is trained on, and can be learned."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import jax
@@ -21,9 +23,9 @@ def block() -> str:
     return found
 
 
-@pytest.fixture(scope="module")
-def script(block) -> dict:
-    """The names that the block leaves behind."""
+@contextmanager
+def run(block: str) -> Iterator[dict]:
+    """The names that the block leaves behind, for as long as its task is registered."""
     names = {"__name__": "own_task"}
     with pytest.MonkeyPatch.context() as kept:
         for registry in (envs.registry, presets.registry):
@@ -33,13 +35,29 @@ def script(block) -> dict:
     assert TASK not in envs.registry and TASK not in presets.registry
 
 
+@pytest.fixture(scope="module")
+def script(block) -> dict:
+    """The same with half of the training."""
+    assert block.count('"num_epochs": 20') == 1
+    with run(block.replace('"num_epochs": 20', '"num_epochs": 10')) as names:
+        yield names
+
+
 def test_it_is_short(block):
     assert len([line for line in block.splitlines() if line.strip()]) <= 80
 
 
-def test_it_is_learned(script):
-    """Far beyond chance, on goals that were never commanded too; a random walk reaches a third of the goals."""
+def test_it_is_being_learned(script):
+    """A random walk reaches a third of the goals."""
     metrics = script["result"].metrics
+    assert metrics["train_goal/success_rate"][-1] > 0.5 and metrics["test_goal/success_rate"][-1] > 0.4
+
+
+@pytest.mark.long
+def test_it_is_learned(block):
+    """Goals that were never commanded too."""
+    with run(block) as names:
+        metrics = names["result"].metrics
     assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7
 
 
