@@ -24,7 +24,8 @@ from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level import host, joints
 from infogoal_jax.train.low_level.fetch import PRESETS
 from infogoal_jax.train.low_level.presets import make_agent, preset
-from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer, numbered
+from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer
+from infogoal_jax.train.state import numbered
 
 each_task = pytest.mark.parametrize("task", PRESETS)
 

@@ -1,22 +1,18 @@
 """The agent that docs/own_agent.md makes is complete, short, learns quantiles, and trains as it says."""
 
-import re
-from pathlib import Path
-
 import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from pages import block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
 from infogoal_jax import agents, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.train.evaluation import evaluate, random_policy
-from infogoal_jax.train.program import make_train
 
-PAGE = Path(__file__).parent.parent / "docs" / "own_agent.md"
 SMALL = {"num_epochs": 12, "epochs_per_evaluation": 12, "updates_per_epoch": 100, "batch_size": 64, "evaluation_starts": 20}
 QUANTILES = 8
 
@@ -24,26 +20,18 @@ QUANTILES = 8
 @pytest.fixture(scope="module")
 def block() -> str:
     """The page's one block of Python."""
-    (found,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    return found
+    return block_of("own_agent.md")
 
 
 @pytest.fixture(scope="module")
 def script(block) -> dict:
     """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
-    names, load, sizes = {"__name__": "own_agent"}, presets.load, hand_made.sizes(**SMALL)
-    with pytest.MonkeyPatch.context() as kept:
-        kept.setitem(agents.registry, "qr_dqn", None)  # The script sets it; afterwards it is gone again.
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(presets, "load", lambda task, method, agent: load(task, method, agent=agent, **sizes))
-            patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
-            exec(compile(block, "own_agent", "exec"), names)
+    with run(block, "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**SMALL)) as names:
         yield names
-    assert "qr_dqn" not in agents.registry
 
 
 def test_it_takes_at_most_eighty_lines(block):
-    assert len([line for line in block.splitlines() if line.strip()]) <= 80
+    assert lines_of(block) <= 80
 
 
 def test_it_learns_its_training_goals(script):

@@ -1,43 +1,31 @@
 """The learner that docs/own_learner.md makes is complete, short, and trains as it says."""
 
-import re
-from pathlib import Path
-
 import hand_made
 import numpy as np
 import pytest
+from pages import block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
 from infogoal_jax import learners, presets
-from infogoal_jax.train.program import make_train
 
-PAGE = Path(__file__).parent.parent / "docs" / "own_learner.md"
 SMALL = {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16, "evaluation_starts": 1}
 
 
 @pytest.fixture(scope="module")
 def block() -> str:
     """The page's one block of Python."""
-    (found,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    return found
+    return block_of("own_learner.md")
 
 
 @pytest.fixture(scope="module")
 def script(block) -> dict:
     """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
-    names, load, sizes = {"__name__": "own_learner"}, presets.load, hand_made.sizes(**SMALL)
-    with pytest.MonkeyPatch.context() as kept:
-        kept.setitem(learners.registry, "mine", None)  # The script sets it; afterwards it is gone again.
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(presets, "load", lambda task, method: load(task, method, **sizes))
-            patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
-            exec(compile(block, "own_learner", "exec"), names)
+    with run(block, "mine", learners.registry, prepare=in_hand_made_rooms(**SMALL)) as names:
         yield names
-    assert "mine" not in learners.registry
 
 
 def test_it_takes_at_most_forty_lines(block):
-    assert len([line for line in block.splitlines() if line.strip()]) <= 40
+    assert lines_of(block) <= 40
 
 
 def test_its_loss_is_reported_under_its_name_and_falls(script):

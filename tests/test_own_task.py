@@ -1,50 +1,33 @@
 """docs/own_task.md: a task made outside of the repository keeps the contract, is trained on, and can be learned."""
 
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
-
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import block_of, lines_of, run
 
 from infogoal_jax import envs, presets
 from infogoal_jax.envs.environment import Environment
 
-PAGE = Path(__file__).parents[1] / "docs" / "own_task.md"
-TASK = "walled_square"
+REGISTERED = "walled_square", envs.registry, presets.registry
 
 
 @pytest.fixture(scope="module")
 def block() -> str:
     """The page's one block of Python."""
-    (found,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S)
-    return found
-
-
-@contextmanager
-def run(block: str) -> Iterator[dict]:
-    """The names that the block leaves behind, for as long as its task is registered."""
-    names = {"__name__": "own_task"}
-    with pytest.MonkeyPatch.context() as kept:
-        for registry in (envs.registry, presets.registry):
-            kept.setitem(registry, TASK, None)  # The script sets it; afterwards it is gone again.
-        exec(compile(block, "own_task", "exec"), names)
-        yield names
-    assert TASK not in envs.registry and TASK not in presets.registry
+    return block_of("own_task.md")
 
 
 @pytest.fixture(scope="module")
 def script(block) -> dict:
-    """The same with half of the training."""
+    """The names that the block leaves behind, with half of the training."""
     assert block.count('"num_epochs": 20') == 1
-    with run(block.replace('"num_epochs": 20', '"num_epochs": 10')) as names:
+    with run(block.replace('"num_epochs": 20', '"num_epochs": 10'), *REGISTERED) as names:
         yield names
 
 
 def test_it_is_short(block):
-    assert len([line for line in block.splitlines() if line.strip()]) <= 80
+    assert lines_of(block) <= 80
 
 
 def test_it_is_being_learned(script):
@@ -56,7 +39,7 @@ def test_it_is_being_learned(script):
 @pytest.mark.long
 def test_it_is_learned(block):
     """Goals that were never commanded too."""
-    with run(block) as names:
+    with run(block, *REGISTERED) as names:
         metrics = names["result"].metrics
     assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7
 
@@ -79,3 +62,13 @@ def test_the_door_is_the_only_way(script):
     assert near.all()
     crossings = [(cell, following) for cell, row in enumerate(np.asarray(env.next_cell)) for following in row if cell // 32 != following // 32]
     assert sorted(map(tuple, np.asarray(crossings).tolist())) == [(25, 33), (33, 25)]
+
+
+def test_all_actions_can_be_taken_after_vectors_too(script):
+    """The contract's default tells the axes of a batch from those of an observation."""
+    env = script["train"].env
+
+    class SeenAsVectors(script["WalledSquare"]):
+        observe = lambda self, state: jnp.zeros(3)  # noqa: E731
+
+    assert SeenAsVectors(env.next_cell, env.goals, env.episode_length).action_mask(jnp.zeros((5, 2, 3))).shape == (5, 2, 4)

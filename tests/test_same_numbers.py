@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import compiler_options, make_train, presets
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.train.combinations import reasons_against
 
 RECORD = Path(__file__).parent / "fixtures" / "same_numbers.json"
@@ -26,11 +27,8 @@ COLLECTED = {"num_envs": 4, "rollout_steps": 25}
 
 def small_config(task: str, method: str):
     """The preset with two epochs of a few updates."""
-    config = presets.load(task, method)
-    changes = SMALL | (COLLECTED if task != "embodied_qa" else {})
-    if hasattr(config.learner, "num_pairs"):
-        changes["learner"] = type(config.learner)(**{**vars(config.learner), "num_pairs": 16})
-    return presets.load(task, method, **changes)
+    config = presets.load(task, method, **SMALL | (COLLECTED if task != "embodied_qa" else {}))
+    return with_values(config, {"learner.num_pairs": 16}) if hasattr(config.learner, "num_pairs") else config
 
 
 def numbers(task: str, method: str) -> dict[str, list[float]]:

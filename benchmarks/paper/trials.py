@@ -13,7 +13,6 @@ writes the tables of docs/trials.md, which says what came of it. --list prints t
 
 import argparse
 import csv
-import dataclasses
 import json
 import time
 from pathlib import Path
@@ -30,10 +29,11 @@ from infogoal_jax import compiler_options, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
 from infogoal_jax.envs.object_manipulation import ObjectManipulation
-from infogoal_jax.hyperparameters import values_of, with_values
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.program import make_train
+from infogoal_jax.train.tune import batched_hyper
 
 KINDS = ("train_goal", "validation_goal", "test_goal", "corrupted_train_goal", "corrupted_test_goal", "train_goal_mean_code", "test_goal_mean_code")
 EPOCH_METRICS = ("beta", "accuracy", "kl")
@@ -130,19 +130,7 @@ def configuration(trial: Trial, folder: Path) -> TrainConfig:
     if trial.task == "object_search":
         _, dataset, _, split = tuning_house(folder)
         settings = {"env.dataset": dataset, "env.split": split} | settings
-    return with_settings(presets.load(trial.task, trial.method, relabelling=trial.relabelling), settings)
-
-
-def with_settings(config: TrainConfig, settings: dict[str, Any]) -> TrainConfig:
-    """The configuration with dotted fields changed, all at once: some are only right together."""
-    changes: dict[str, Any] = {}
-    for name, value in settings.items():
-        part, _, field = name.rpartition(".")
-        if part:
-            changes[part] = dataclasses.replace(changes.get(part, getattr(config, part)), **{field: value})
-        else:
-            changes[field] = value
-    return dataclasses.replace(config, **changes)
+    return with_values(presets.load(trial.task, trial.method, relabelling=trial.relabelling), settings)
 
 
 def commanded_by_name(env):
@@ -176,8 +164,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     train = make_train(config)
     env = commanded_by_name(train.env) if trial.by_name else train.env
     lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
-    values = [values_of(config.hyper) | trial.lanes[lane] for lane, _ in lanes]
-    hyper = with_values(config.hyper, {name: jnp.asarray([value[name] for value in values], jnp.float32) for name in values[0]})
+    hyper = batched_hyper(config.hyper, list(trial.lanes.values()), trial.seeds)
     machine = describe_machine()
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
@@ -232,7 +219,7 @@ def list_queue() -> None:
     """Print the queue, and how many of its updates each trial has made in the numbers that are kept."""
     done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
-        config = with_settings(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
+        config = with_values(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
         updates = f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates" if name in done else "to be run"
         print(f"{name}: {trial.task}, {presets.name_of(config)}, {len(trial.lanes)} lane(s) of {trial.seeds} seeds; {updates}")
 

@@ -89,8 +89,9 @@ class Environment:
 
     def action_mask(self, observation: Any) -> jax.Array:
         """The actions that can be taken after stored observations [...], bool [..., A]."""
-        leading = self.render(observation).shape[: jax.tree.leaves(observation)[0].ndim]
-        return jnp.ones((*leading, self.action_size), bool)
+        one = jax.eval_shape(lambda key: self.observe(self.reset(key)), jax.random.key(0))
+        leaf, of_one = jax.tree.leaves(observation)[0], jax.tree.leaves(one)[0]
+        return jnp.ones((*leaf.shape[: leaf.ndim - of_one.ndim], self.action_size), bool)
 
     def decides(self, state: Any) -> jax.Array:
         """Whether the next step follows a new decision of the agent, bool."""

@@ -17,6 +17,10 @@ registry: dict[str, Preset] = {
     "embodied_qa": embodied_qa.PRESET,
 }
 TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)
+REGISTRIES = {
+    "learner": learners.registry, "agent": agents.registry, "relabelling": relabelling.registry, "explorer": exploration.registry,
+}
+"""The parts of a configuration, by the field that holds them."""
 
 __all__ = ["FETCH_TASKS", "METHODS", "TASKS", "Changes", "Method", "Preset", "default_hyperparameters", "load", "method_named", "name_of", "registry"]
 
@@ -58,11 +62,6 @@ def load(task: str, method: str = "infogoal", *, learner: Any = None, agent: Any
     env = envs.registry.entry(task).config(**preset.env)
     settings = {"task": task, "env": env, **parts, "hyper": with_values(hyper, floats), **preset.training, **changed.training}
     return TrainConfig(**(settings | changes))
-
-
-REGISTRIES = {
-    "learner": learners.registry, "agent": agents.registry, "relabelling": relabelling.registry, "explorer": exploration.registry,
-}
 
 
 def default_hyperparameters(learner: Any, agent: Any) -> Hyperparameters:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.learners.learner import encode_goals
 from infogoal_jax.presets.saved import from_dict
 from infogoal_jax.train import checkpoint
 from infogoal_jax.train.policies import tested_policy
@@ -46,7 +47,8 @@ class Run:
         """
         require(seed in self.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, self.seeds))}")
         params = jax.tree.map(lambda leaf: jnp.asarray(leaf[self.seeds.index(seed)]), read_params(self, self.train))
-        return tested_policy(self.train.parts, params, self.config.hyper, self.env, use_mean)
+        encode = encode_goals(self.train.parts.learner, params["goal"], self.env.goals, self.config.batch_size)
+        return tested_policy(self.train.parts, params, self.config.hyper, self.env, encode, use_mean)
 
 
 def load_run(folder: str | Path) -> Run:

@@ -1,6 +1,5 @@
 """Collecting the trajectories of an epoch, and what is learned from them without a gradient."""
 
-import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
@@ -8,13 +7,13 @@ from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import usable_goals, usable_mask
 from infogoal_jax.train.policies import training_policy
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.state import COLLECT, CORRUPT, TrainState
+from infogoal_jax.train.state import COLLECT, CORRUPT, TrainState, numbered
 
 
 def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
     """Collect the rows of an epoch into the buffer."""
-    collect_key = jax.random.fold_in(jax.random.fold_in(state.key, COLLECT), number)
-    corruption_key = jax.random.fold_in(jax.random.fold_in(state.key, CORRUPT), number)
+    collect_key = numbered(state.key, COLLECT, number)
+    corruption_key = numbered(state.key, CORRUPT, number)
     acting = training_policy(parts, state.params, hyper, env, corruption_key)
     env_states, rows = collect(env, state.env_states, acting, collect_key, parts.config.rollout_steps)
     state = update_statistics(parts, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env)

@@ -3,7 +3,7 @@
 import jax
 
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.learners.learner import Encode, conditioned, encode_commanded, encode_goals, lookup
+from infogoal_jax.learners.learner import Encode, conditioned, encode_commanded, lookup
 from infogoal_jax.train.encoding import encode_states, training_view
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
@@ -29,9 +29,8 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
 
-def tested_policy(parts, params, hyper, env, use_mean: bool = False) -> Policy:
-    """The greedy policy on goals as they are; any goal may be given, not those of an evaluation alone."""
-    encode = encode_goals(parts.learner, params["goal"], env.goals, parts.config.batch_size)
+def tested_policy(parts, params, hyper, env, encode: Encode, use_mean: bool = False) -> Policy:
+    """The policy that is tested: greedy but for `test_epsilon`, on goals as `encode` sees them."""
     return policy(parts, params, Exploration(hyper.test_epsilon, 0.0), env, encode, use_mean=use_mean or parts.learner.mean_at_test)
 
 
@@ -40,13 +39,13 @@ def test_policies(parts, params, hyper, env, num_starts: int, corruption: float 
 
     They act on the episodes of `evaluation.goal_starts` with this number of starts. corruption: weight, None for the configuration's.
     """
-    learner, exploration = parts.learner, Exploration(hyper.test_epsilon, 0.0)
+    learner = parts.learner
     views = {"": lookup(learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated)}
     if has_image_goals(env):
         weight = parts.config.test_corruption if corruption is None else corruption
         codes = learner.encode(params["goal"], corrupted_images(env, num_starts, weight, seed))
         views["corrupted_"] = lambda goal: codes  # A background for each episode, the same for its whole length.
     return {
-        f"{prefix}{{group}}_goal{suffix}": policy(parts, params, exploration, env, encode, use_mean=bool(suffix) or learner.mean_at_test)
+        f"{prefix}{{group}}_goal{suffix}": tested_policy(parts, params, hyper, env, encode, use_mean=bool(suffix))
         for suffix in ("", "_mean_code") for prefix, encode in views.items()
     }

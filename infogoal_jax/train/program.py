@@ -28,7 +28,7 @@ from infogoal_jax.train.experience import Experience, experience_of
 from infogoal_jax.train.parts import Parts, check_hyperparameters, load_environment, make_parts
 from infogoal_jax.train.policies import test_policies, training_policy
 from infogoal_jax.train.rollout import Policy, rows_shape
-from infogoal_jax.train.state import INITIAL, UPDATE, TrainResult, TrainState
+from infogoal_jax.train.state import INITIAL, UPDATE, TrainResult, TrainState, numbered
 from infogoal_jax.train.update import updates
 
 
@@ -98,7 +98,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         if env.recorded is None:
             state, collected = collect_epoch(parts, state, number, hyper, env)
         experience, state = experience_of(parts, state, number, hyper, env)
-        update_key = jax.random.fold_in(jax.random.fold_in(state.key, UPDATE), number)
+        update_key = numbered(state.key, UPDATE, number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
         metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
         if learner.sample_spec.num_pairs:

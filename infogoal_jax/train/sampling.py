@@ -1,6 +1,5 @@
 """What one update learns from: transitions, some of them under other goals, with rewards, and goal pairs for the learner."""
 
-
 import flax.struct
 import jax
 import jax.numpy as jnp

@@ -11,6 +11,11 @@ from infogoal_jax.replay import Trajectories
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
 
+def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
+    """A seed's key for a purpose and a number, such as that of the epoch; neither is batched."""
+    return jax.random.fold_in(jax.random.fold_in(key, purpose), number)
+
+
 @flax.struct.dataclass
 class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.

@@ -21,8 +21,9 @@ from infogoal_jax.errors import nearest, require
 from infogoal_jax.hyperparameters import Number
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.low_level.trainer import INITIAL, UPDATE, PretrainConfig, TargetAgent, numbered
+from infogoal_jax.train.low_level.trainer import INITIAL, UPDATE, PretrainConfig, TargetAgent
 from infogoal_jax.train.rollout import collect
+from infogoal_jax.train.state import numbered
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fetch_reach": {"num_envs": 128, "num_epochs": 20, "updates_per_epoch": 200, "batch_size": 256, "network": LowLevelConfig((128, 128))},

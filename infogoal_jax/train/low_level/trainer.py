@@ -146,8 +146,3 @@ def make_trainer(agent: TargetAgent) -> Trainer:
         return state, {name: metrics[name] for name in agent.curve}
 
     return Trainer(agent, initial, policy, learn, epoch)
-
-
-def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
-    """A seed's key for a purpose and a number, neither batched."""
-    return jax.random.fold_in(jax.random.fold_in(key, purpose), number)

@@ -1,0 +1,54 @@
+"""Scripts that stand in the pages of docs, run as they are: the parts that they register are gone again afterwards."""
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import hand_made
+import pytest
+
+import infogoal_jax
+from infogoal_jax import presets
+from infogoal_jax.train.program import make_train
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def block_of(page: str) -> str:
+    """The one block of Python of a page."""
+    (found,) = re.findall(r"^```python\n(.*?)^```", (DOCS / page).read_text(), re.M | re.S)
+    return found
+
+
+def lines_of(block: str) -> int:
+    """How many of its lines are not empty."""
+    return len([line for line in block.splitlines() if line.strip()])
+
+
+@contextmanager
+def run(block: str, name: str, *registries: dict, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None) -> Iterator[dict]:
+    """The names that the block leaves behind, for as long as what it registers under this name is there.
+
+    prepare: sets what is other than it is for a user, while the block runs.
+    """
+    names = {"__name__": "page"}
+    with pytest.MonkeyPatch.context() as kept:
+        for registry in registries:
+            kept.setitem(registry, name, None)  # The script sets it.
+        with pytest.MonkeyPatch.context() as patch:
+            prepare(patch)
+            exec(compile(block, "page", "exec"), names)
+        yield names
+    assert not any(name in registry for registry in registries)
+
+
+def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:
+    """Presets of these sizes, trained in the hand-made rooms instead of a house, and nothing else changed."""
+    load, fields = presets.load, hand_made.sizes(**sizes)
+
+    def prepare(patch: pytest.MonkeyPatch) -> None:
+        patch.setattr(presets, "load", lambda task, method, **parts: load(task, method, **parts, **fields))
+        patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
+
+    return prepare
