@@ -1,4 +1,5 @@
-"""infogoal-jax: goal-conditioned reinforcement learning as one pure, jitted program. See `make_train`, `presets` and `envs`."""
+"""infogoal-jax: goal-conditioned reinforcement learning as one pure, jitted program. See `make_train`, `presets` and
+`envs`."""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -14,16 +15,33 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Hyperparameters", "Train", "TrainConfig", "TrainResult", "UserError", "compiler_options", "envs", "load_run", "make_train", "presets",
-    "rollout", "use_compilation_cache",
+    "Hyperparameters",
+    "Train",
+    "TrainConfig",
+    "TrainResult",
+    "UserError",
+    "compiler_options",
+    "envs",
+    "load_run",
+    "make_train",
+    "presets",
+    "rollout",
+    "use_compilation_cache",
 ]
 MODULES = {
-    "Hyperparameters": "config", "TrainConfig": "config", "UserError": "errors",
-    "compiler_options": "train.compilation", "use_compilation_cache": "train.compilation",
-    "Train": "train.program", "TrainResult": "train.program", "make_train": "train.program",
-    "load_run": "report.runs", "rollout": "train.rollout",
+    "Hyperparameters": "config",
+    "TrainConfig": "config",
+    "UserError": "errors",
+    "compiler_options": "train.compilation",
+    "use_compilation_cache": "train.compilation",
+    "Train": "train.program",
+    "TrainResult": "train.program",
+    "make_train": "train.program",
+    "load_run": "report.runs",
+    "rollout": "train.rollout",
 }
-"""Where each name is written. They are imported when they are first asked for: JAX takes half a second, which a help text need not wait for."""
+"""Where each name is written. They are imported when they are first asked for: JAX takes half a second, which a help
+text need not wait for."""
 
 
 def __getattr__(name: str) -> Any:

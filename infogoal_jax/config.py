@@ -1,8 +1,9 @@
 """What a run is made of: `TrainConfig` (static: names, sizes, switches) and `Hyperparameters` (floats, never static).
 
-`[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project (docs/object_search.md).
-Each part of the program (environment, learner, agent, relabelling, explorer) declares its configuration and its floats beside its code;
-`TrainConfig` and `Hyperparameters` hold one of each and know none of them.
+`[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project
+(docs/object_search.md). Each part of the program (environment, learner, agent, relabelling, explorer) declares its
+configuration and its floats beside its code; `TrainConfig` and `Hyperparameters` hold one of each and know none of
+them.
 """
 
 import dataclasses
@@ -42,7 +43,8 @@ class Hyperparameters:
     explorer_weight: Annotated[float, Number("[0, inf)")] = 0.01
     """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]."""
     bonus_weight: Annotated[float, Number("[0, inf)", Search(0.005, 0.5, "log"))] = 0.05
-    """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of 1."""
+    """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of
+    1."""
     learner: Any = NoHyperparameters()
     """Those of the learner."""
     agent: Any = NoHyperparameters()
@@ -69,14 +71,16 @@ class StateEncoderConfig:
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """Everything that decides the compiled program. Make one with `presets.load`, change it with `dataclasses.replace`."""
+    """Everything that decides the compiled program. Make one with `presets.load`, change it with
+    `dataclasses.replace`."""
 
     task: str
     """Name of the environment, see `infogoal_jax.envs.registry`."""
     env: Any
     """Configuration of the environment (dataset, episode length, ...)."""
     learner: Any
-    """Configuration of a goal-representation learner, see `infogoal_jax.learners.registry`; it says which learner it is."""
+    """Configuration of a goal-representation learner, see `infogoal_jax.learners.registry`; it says which learner it
+    is."""
     agent: Any
     """Configuration of a reinforcement-learning agent, see `infogoal_jax.agents.registry`."""
     relabelling: Any
@@ -102,7 +106,8 @@ class TrainConfig:
     buffer_steps: int = 100_000
     """Environment steps that the replay buffer holds, rounded up to whole epochs."""
     known_goals: KnownGoals = "visited"
-    """Goals that may enter representation learning: training goals, goals achieved so far, or all. One protocol for every method."""
+    """Goals that may enter representation learning: training goals, goals achieved so far, or all. One protocol for
+    every method."""
     training_corruption: float = 0.0
     """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
     test_corruption: float = 0.4
@@ -113,19 +118,53 @@ class TrainConfig:
     """Start states tried for each goal in an evaluation."""
 
     def __post_init__(self):
-        for name in ("num_epochs", "epochs_per_evaluation", "num_envs", "rollout_steps", "updates_per_epoch", "batch_size",
-                     "buffer_steps", "evaluation_starts"):
+        for name in (
+            "num_epochs",
+            "epochs_per_evaluation",
+            "num_envs",
+            "rollout_steps",
+            "updates_per_epoch",
+            "batch_size",
+            "buffer_steps",
+            "evaluation_starts",
+        ):
             value = getattr(self, name)
-            require(isinstance(value, int) and not isinstance(value, bool) and value > 0, name, value, "give a whole number greater than 0")
+            require(
+                isinstance(value, int) and not isinstance(value, bool) and value > 0,
+                name,
+                value,
+                "give a whole number greater than 0",
+            )
         if self.num_epochs % self.epochs_per_evaluation:
             nearest = max(1, round(self.num_epochs / self.epochs_per_evaluation)) * self.epochs_per_evaluation
-            raise UserError(f"num_epochs = {self.num_epochs}: must be a multiple of epochs_per_evaluation = "
-                            f"{self.epochs_per_evaluation}; give {nearest}, or another epochs_per_evaluation")
-        require(self.buffer_steps >= self.num_envs * self.rollout_steps, "buffer_steps", self.buffer_steps,
-                f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}")
-        require(self.known_goals in ("train", "visited", "all"), "known_goals", self.known_goals, "give train, visited or all")
-        require(0 <= self.training_corruption < 1, "training_corruption", self.training_corruption, "give a weight from 0 to below 1")
-        require(0 <= self.test_corruption <= 1, "test_corruption", self.test_corruption, "give a weight from 0 to 1, for example 0.4")
+            raise UserError(
+                f"num_epochs = {self.num_epochs}: must be a multiple of epochs_per_evaluation = "
+                f"{self.epochs_per_evaluation}; give {nearest}, or another epochs_per_evaluation"
+            )
+        require(
+            self.buffer_steps >= self.num_envs * self.rollout_steps,
+            "buffer_steps",
+            self.buffer_steps,
+            f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}",
+        )
+        require(
+            self.known_goals in ("train", "visited", "all"),
+            "known_goals",
+            self.known_goals,
+            "give train, visited or all",
+        )
+        require(
+            0 <= self.training_corruption < 1,
+            "training_corruption",
+            self.training_corruption,
+            "give a weight from 0 to below 1",
+        )
+        require(
+            0 <= self.test_corruption <= 1,
+            "test_corruption",
+            self.test_corruption,
+            "give a weight from 0 to 1, for example 0.4",
+        )
         if isinstance(self.hyper.learning_rate, int | float):
             hyperparameters.check(self.hyper)
         for part in (self.state_encoder, self.env, self.learner, self.agent, self.relabelling, self.explorer):

@@ -17,9 +17,11 @@ class GoalSet:
     """N goals, their inputs and their uses. Only training goals are desired goals while training."""
 
     inputs: jax.Array
-    """[M, *input] what the goal encoder sees: float32 text embeddings [N, 384], or uint8 images [M, H, W, C]. `inputs_of` finds those of a goal."""
+    """[M, *input] what the goal encoder sees: float32 text embeddings [N, 384], or uint8 images [M, H, W, C].
+    `inputs_of` finds those of a goal."""
     regions: jax.Array
-    """int32 [N], part of the world that a goal lies in, for example a room. For reports, and for the share of positives within regions."""
+    """int32 [N], part of the world that a goal lies in, for example a room. For reports, and for the share of positives
+    within regions."""
     train_mask: jax.Array
     """bool [N], training goals. The three masks are disjoint."""
     validation_mask: jax.Array
@@ -41,13 +43,20 @@ class GoalSet:
 
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
-        """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows: int [N] into the inputs."""
+        """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows:
+        int [N] into the inputs."""
         uses = np.asarray(uses)
         masks = [jnp.asarray(uses == use) for use in range(len(USES))]
         return cls(
-            jnp.asarray(inputs), jnp.asarray(regions, jnp.int32), *masks, commanded=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
-            evaluated=jnp.asarray(np.flatnonzero(uses != NO_USE), jnp.int32), names=tuple(names), region_names=tuple(region_names),
-            groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()), rows=None if rows is None else jnp.asarray(rows, jnp.int32),
+            jnp.asarray(inputs),
+            jnp.asarray(regions, jnp.int32),
+            *masks,
+            commanded=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
+            evaluated=jnp.asarray(np.flatnonzero(uses != NO_USE), jnp.int32),
+            names=tuple(names),
+            region_names=tuple(region_names),
+            groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()),
+            rows=None if rows is None else jnp.asarray(rows, jnp.int32),
         )
 
     def inputs_of(self, goals: jax.Array) -> jax.Array:
@@ -71,5 +80,6 @@ def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float
 
 
 def draw_backgrounds(key: jax.Array, bank: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Draw backgrounds uint8 [*shape, H, W, C] with replacement from a bank of M images, uint8 [M, H, W, C] (Sec. V-A)."""
+    """Draw backgrounds uint8 [*shape, H, W, C] with replacement from a bank of M images, uint8 [M, H, W, C] (Sec.
+    V-A)."""
     return bank[jax.random.randint(key, shape, 0, bank.shape[0])]

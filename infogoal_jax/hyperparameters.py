@@ -5,8 +5,9 @@
         kl_weight: Annotated[float, Number("[0, inf)", Search(1e-3, 10.0, "log"))] = 1.0
         \"\"\"Weight of the KL divergence beside the reconstruction error [M].\"\"\"
 
-Validation, the help text of the command line and the space of `infogoal tune` are read off this declaration. A record of floats is a pytree, and an
-argument of every compiled program: sweep it with `jax.vmap`, change it without compiling again.
+Validation, the help text of the command line and the space of `infogoal tune` are read off this declaration. A record
+of floats is a pytree, and an argument of every compiled program: sweep it with `jax.vmap`, change it without compiling
+again.
 """
 
 import dataclasses
@@ -24,7 +25,8 @@ from infogoal_jax.errors import require
 class Search(NamedTuple):
     """Where a search looks for a number.
 
-    scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: in every search, or only where it is asked for.
+    scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: in every search, or only
+    where it is asked for.
     """
 
     low: float
@@ -33,7 +35,8 @@ class Search(NamedTuple):
     always: bool = True
 
     def at(self, share: float) -> float:
-        """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be given as a flag."""
+        """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be
+        given as a flag."""
         if self.scale == "linear":
             value = self.low + share * (self.high - self.low)
         elif self.scale == "log":
@@ -96,7 +99,9 @@ def with_values(record: Any, values: dict[str, Any]) -> Any:
         part, _, field = name.partition(".")
         if field:
             parts.setdefault(part, {})[field] = value
-    return dataclasses.replace(record, **own, **{part: with_values(getattr(record, part), inner) for part, inner in parts.items()})
+    return dataclasses.replace(
+        record, **own, **{part: with_values(getattr(record, part), inner) for part, inner in parts.items()}
+    )
 
 
 def values_of(record: Any) -> dict[str, Any]:

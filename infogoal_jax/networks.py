@@ -1,6 +1,7 @@
 """Neural networks (flax.linen): goal encoder, state encoders, heads.
 
-All layers are matrix products. A convolution inside a scan runs 5 to 15 times slower on XLA:CPU, so images are cut into patches instead.
+All layers are matrix products. A convolution inside a scan runs 5 to 15 times slower on XLA:CPU, so images are cut into
+patches instead.
 """
 
 import flax.linen as nn
@@ -24,7 +25,8 @@ class MLP(nn.Module):
 
 
 def patches(images: jax.Array, side: int) -> jax.Array:
-    """Cut images [..., H, W, C] into square patches, each a vector: [..., H / side, W / side, side * side * C]. `side` divides H and W."""
+    """Cut images [..., H, W, C] into square patches, each a vector: [..., H / side, W / side, side * side * C]. `side`
+    divides H and W."""
     *batch, height, width, channels = images.shape
     cut = images.reshape(*batch, height // side, side, width // side, side, channels)
     return jnp.moveaxis(cut, -4, -3).reshape(*batch, height // side, width // side, side * side * channels)
@@ -38,16 +40,18 @@ def unpatched(values: jax.Array, side: int) -> jax.Array:
 
 
 def standardised(images: jax.Array) -> jax.Array:
-    """Standardise each image [..., H, W, C] to mean 0 and standard deviation 1. A background takes away contrast first."""
+    """Standardise each image [..., H, W, C] to mean 0 and standard deviation 1. A background takes away contrast
+    first."""
     axes = (-3, -2, -1)
     return (images - images.mean(axes, keepdims=True)) / (images.std(axes, keepdims=True) + 1e-3)
 
 
 class ImageLayers(nn.Module):
-    """Two convolutions without overlap, images uint8 [..., H, W, C] to [..., D]: 16 channels of 4 x 4 pixels, then 32 of 2 x 2 patches.
+    """Two convolutions without overlap, images uint8 [..., H, W, C] to [..., D]: 16 channels of 4 x 4 pixels, then 32
+    of 2 x 2 patches.
 
-    The authors' convolutions overlap (8 channels, side 4, stride 2; 16, side 2, stride 1). At 64 x 64 pixels a gradient through them takes 2.5 times
-    as long on a CPU, even with a second stride of 2 [M].
+    The authors' convolutions overlap (8 channels, side 4, stride 2; 16, side 2, stride 1). At 64 x 64 pixels a gradient
+    through them takes 2.5 times as long on a CPU, even with a second stride of 2 [M].
     """
 
     standardise: bool
@@ -63,8 +67,8 @@ class ImageLayers(nn.Module):
 
 
 class GoalLayers(nn.Module):
-    """The body of every goal encoder, to [..., out]: vectors [..., D] pass all layers of `hidden`; images uint8 [..., H, W, C] pass two convolutions
-    and the last layer of `hidden` [A]."""
+    """The body of every goal encoder, to [..., out]: vectors [..., D] pass all layers of `hidden`; images uint8 [...,
+    H, W, C] pass two convolutions and the last layer of `hidden` [A]."""
 
     hidden: tuple[int, ...]
     out: int
@@ -101,8 +105,9 @@ def as_encoded(inputs: jax.Array, standardise: bool) -> jax.Array:
 class GoalDecoder(nn.Module):
     """The layers of `GoalLayers` in reverse: codes [..., d] to goal inputs [..., *shape] in the scale of `as_encoded`.
 
-    Vectors are decoded by all layers of `hidden`. Images (H and W multiples of 8) are decoded by the last layer of `hidden` and two transposed
-    convolutions without overlap: 32 channels for every 8 x 8 pixels, 16 for every 4 x 4, then the pixels.
+    Vectors are decoded by all layers of `hidden`. Images (H and W multiples of 8) are decoded by the last layer of
+    `hidden` and two transposed convolutions without overlap: 32 channels for every 8 x 8 pixels, 16 for every 4 x 4,
+    then the pixels.
     """
 
     hidden: tuple[int, ...]
@@ -122,7 +127,8 @@ class GoalDecoder(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """psi(s) of images uint8 [..., H, W, C] to [..., features]: one matrix for each patch, one for all patches. `patch` divides H and W."""
+    """psi(s) of images uint8 [..., H, W, C] to [..., features]: one matrix for each patch, one for all patches. `patch`
+    divides H and W."""
 
     patch: int
     channels: int

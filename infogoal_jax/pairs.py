@@ -1,14 +1,17 @@
 """Goal pairs within the time window and the dissimilarity matrix G_neg (Algorithm 1, lines 16 to 20).
 
-A step achieves the goals `goals [..., K]`, padded with -1. Two goals are similar once they were achieved within `window` steps of each other in one
-trajectory, and stay similar. Goals achieved in the same state are similar too (lag 0).
+A step achieves the goals `goals [..., K]`, padded with -1. Two goals are similar once they were achieved within
+`window` steps of each other in one trajectory, and stay similar. Goals achieved in the same state are similar too (lag
+0).
 """
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 
-REJECTION_TRIES = 16  # Candidates for a negative. If half of the goals are dissimilar, all 16 are rejected once in 65,536 draws.
+REJECTION_TRIES = (
+    16  # Candidates for a negative. If half of the goals are dissimilar, all 16 are rejected once in 65,536 draws.
+)
 
 
 @flax.struct.dataclass
@@ -35,9 +38,11 @@ def initial_dissimilarity(num_goals: int) -> jax.Array:
 
 
 def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Array, window: int) -> jax.Array:
-    """Remove pairs achieved within `window` steps of each other from G_neg (line 19). The matrix stays symmetric and only loses entries.
+    """Remove pairs achieved within `window` steps of each other from G_neg (line 19). The matrix stays symmetric and
+    only loses entries.
 
-    goals: int32 [R, T, K] achieved at each step. episode: int32 [R, T], number of the episode within its row; steps of one episode are adjacent.
+    goals: int32 [R, T, K] achieved at each step. episode: int32 [R, T], number of the episode within its row; steps of
+    one episode are adjacent.
     """
     num_goals, steps = dissimilarity.shape[0], goals.shape[1]
     goals = jnp.where(goals < 0, num_goals, goals)  # Outside the matrix: dropped by the scatter.
@@ -54,7 +59,8 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
 
 
 def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen: jax.Array) -> dict[str, jax.Array]:
-    """Count the dissimilar pairs of seen goals within and between regions. The counts show whether the window fits the geometry."""
+    """Count the dissimilar pairs of seen goals within and between regions. The counts show whether the window fits the
+    geometry."""
     same_region = regions[:, None] == regions[None, :]
     upper = jnp.triu(dissimilarity & seen[:, None] & seen[None, :])
     return {"dissimilar_within": (upper & same_region).sum(), "dissimilar_between": (upper & ~same_region).sum()}
@@ -67,14 +73,18 @@ def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
 
 
 def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    """Draw indices uniformly among the true entries of mask [N], by inverting the running count. Meaningless if no entry is true."""
+    """Draw indices uniformly among the true entries of mask [N], by inverting the running count. Meaningless if no
+    entry is true."""
     count = jnp.cumsum(mask.astype(jnp.int32))
     rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1))
     return jnp.minimum(jnp.searchsorted(count, rank, side="right"), mask.shape[0] - 1).astype(jnp.int32)
 
 
-def sample_negatives(key: jax.Array, dissimilarity: jax.Array, known: jax.Array, anchors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Draw for each anchor a known goal that is dissimilar to it (line 20), by rejection. The weight is 0 where every candidate was rejected.
+def sample_negatives(
+    key: jax.Array, dissimilarity: jax.Array, known: jax.Array, anchors: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Draw for each anchor a known goal that is dissimilar to it (line 20), by rejection. The weight is 0 where every
+    candidate was rejected.
 
     known: bool [N]. anchors: int32 [...]. Returns goals int32 [...] and weights float32 [...].
     """

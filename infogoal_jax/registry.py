@@ -8,7 +8,8 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 
 
 class Entry(NamedTuple):
-    """A part: the class of its configuration, the function that makes the part of one, and the record of its float hyperparameters."""
+    """A part: the class of its configuration, the function that makes the part of one, and the record of its float
+    hyperparameters."""
 
     config: type
     make: Callable[..., Any]
@@ -16,7 +17,8 @@ class Entry(NamedTuple):
 
 
 class Registry(dict):
-    """The parts of one kind by name. kind: what they are, which is also the field of `TrainConfig` that holds the configuration of one."""
+    """The parts of one kind by name. kind: what they are, which is also the field of `TrainConfig` that holds the
+    configuration of one."""
 
     def __init__(self, kind: str, entries: dict[str, Entry]):
         super().__init__(entries)
@@ -25,7 +27,9 @@ class Registry(dict):
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""
         if name not in self:
-            raise UserError(f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}")
+            raise UserError(
+                f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}"
+            )
         return self[name]
 
     def name_of(self, config: Any) -> str:
@@ -33,8 +37,10 @@ class Registry(dict):
         for name, entry in self.items():
             if type(config) is entry.config:
                 return name
-        raise UserError(f"{self.kind} = {type(config).__name__}: is not the configuration of a registered {self.kind}. Known: "
-                        f"{', '.join(entry.config.__name__ for entry in self.values())}")
+        raise UserError(
+            f"{self.kind} = {type(config).__name__}: is not the configuration of a registered {self.kind}. Known: "
+            f"{', '.join(entry.config.__name__ for entry in self.values())}"
+        )
 
     def entry_of(self, config: Any) -> Entry:
         """The part that this configuration is of."""

@@ -1,7 +1,8 @@
-"""Replay buffer: rows of consecutive environment steps, as indices and small vectors without pixels. Pure functions over `Trajectories`.
+"""Replay buffer: rows of consecutive environment steps, as indices and small vectors without pixels. Pure functions
+over `Trajectories`.
 
-A row holds T + 1 observations and the T transitions between them. A row may hold several episodes. The transition from the last observation of
-an episode to the first of the next is marked invalid, and no function below looks across it.
+A row holds T + 1 observations and the T transitions between them. A row may hold several episodes. The transition from
+the last observation of an episode to the first of the next is marked invalid, and no function below looks across it.
 """
 
 import flax.struct
@@ -56,35 +57,41 @@ class Transitions:
 
 
 def empty(example: Trajectories, buffer_epochs: int) -> Trajectories:
-    """Make a buffer for `buffer_epochs` times the rows of `example`, all invalid. Only the shapes of `example` are read."""
+    """Make a buffer for `buffer_epochs` times the rows of `example`, all invalid. Only the shapes of `example` are
+    read."""
     return jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0] * buffer_epochs, *leaf.shape[1:]), leaf.dtype), example)
 
 
 def add(buffer: Trajectories, rows: Trajectories, epoch: jax.Array) -> Trajectories:
-    """Replace the oldest rows of the buffer by those of this epoch. `epoch` is not batched over seeds, and decides the place."""
+    """Replace the oldest rows of the buffer by those of this epoch. `epoch` is not batched over seeds, and decides the
+    place."""
     capacity, new = buffer.valid.shape[0], rows.valid.shape[0]
     start = (epoch * new) % capacity
     return jax.tree.map(lambda old, row: jax.lax.dynamic_update_slice_in_dim(old, row, start, axis=0), buffer, rows)
 
 
 def running_count(mask: jax.Array) -> jax.Array:
-    """Running count over a flattened mask. Computed once an epoch, it makes each uniform draw among the true entries a binary search."""
+    """Running count over a flattened mask. Computed once an epoch, it makes each uniform draw among the true entries a
+    binary search."""
     return jnp.cumsum(mask.reshape(-1).astype(jnp.int32))
 
 
 def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Array, jax.Array]:
-    """Draw `num` positions (row, column) uniformly among the true entries of a mask [R, width]. count: its `running_count`."""
+    """Draw `num` positions (row, column) uniformly among the true entries of a mask [R, width]. count: its
+    `running_count`."""
     rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1))
     flat = jnp.minimum(jnp.searchsorted(count, rank, side="right"), count.shape[0] - 1)
     return flat // width, flat % width
 
 
-def transitions_at(buffer: Trajectories, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None,
-                   reached=None) -> Transitions:
-    """The transitions that start at these rows and steps, int32 [B] each, with at most `num_steps` steps of one episode.
+def transitions_at(
+    buffer: Trajectories, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None, reached=None
+) -> Transitions:
+    """The transitions that start at these rows and steps, int32 [B] each, with at most `num_steps` steps of one
+    episode.
 
-    goal: desired goals [B] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then decides where an episode
-    terminates.
+    goal: desired goals [B] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then
+    decides where an episode terminates.
     """
     length = buffer.valid.shape[1]
     step = first[:, None] + jnp.arange(num_steps)
@@ -112,7 +119,9 @@ def transitions_at(buffer: Trajectories, row: jax.Array, first: jax.Array, num_s
     )
 
 
-def sample_transitions(key: jax.Array, buffer: Trajectories, count: jax.Array, batch_size: int, num_steps: int) -> Transitions:
+def sample_transitions(
+    key: jax.Array, buffer: Trajectories, count: jax.Array, batch_size: int, num_steps: int
+) -> Transitions:
     """Sample transitions with at most `num_steps` steps of one episode. The first step is uniform.
 
     count: `running_count` of a mask [R, T] of the steps that a transition may start from.
@@ -121,7 +130,9 @@ def sample_transitions(key: jax.Array, buffer: Trajectories, count: jax.Array, b
 
 
 def steps_left(valid: jax.Array) -> jax.Array:
-    """Count the valid transitions from each step to the end of its episode, its own included: bool [R, T] to int32 [R, T]."""
+    """Count the valid transitions from each step to the end of its episode, its own included: bool [R, T] to int32 [R,
+    T]."""
+
     def back(following, now):
         left = jnp.where(now, following + 1, 0)
         return left, left
@@ -130,10 +141,14 @@ def steps_left(valid: jax.Array) -> jax.Array:
     return jax.lax.scan(back, start, valid.T, reverse=True)[1].T
 
 
-def sample_within_window(key: jax.Array, buffer: Trajectories, achieved: jax.Array, count: jax.Array, num: int, window: int):
-    """Sample pairs of steps of one episode, at most `window` apart, that both achieve a goal (Algorithm 1, lines 16 and 17).
+def sample_within_window(
+    key: jax.Array, buffer: Trajectories, achieved: jax.Array, count: jax.Array, num: int, window: int
+):
+    """Sample pairs of steps of one episode, at most `window` apart, that both achieve a goal (Algorithm 1, lines 16 and
+    17).
 
-    The first step is uniform over all that achieve a goal, the second over those in its window, the first included (lag 0).
+    The first step is uniform over all that achieve a goal, the second over those in its window, the first included (lag
+    0).
     achieved: bool [R, T + 1], steps that achieve a goal. count: `running_count(achieved)`.
     Returns the records of both steps, pytrees of [num, ...].
     """
@@ -148,4 +163,7 @@ def sample_within_window(key: jax.Array, buffer: Trajectories, achieved: jax.Arr
     possible = inside & same_episode & achieved[row[:, None], around]
     preference = jnp.where(possible, jax.random.uniform(choose_second, around.shape), -1.0)
     second = jnp.take_along_axis(around, preference.argmax(1)[:, None], axis=1)[:, 0]
-    return (jax.tree.map(lambda leaf: leaf[row, first], buffer.record), jax.tree.map(lambda leaf: leaf[row, second], buffer.record))
+    return (
+        jax.tree.map(lambda leaf: leaf[row, first], buffer.record),
+        jax.tree.map(lambda leaf: leaf[row, second], buffer.record),
+    )

@@ -1,4 +1,5 @@
-"""What several test files share because it takes long to compile: programs on disk, a run with image goals, and the order of the files."""
+"""What several test files share because it takes long to compile: programs on disk, a run with image goals, and the
+order of the files."""
 
 import gc
 import os
@@ -15,22 +16,50 @@ from infogoal_jax.train import host
 
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 20_000
-"""A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the next."""
+"""A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
+next."""
 LONGEST_FIRST = (
-    "every_method", "hrac_program", "training", "resume", "low_level", "report", "host", "frame_figures", "relabelling", "command_line", "notebook",
-    "reconstruction", "fetch_environment", "sse_db", "infogoal", "laboratory", "tune", "fetch_physics", "bridges", "shelf", "infobot",
-    "embodied_qa", "gcb", "cher", "image_goals", "fetch_parity",
+    "every_method",
+    "hrac_program",
+    "training",
+    "resume",
+    "low_level",
+    "report",
+    "host",
+    "frame_figures",
+    "relabelling",
+    "command_line",
+    "notebook",
+    "reconstruction",
+    "fetch_environment",
+    "sse_db",
+    "infogoal",
+    "laboratory",
+    "tune",
+    "fetch_physics",
+    "bridges",
+    "shelf",
+    "infobot",
+    "embodied_qa",
+    "gcb",
+    "cher",
+    "image_goals",
+    "fetch_parity",
 )
-"""Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about the same time."""
+"""Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about
+the same time."""
 GARBAGE = 50_000, 20, 50
-"""Python looks for cycles after so many new objects, not after 700: tracing makes millions that stay, and a tenth of the time went into this."""
+"""Python looks for cycles after so many new objects, not after 700: tracing makes millions that stay, and a tenth of
+the time went into this."""
 ON_DISK = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 
 
 def pytest_configure(config):
-    """Keep compiled programs in a folder that this session's processes share: the workers, and those that tests start; nobody's own cache is used.
+    """Keep compiled programs in a folder that this session's processes share: the workers, and those that tests start;
+    nobody's own cache is used.
 
-    The command line looks for them below XDG_CACHE_HOME, everything else at JAX_COMPILATION_CACHE_DIR: here both are the same folder.
+    The command line looks for them below XDG_CACHE_HOME, everything else at JAX_COMPILATION_CACHE_DIR: here both are
+    the same folder.
     """
     gc.set_threshold(*GARBAGE)
     if not hasattr(config, "workerinput"):
@@ -39,8 +68,12 @@ def pytest_configure(config):
         programs = folder / "infogoal" / "jax"
         os.environ.update(ON_DISK | {"XDG_CACHE_HOME": str(folder), "JAX_COMPILATION_CACHE_DIR": str(programs)})
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", float(ON_DISK["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"]))
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", int(ON_DISK["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"]))
+    jax.config.update(
+        "jax_persistent_cache_min_compile_time_secs", float(ON_DISK["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
+    )
+    jax.config.update(
+        "jax_persistent_cache_min_entry_size_bytes", int(ON_DISK["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"])
+    )
 
 
 def pytest_collection_modifyitems(items):
@@ -60,9 +93,18 @@ def few_programs():
 
 @pytest.fixture(scope="session")
 def reach_run(tmp_path_factory) -> host.Sweep:
-    """Two seeds of FetchReach with image goals, trained for two epochs on episodes of 10 steps: nothing is learned, everything is there."""
+    """Two seeds of FetchReach with image goals, trained for two epochs on episodes of 10 steps: nothing is learned,
+    everything is there."""
     config = presets.load(
-        "fetch_reach", env=FetchConfig(goals="images", episode_length=10), num_epochs=2, epochs_per_evaluation=1, num_envs=8, rollout_steps=10,
-        updates_per_epoch=2, batch_size=16, buffer_steps=160, evaluation_starts=1,
+        "fetch_reach",
+        env=FetchConfig(goals="images", episode_length=10),
+        num_epochs=2,
+        epochs_per_evaluation=1,
+        num_envs=8,
+        rollout_steps=10,
+        updates_per_epoch=2,
+        batch_size=16,
+        buffer_steps=160,
+        evaluation_starts=1,
     )
     return host.run(config, [0, 1], tmp_path_factory.mktemp("reach") / "run")

@@ -1,10 +1,12 @@
-"""A search task small enough to check by hand: four rooms, each a corridor of three places, around one crossing; four headings a place.
+"""A search task small enough to check by hand: four rooms, each a corridor of three places, around one crossing; four
+headings a place.
 
-    room 1          place 0 is the crossing; room r has places 1 + 3 r, 2 + 3 r, 3 + 3 r from the crossing outwards.
-      |             Heading h looks along room h. Each room has two objects, one commanded in training and one in the test; both are in view
-  2 --+-- 0         from the two outer places while looking outwards.
-      |
-    room 3
+  room 1          place 0 is the crossing; room r has places 1 + 3 r, 2 + 3 r, 3 + 3 r from the crossing outwards.
+    |             Heading h looks along room h. Each room has two objects, one commanded in training and one in the
+    test; both are in view
+2 --+-- 0         from the two outer places while looking outwards.
+    |
+  room 3
 """
 
 import dataclasses
@@ -56,7 +58,9 @@ def scenes(image_size: int = 8) -> SearchScenes:
     position = np.zeros((4 * places, 3), np.float32)
     names = tuple(f"{state:06d}.jpg" for state in range(4 * places))
     scene = np.zeros(4 * places, np.int32)
-    return SearchScenes(images, next_state, visible, position, scene, names, ("hand-made",), SPLIT.objects, "hand-made graph")
+    return SearchScenes(
+        images, next_state, visible, position, scene, names, ("hand-made",), SPLIT.objects, "hand-made graph"
+    )
 
 
 def environment(episode_length: int = 20) -> ObjectSearch:
@@ -68,14 +72,22 @@ def environment(episode_length: int = 20) -> ObjectSearch:
 def config(method: str = "infogoal", **changes) -> TrainConfig:
     """A configuration that trains on the hand-made task in seconds."""
     small = {
-        "env": ObjectSearchConfig(episode_length=20, image_size=8), "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 40,
-        "updates_per_epoch": 10, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 3,
+        "env": ObjectSearchConfig(episode_length=20, image_size=8),
+        "num_epochs": 4,
+        "epochs_per_evaluation": 2,
+        "num_envs": 8,
+        "rollout_steps": 40,
+        "updates_per_epoch": 10,
+        "batch_size": 32,
+        "buffer_steps": 2000,
+        "evaluation_starts": 3,
     }
     return presets.load("object_search", method, **(small | changes))
 
 
 def sizes(**changes) -> dict:
-    """The fields of `TrainConfig` that make a preset this small, parts and floats apart: for a script that loads its preset itself."""
+    """The fields of `TrainConfig` that make a preset this small, parts and floats apart: for a script that loads its
+    preset itself."""
     small = config(**changes)
     own = (*presets.REGISTRIES, "task", "hyper")
     return {field.name: getattr(small, field.name) for field in dataclasses.fields(small) if field.name not in own}

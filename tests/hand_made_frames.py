@@ -1,4 +1,5 @@
-"""Image datasets small enough to check by hand: an arm with three joints that turn by 60 degrees, and a shelf of 8 x 3 places with four objects."""
+"""Image datasets small enough to check by hand: an arm with three joints that turn by 60 degrees, and a shelf of 8 x 3
+places with four objects."""
 
 from types import SimpleNamespace
 
@@ -25,7 +26,12 @@ def about(axis: int, angles: np.ndarray) -> np.ndarray:
     """Rotations [K, 3, 3] about x, y or z by angles [K]."""
     cosine, sine, turned = np.cos(angles), np.sin(angles), np.tile(np.eye(3), (len(angles), 1, 1))
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    turned[:, first, first], turned[:, first, second], turned[:, second, first], turned[:, second, second] = cosine, -sine, sine, cosine
+    turned[:, first, first], turned[:, first, second], turned[:, second, first], turned[:, second, second] = (
+        cosine,
+        -sine,
+        sine,
+        cosine,
+    )
     return turned
 
 
@@ -40,15 +46,23 @@ def arm() -> FrameDataset:
     return FrameDataset(
         frames=np.random.default_rng(0).integers(0, 256, (len(setting), SIDE, SIDE, 3), dtype=np.uint8),
         state=np.arange(len(setting), dtype=np.int32),
-        actions=tuple(f"joint {joint} {sign}" for joint in (1, 2, 6) for sign in "+-"), frame=frame.astype(np.int32), action=action.astype(np.int32),
-        next_frame=(turned @ [STEPS**2, STEPS, 1]).astype(np.int32), trajectory=np.arange(count, dtype=np.int32), time=np.zeros(count, np.int32),
-        terminal=np.ones(count, bool), about=ABOUT, rotation=rotation.astype(np.float32), joints=joints.astype(np.float32),
+        actions=tuple(f"joint {joint} {sign}" for joint in (1, 2, 6) for sign in "+-"),
+        frame=frame.astype(np.int32),
+        action=action.astype(np.int32),
+        next_frame=(turned @ [STEPS**2, STEPS, 1]).astype(np.int32),
+        trajectory=np.arange(count, dtype=np.int32),
+        time=np.zeros(count, np.int32),
+        terminal=np.ones(count, bool),
+        about=ABOUT,
+        rotation=rotation.astype(np.float32),
+        joints=joints.astype(np.float32),
         joint_names=("joint 1", "joint 2", "joint 6"),
     )
 
 
 def shelf(flights: int = 60, length: int = 12) -> FrameDataset:
-    """Places in a row-by-row order, moves left, right, up and down, flights at random; an object is seen from the places around it."""
+    """Places in a row-by-row order, moves left, right, up and down, flights at random; an object is seen from the
+    places around it."""
     random, places = np.random.default_rng(1), WIDTH * HEIGHT
     x, y = np.arange(places) % WIDTH, np.arange(places) // WIDTH
     step = np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
@@ -67,9 +81,15 @@ def shelf(flights: int = 60, length: int = 12) -> FrameDataset:
     frame, action, next_frame, trajectory, time, terminal = (np.array(column) for column in zip(*rows, strict=True))
     whole = {"frame": frame, "action": action, "next_frame": next_frame, "trajectory": trajectory, "time": time}
     return FrameDataset(
-        frames=random.integers(0, 256, (places, SIDE, SIDE, 3), dtype=np.uint8), state=np.arange(places, dtype=np.int32),
-        actions=("left", "right", "up", "down"), **{name: part.astype(np.int32) for name, part in whole.items()}, terminal=terminal.astype(bool),
-        about=ABOUT, position=(0.2 * np.stack([x, y], -1)).astype(np.float32), detected=detected, objects=OBJECTS,
+        frames=random.integers(0, 256, (places, SIDE, SIDE, 3), dtype=np.uint8),
+        state=np.arange(places, dtype=np.int32),
+        actions=("left", "right", "up", "down"),
+        **{name: part.astype(np.int32) for name, part in whole.items()},
+        terminal=terminal.astype(bool),
+        about=ABOUT,
+        position=(0.2 * np.stack([x, y], -1)).astype(np.float32),
+        detected=detected,
+        objects=OBJECTS,
     )
 
 
@@ -81,14 +101,24 @@ def backgrounds() -> SimpleNamespace:
 
 def manipulation(**changes) -> object_manipulation.ObjectManipulation:
     """Object manipulation over the arm."""
-    return object_manipulation.lay_out(arm(), backgrounds(), ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes)))
+    return object_manipulation.lay_out(
+        arm(), backgrounds(), ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes))
+    )
 
 
 def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
     """A configuration that trains on it in seconds; by DQN, since the shipped low level belongs to another arm."""
     small = {
-        "env": ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12), "agent": "dqn", "num_epochs": 2, "epochs_per_evaluation": 1,
-        "num_envs": 8, "rollout_steps": 20, "updates_per_epoch": 5, "batch_size": 32, "buffer_steps": 2000, "evaluation_starts": 2,
+        "env": ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12),
+        "agent": "dqn",
+        "num_epochs": 2,
+        "epochs_per_evaluation": 1,
+        "num_envs": 8,
+        "rollout_steps": 20,
+        "updates_per_epoch": 5,
+        "batch_size": 32,
+        "buffer_steps": 2000,
+        "evaluation_starts": 2,
         "state_encoder": StateEncoderConfig(features=32),
     }
     return presets.load("object_manipulation", method, **(small | changes))
@@ -98,7 +128,13 @@ def asked() -> Questions:
     """Five questions about each of the four objects, two of which are trained on; a room for each."""
     rooms = tuple(f"corner {number}" for number in range(4))
     questions = tuple(tuple(f"question {number} about the {name}" for number in range(5)) for name in OBJECTS)
-    return Questions(room_names=rooms, objects=OBJECTS, rooms=(0, 1, 2, 3), uses=("train", "test", "train", "test"), questions=questions)
+    return Questions(
+        room_names=rooms,
+        objects=OBJECTS,
+        rooms=(0, 1, 2, 3),
+        uses=("train", "test", "train", "test"),
+        questions=questions,
+    )
 
 
 def embeddings() -> TextEmbeddings:
@@ -122,7 +158,12 @@ def qa(**changes) -> embodied_qa.EmbodiedQA:
 def qa_config(method: str = "infogoal", **changes) -> TrainConfig:
     """A configuration that trains on it in seconds."""
     small = {
-        "env": EmbodiedQAConfig(episode_length=15), "num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 20, "batch_size": 64,
-        "evaluation_starts": 2, "state_encoder": StateEncoderConfig(features=32),
+        "env": EmbodiedQAConfig(episode_length=15),
+        "num_epochs": 2,
+        "epochs_per_evaluation": 1,
+        "updates_per_epoch": 20,
+        "batch_size": 64,
+        "evaluation_starts": 2,
+        "state_encoder": StateEncoderConfig(features=32),
     }
     return presets.load("embodied_qa", method, **(small | changes))

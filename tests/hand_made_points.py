@@ -1,7 +1,8 @@
-"""fetch_reach without physics: a point in the place of the grip, which a hand-written low level drives straight to its target state.
+"""fetch_reach without physics: a point in the place of the grip, which a hand-written low level drives straight to its
+target state.
 
-Everything but the robot, its low level and the pictures is the real thing: goals, records, units, target states, HRAC over them. The pictures are of
-a dot where the goal is, the brighter the higher it lies.
+Everything but the robot, its low level and the pictures is the real thing: goals, records, units, target states, HRAC
+over them. The pictures are of a dot where the goal is, the brighter the higher it lies.
 """
 
 from types import SimpleNamespace
@@ -85,23 +86,43 @@ def pictures(positions: np.ndarray, low: np.ndarray) -> np.ndarray:
     """uint8 [N, 16, 16, 3] of a dot at each position [N, 3] of a space of 0.3 m from `low` on."""
     place = (positions - low) / 0.3
     pixels = (np.arange(IMAGE_SIDE) + 0.5) / IMAGE_SIDE
-    dot = np.exp(-((pixels[None, :, None] - place[:, 0, None, None]) ** 2 + (pixels[None, None, :] - place[:, 1, None, None]) ** 2) / 0.02)
+    dot = np.exp(
+        -(
+            (pixels[None, :, None] - place[:, 0, None, None]) ** 2
+            + (pixels[None, None, :] - place[:, 1, None, None]) ** 2
+        )
+        / 0.02
+    )
     shaded = dot[..., None] * np.stack([np.ones(len(place)), place[:, 2], 1 - place[:, 2]], axis=-1)[:, None, None]
     return np.round(255 * np.clip(shaded, 0, 1)).astype(np.uint8)
 
 
 def points(train_backgrounds: np.ndarray | None = None, test_backgrounds: np.ndarray | None = None) -> ImageGoals:
-    """The task over a grid of 125 positions, with 4 goals for training and 4 for tests. Backgrounds: uint8 [M, 16, 16, 3], or noise."""
+    """The task over a grid of 125 positions, with 4 goals for training and 4 for tests. Backgrounds: uint8 [M, 16, 16,
+    3], or noise."""
     low = np.array(TASKS["fetch_reach"].start_grip) - 0.15
     generator = np.random.default_rng(0)
-    commanded = low + 0.075 + 0.15 * np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    commanded = (
+        low
+        + 0.075
+        + 0.15 * np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    )
     commanded += generator.uniform(-0.02, 0.02, commanded.shape)
     positions = np.concatenate([grid_positions(low, SPACING, (GRID,) * 3), commanded]).astype(np.float32)
     uses = np.repeat([-1, 0, 2], [GRID**3, 4, 4])
     bank = SimpleNamespace(
-        images=pictures(positions, low), positions=positions, grid_low=low, spacing=SPACING, grid_shape=(GRID,) * 3, describe=lambda: "dots")
+        images=pictures(positions, low),
+        positions=positions,
+        grid_low=low,
+        spacing=SPACING,
+        grid_shape=(GRID,) * 3,
+        describe=lambda: "dots",
+    )
     noise = generator.integers(0, 256, (2, 20, IMAGE_SIDE, IMAGE_SIDE, 3)).astype(np.uint8)
-    train, test = (chosen if chosen is not None else drawn for chosen, drawn in zip((train_backgrounds, test_backgrounds), noise, strict=True))
+    train, test = (
+        chosen if chosen is not None else drawn
+        for chosen, drawn in zip((train_backgrounds, test_backgrounds), noise, strict=True)
+    )
     return lay_out(Point(), bank, SimpleNamespace(train=train, test=test, source="noise"), uses)
 
 
@@ -112,20 +133,34 @@ def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> SubgoalE
 
 
 def config(method: str = "infogoal", **changes) -> TrainConfig:
-    """A configuration that trains on the points in seconds. Its batches are smaller than the set of goals, as those of Fetch are."""
+    """A configuration that trains on the points in seconds. Its batches are smaller than the set of goals, as those of
+    Fetch are."""
     learner = {"hidden": (64,)} | ({"window": 3, "num_pairs": 64} if method == "infogoal" else {})
-    parts = {"agent": HRACConfig(interval=INTERVAL, hidden=(64, 64)), "learner": learners.registry.entry(method).config(**learner)}
+    parts = {
+        "agent": HRACConfig(interval=INTERVAL, hidden=(64, 64)),
+        "learner": learners.registry.entry(method).config(**learner),
+    }
     small = parts | {
-        "env": FetchConfig(goals="images", episode_length=EPISODE_LENGTH), "state_encoder": StateEncoderConfig(features=32),
+        "env": FetchConfig(goals="images", episode_length=EPISODE_LENGTH),
+        "state_encoder": StateEncoderConfig(features=32),
         "hyper": presets.default_hyperparameters(**parts),
-        "num_epochs": 4, "epochs_per_evaluation": 2, "num_envs": 8, "rollout_steps": 26, "updates_per_epoch": 5, "batch_size": 64,
-        "buffer_steps": 2000, "evaluation_starts": 2,
+        "num_epochs": 4,
+        "epochs_per_evaluation": 2,
+        "num_envs": 8,
+        "rollout_steps": 26,
+        "updates_per_epoch": 5,
+        "batch_size": 64,
+        "buffer_steps": 2000,
+        "evaluation_starts": 2,
     }
     return presets.load("fetch_reach", method, **(small | changes))
 
 
 def random_params(train: Train) -> dict:
-    """Parameters of the sizes that this program's have, drawn at random: compiling the real initialisation takes ten seconds."""
+    """Parameters of the sizes that this program's have, drawn at random: compiling the real initialisation takes ten
+    seconds."""
     shapes = jax.eval_shape(train.initial, jax.random.key(0), train.config.hyper, train.env).params
     generator = np.random.default_rng(0)
-    return jax.tree.map(lambda leaf: jnp.asarray(generator.normal(0, 1 / np.sqrt(leaf.shape[-2:][0]), leaf.shape), leaf.dtype), shapes)
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(generator.normal(0, 1 / np.sqrt(leaf.shape[-2:][0]), leaf.shape), leaf.dtype), shapes
+    )

@@ -11,7 +11,8 @@ ROWS, STEPS, GOALS = 6, 12, 9
 
 
 def rows_of(valid, achieved) -> Trajectories:
-    """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too; goal 0 is commanded."""
+    """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too;
+    goal 0 is commanded."""
     valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved, jnp.int32)
     zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
     return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
@@ -28,10 +29,19 @@ def random_rows(several: int = 1) -> Trajectories:
 def context(rows: Trajectories, num_goals: int = GOALS, known=None, **changes) -> Context:
     """What a relabelling may look at of these rows, all of them written, before the first update."""
     known = jnp.ones(num_goals, bool) if known is None else known
-    achieved = Achievements(rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known)
-    plain = {"rows": rows, "written": jnp.ones(rows.valid.shape[0], bool), "achievements": achieved, "discount": 0.9, "updates": 0,
-             "positions": lambda: jnp.arange(float(num_goals))[:, None], "value": lambda observation, goal: jnp.zeros(goal.shape),
-             "reached": lambda record, goal: (record == goal[..., None]).any(-1)}
+    achieved = Achievements(
+        rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known
+    )
+    plain = {
+        "rows": rows,
+        "written": jnp.ones(rows.valid.shape[0], bool),
+        "achievements": achieved,
+        "discount": 0.9,
+        "updates": 0,
+        "positions": lambda: jnp.arange(float(num_goals))[:, None],
+        "value": lambda observation, goal: jnp.zeros(goal.shape),
+        "reached": lambda record, goal: (record == goal[..., None]).any(-1),
+    }
     return Context(**(plain | changes))
 
 

@@ -16,4 +16,6 @@ def chunk_config():
 if __name__ == "__main__":
     folder, resume = Path(sys.argv[1]), sys.argv[2:] == ["resume"]
     print("starting", flush=True)
-    host.run(chunk_config(), [0, 1], folder, resume=resume and (folder / "checkpoint").exists(), env=hand_made.environment())
+    host.run(
+        chunk_config(), [0, 1], folder, resume=resume and (folder / "checkpoint").exists(), env=hand_made.environment()
+    )

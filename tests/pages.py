@@ -27,7 +27,9 @@ def lines_of(block: str) -> int:
 
 
 @contextmanager
-def run(block: str, name: str, *registries: dict, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None) -> Iterator[dict]:
+def run(
+    block: str, name: str, *registries: dict, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None
+) -> Iterator[dict]:
     """The names that the block leaves behind, for as long as what it registers under this name is there.
 
     prepare: sets what is other than it is for a user, while the block runs.

@@ -95,7 +95,9 @@ def test_images_are_grey_and_small(tiny, loaded):
 
 def test_full_size_images_keep_their_content(tmp_path):
     """The decoder's own reduction changes nothing that survives at 32 x 32."""
-    scenes = active_vision.load(write_pair(tmp_path, [[0, 0, 400, 400, 33, 1]]), objects=["red_cup"], cache_dir=tmp_path / "cache")
+    scenes = active_vision.load(
+        write_pair(tmp_path, [[0, 0, 400, 400, 33, 1]]), objects=["red_cup"], cache_dir=tmp_path / "cache"
+    )
     wanted = np.linspace(0, 255, 33)[:-1] + 4
     np.testing.assert_allclose(scenes.images[0], np.broadcast_to(wanted, (32, 32)), atol=4)
     np.testing.assert_allclose(scenes.images[1], scenes.images[0][:, ::-1], atol=4)
@@ -103,7 +105,9 @@ def test_full_size_images_keep_their_content(tmp_path):
 
 def test_source_says_which_data_they_were(loaded, tmp_path):
     assert loaded.source.startswith("synthetic house, seed 4")
-    real = active_vision.load(write_pair(tmp_path, [[0, 0, 400, 400, 33, 1]]), objects=["red_cup"], cache_dir=tmp_path / "cache")
+    real = active_vision.load(
+        write_pair(tmp_path, [[0, 0, 400, 400, 33, 1]]), objects=["red_cup"], cache_dir=tmp_path / "cache"
+    )
     assert real.source.startswith("Active Vision Dataset")
 
 
@@ -117,8 +121,12 @@ def test_images_that_were_not_reconstructed_have_no_position(tmp_path):
     root = write_pair(tmp_path, [[0, 0, 400, 400, 33, 1]])
     records = np.empty((1, 2), [(field, object) for field in house.MATLAB_FIELDS])
     empty = np.zeros((0, 0))
-    for index, (name, world, direction) in enumerate(((FIRST, np.ones((3, 1)), np.array([[0], [0], [1]])), (SECOND, empty, empty))):
-        records[0, index] = tuple({"image_name": name, "world_pos": world, "direction": direction}.get(f, empty) for f in house.MATLAB_FIELDS)
+    for index, (name, world, direction) in enumerate(
+        ((FIRST, np.ones((3, 1)), np.array([[0], [0], [1]])), (SECOND, empty, empty))
+    ):
+        records[0, index] = tuple(
+            {"image_name": name, "world_pos": world, "direction": direction}.get(f, empty) for f in house.MATLAB_FIELDS
+        )
     scipy.io.savemat(root / "Home_001_1" / "image_structs.mat", {"image_structs": records, "scale": 2000.0})
     position = active_vision.load(root, objects=["red_cup"], cache_dir=tmp_path / "cache").position
     np.testing.assert_allclose(position[0], [2, 2, np.pi / 2], atol=1e-6)
@@ -154,7 +162,9 @@ def test_several_scenes_are_one_graph_without_moves_between_them(tiny, loaded, c
     count = len(loaded.images)
     assert both.scene_names == ("Home_101_1", "Home_102_1")
     np.testing.assert_array_equal(both.scene, np.repeat([0, 1], count))
-    np.testing.assert_array_equal(both.scene[both.next_state], np.broadcast_to(both.scene[:, None], both.next_state.shape))
+    np.testing.assert_array_equal(
+        both.scene[both.next_state], np.broadcast_to(both.scene[:, None], both.next_state.shape)
+    )
     for half in (slice(0, count), slice(count, None)):
         np.testing.assert_array_equal(both.images[half], loaded.images)
         np.testing.assert_array_equal(both.visible[half], loaded.visible)
@@ -232,7 +242,8 @@ def scene_of(root):
         lambda root: cut(sorted((scene_of(root) / "jpg_rgb").iterdir())[7]),
         lambda root: cut(sorted((scene_of(root) / "jpg_rgb").iterdir())[7], 0),
     ],
-    ids="no_map bad_map no_annotations cut_annotations list no_fields cut_poses no_images no_image cut_image empty_image".split(),
+    ids="no_map bad_map no_annotations cut_annotations list no_fields cut_poses no_images no_image cut_image "
+    "empty_image".split(),
 )
 def test_a_dataset_cut_short_is_refused_with_the_way_to_find_out_more(copy, tmp_path, damage):
     damage(copy)
@@ -284,7 +295,9 @@ def test_authors_split_has_two_training_objects_a_room_and_sixteen_for_the_test(
 def test_a_split_file_says_what_the_split_is(tmp_path):
     entries = {"cup": ("kitchen", "train"), "plate": ("living", "test"), "soap": ("kitchen", "validation")}
     path = tmp_path / "split.json"
-    path.write_text(json.dumps({"objects": {name: {"room": room, "use": use} for name, (room, use) in entries.items()}}))
+    path.write_text(
+        json.dumps({"objects": {name: {"room": room, "use": use} for name, (room, use) in entries.items()}})
+    )
     split = load_split(path)
     assert (split.train, split.validation, split.test) == (("cup",), ("soap",), ("plate",))
     assert split.room_names == ("kitchen", "living")
@@ -300,7 +313,10 @@ def test_a_split_file_says_what_the_split_is(tmp_path):
         ('{"objects": {"cup": {"room": "kitchen"}}}', "objects\\['cup'\\].*exactly"),
         ('{"objects": {"cup": {"room": "kitchen", "use": "tset"}}}', "use is 'tset'.*train, validation, test"),
         ('{"objects": {"cup": {"room": "", "use": "test"}}}', "room is ''"),
-        ('{"objects": {"cup": {"room": "a", "use": "train"}, "cup": {"room": "b", "use": "test"}}}', "given twice: cup"),
+        (
+            '{"objects": {"cup": {"room": "a", "use": "train"}, "cup": {"room": "b", "use": "test"}}}',
+            "given twice: cup",
+        ),
     ],
 )
 def test_a_split_file_that_is_wrong_is_refused(tmp_path, content, match):

@@ -1,4 +1,5 @@
-"""Backgrounds corrupt goal images as the paper says; training and test never share one; a damaged or missing source is named, never half used."""
+"""Backgrounds corrupt goal images as the paper says; training and test never share one; a damaged or missing source is
+named, never half used."""
 
 import functools
 import hashlib
@@ -57,7 +58,9 @@ def test_corruption_is_the_same_jitted_over_images_and_weights():
     weights = jnp.array([0.0, 0.1, 0.4, 0.8, 1.0])
     together = jax.jit(jax.vmap(goals.corrupt))(image, background, weights)
     for row, weight in enumerate(weights):
-        np.testing.assert_allclose(together[row].astype(int), goals.corrupt(image[row], background[row], weight).astype(int), atol=1)
+        np.testing.assert_allclose(
+            together[row].astype(int), goals.corrupt(image[row], background[row], weight).astype(int), atol=1
+        )
 
 
 def test_backgrounds_are_drawn_from_all_of_the_bank():
@@ -107,7 +110,9 @@ def test_builder_refuses_a_photograph_that_is_missing_or_another(tmp_path, monke
     (package / "data").mkdir(parents=True)
     (package / "__init__.py").touch()
     (package / "data" / "astronaut.png").write_bytes(b"another one")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: importlib.machinery.PathFinder.find_spec(name, [str(package.parent)]))
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name: importlib.machinery.PathFinder.find_spec(name, [str(package.parent)])
+    )
     with pytest.raises(UserError, match="astronaut.*not the photograph whose licence is known"):
         photographs.build_backgrounds(tmp_path / "built")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
@@ -286,7 +291,8 @@ def archive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def server(archive):
-    """Address of a server on this machine: /whole is the archive, /half breaks off in the middle of it, other paths are not found."""
+    """Address of a server on this machine: /whole is the archive, /half breaks off in the middle of it, other paths are
+    not found."""
 
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self):
@@ -309,7 +315,9 @@ def server(archive):
 def test_a_download_with_the_right_checksum_can_be_loaded(tmp_path, server, archive):
     sha256 = hashlib.sha256(archive).hexdigest()
     batches = backgrounds.download_cifar10(tmp_path / "new" / "place", f"{server}/whole", sha256)
-    assert sorted(path.name for path in (tmp_path / "new" / "place").rglob("*")) == sorted([backgrounds.CIFAR10_FOLDER, *BATCHES])
+    assert sorted(path.name for path in (tmp_path / "new" / "place").rglob("*")) == sorted(
+        [backgrounds.CIFAR10_FOLDER, *BATCHES]
+    )
     assert len(backgrounds.load(tmp_path / "new" / "place").train) == 10
     # What is there is kept, without asking the server.
     assert backgrounds.download_cifar10(tmp_path / "new" / "place", f"{server}/nothing", sha256) == batches
@@ -323,7 +331,10 @@ def test_the_default_place_is_the_one_that_cifar10_names(server, archive):
 def test_a_wrong_checksum_names_both_and_leaves_nothing(tmp_path, server, archive, capsys):
     assert main(["data", "download", "cifar10", str(tmp_path / "place"), "--url", f"{server}/whole"]) == 2
     message = capsys.readouterr().err
-    assert all(part in message for part in ("cifar-10-binary.tar.gz", backgrounds.CIFAR10_SHA256, hashlib.sha256(archive).hexdigest()))
+    assert all(
+        part in message
+        for part in ("cifar-10-binary.tar.gz", backgrounds.CIFAR10_SHA256, hashlib.sha256(archive).hexdigest())
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -347,7 +358,9 @@ def test_a_download_that_the_user_stops_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_an_archive_of_something_else_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(pooch.HTTPDownloader, "__call__", lambda self, url, file, *others: Path(file).write_bytes(b"no archive"))
+    monkeypatch.setattr(
+        pooch.HTTPDownloader, "__call__", lambda self, url, file, *others: Path(file).write_bytes(b"no archive")
+    )
     with pytest.raises(UserError, match="not the archive of CIFAR-10's binary version"):
         backgrounds.download_cifar10(tmp_path / "place", sha256=hashlib.sha256(b"no archive").hexdigest())
     assert not list(tmp_path.iterdir())
@@ -373,12 +386,15 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path, monkeypatch, capsy
         backgrounds.download_cifar10(tmp_path / "place")
 
 
-@pytest.mark.parametrize("words, parts", [
-    ("cifar100", ["cifar100", "Known: cifar10"]),
-    ("", ["Known: cifar10"]),
-    ("cifar10 place --url ftp://somewhere", ["url = 'ftp://somewhere'", "http://"]),
-    ("cifar10 place --url http://", ["url = 'http://'", "broke off"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "words, parts",
+    [
+        ("cifar100", ["cifar100", "Known: cifar10"]),
+        ("", ["Known: cifar10"]),
+        ("cifar10 place --url ftp://somewhere", ["url = 'ftp://somewhere'", "http://"]),
+        ("cifar10 place --url http://", ["url = 'http://'", "broke off"]),
+    ],
+)
 def test_mistakes_in_the_command_are_named(capsys, words, parts):
     assert main(["data", "download", *words.split()]) == 2
     message = capsys.readouterr().err

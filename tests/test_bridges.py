@@ -1,4 +1,5 @@
-"""The bridges keep what the other library promises its users: Gymnasium's API, spaces and infos; brax's keys, resets and truncations."""
+"""The bridges keep what the other library promises its users: Gymnasium's API, spaces and infos; brax's keys, resets
+and truncations."""
 
 import base64
 import importlib
@@ -45,7 +46,11 @@ def test_each_task_is_registered_with_the_reference_s_spaces(task):
     assert isinstance(env, bridge.FetchGymnasium) and env.spec.id == bridge.IDS[task]
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float32)
     shapes = {name: space.shape for name, space in env.observation_space.items()}
-    assert shapes == {"observation": (10 if task == "fetch_reach" else 25,), "achieved_goal": (3,), "desired_goal": (3,)}
+    assert shapes == {
+        "observation": (10 if task == "fetch_reach" else 25,),
+        "achieved_goal": (3,),
+        "desired_goal": (3,),
+    }
 
 
 def test_rewards_are_those_that_hindsight_computes(reach):
@@ -53,7 +58,9 @@ def test_rewards_are_those_that_hindsight_computes(reach):
     assert info == {}
     steps = []
     for _ in range(20):  # Straight to the goal, so that both rewards occur.
-        seen, reward, terminated, truncated, info = reach.step(np.append(10 * (seen["desired_goal"] - seen["achieved_goal"]), 0.0).clip(-1, 1))
+        seen, reward, terminated, truncated, info = reach.step(
+            np.append(10 * (seen["desired_goal"] - seen["achieved_goal"]), 0.0).clip(-1, 1)
+        )
         steps.append((seen["achieved_goal"], seen["desired_goal"], reward, info["is_success"]))
         assert not (terminated or truncated or info["diverged"])
     achieved, desired, rewards, success = (np.array(part) for part in zip(*steps, strict=True))
@@ -77,7 +84,12 @@ def test_the_goal_can_be_given_and_must_lie_in_the_workspace(reach):
     assert np.allclose(seen["desired_goal"], [1.3, 0.7, 0.5])
     drawn, _ = reach.reset(seed=0)
     assert not np.allclose(drawn["desired_goal"], [1.3, 0.7, 0.5])
-    wrong = [([9.0, 0.7, 0.5], "outside of the workspace"), ([1.3, 0.7], "3 numbers"), ("home", "3 numbers"), ([[1.3, 0.7, 0.5]], "shape")]
+    wrong = [
+        ([9.0, 0.7, 0.5], "outside of the workspace"),
+        ([1.3, 0.7], "3 numbers"),
+        ("home", "3 numbers"),
+        ([[1.3, 0.7, 0.5]], "shape"),
+    ]
     for goal, message in wrong:
         with pytest.raises(UserError, match=message):
             reach.reset(options={"goal": goal})
@@ -142,9 +154,16 @@ def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
     assert np.array_equal(goals[:4], np.broadcast_to(start["desired_goal"], (4, 3, 3)))
     assert len(np.unique(goals[[0, 4]].reshape(6, 3), axis=0)) == 6
     seen, reward, _, _, info = steps[4]
-    assert np.allclose(seen["achieved_goal"], start["achieved_goal"], atol=1e-6) and not reward.any() and not info["_is_success"].any()
+    assert (
+        np.allclose(seen["achieved_goal"], start["achieved_goal"], atol=1e-6)
+        and not reward.any()
+        and not info["_is_success"].any()
+    )
     seen, reward, _, _, info = steps[3]
-    assert np.array_equal(reward, vector.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})) and info["_is_success"].all()
+    assert (
+        np.array_equal(reward, vector.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}))
+        and info["_is_success"].all()
+    )
 
 
 def test_a_batch_repeats_itself_under_one_seed_and_takes_goals(vector):
@@ -165,8 +184,13 @@ def test_a_batch_repeats_itself_under_one_seed_and_takes_goals(vector):
 def test_stable_baselines_trains_with_hindsight():
     sb3 = pytest.importorskip("stable_baselines3")
     model = sb3.SAC(
-        "MultiInputPolicy", bridge.make("fetch_reach"), replay_buffer_class=sb3.HerReplayBuffer, learning_starts=100, seed=0,
-        policy_kwargs={"net_arch": [32, 32]}, replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+        "MultiInputPolicy",
+        bridge.make("fetch_reach"),
+        replay_buffer_class=sb3.HerReplayBuffer,
+        learning_starts=100,
+        seed=0,
+        policy_kwargs={"net_arch": [32, 32]},
+        replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
     )
     model.learn(300)
     batch = model.replay_buffer.sample(256)
@@ -221,7 +245,8 @@ def test_every_episode_under_brax_s_own_wrappers_has_a_fresh_goal(brax_states):
 
 @pytest.mark.long
 def test_brax_sees_the_first_observation_of_the_next_episode_and_what_ended_the_last(brax_states):
-    """brax stores it in place of the last one's end, and leaves it out of targets: by `truncation` at the time limit, by `done` at the goal."""
+    """brax stores it in place of the last one's end, and leaves it out of targets: by `truncation` at the time limit,
+    by `done` at the goal."""
     start = np.asarray(brax_states[0].obs[0, :10])
     for state in brax_states[1:]:
         ended = np.asarray(state.done, bool)
@@ -240,7 +265,12 @@ def test_reaching_the_goal_ends_the_episode_as_done_and_not_as_truncated(brax_re
     goals = inner.goal.at[0].set(inner.observation[0, :3])
     state = state.replace(pipeline_state=state.pipeline_state.replace(fetch=inner.replace(goal=goals)))
     after = step(state, jnp.zeros((3, 4)))
-    assert after.done[0] == 1 and after.info["truncation"][0] == 0 and after.reward[0] == 0 and after.metrics["success"][0] == 1
+    assert (
+        after.done[0] == 1
+        and after.info["truncation"][0] == 0
+        and after.reward[0] == 0
+        and after.metrics["success"][0] == 1
+    )
     assert not np.allclose(after.obs[0, -3:], goals[0]) and not np.allclose(after.obs[0, -3:], state.obs[0, -3:])
 
 
@@ -254,7 +284,10 @@ def test_brax_links_are_where_mujoco_puts_them_and_move_as_they_say(brax_states)
     poses = body_poses(FetchBrax("fetch_reach").fetch, np.asarray(state.q))
     assert np.allclose(state.x.pos, poses.xpos[1:], atol=1e-5)
     step = 1e-3
-    ahead, behind = (body_poses(FetchBrax("fetch_reach").fetch, np.asarray(state.q) + sign * step * moved).xpos[1:] for sign in (1, -1))
+    ahead, behind = (
+        body_poses(FetchBrax("fetch_reach").fetch, np.asarray(state.q) + sign * step * moved).xpos[1:]
+        for sign in (1, -1)
+    )
     assert np.allclose(state.xd.vel, (ahead - behind) / (2 * step), atol=1e-4)
 
 
@@ -265,7 +298,10 @@ def test_the_viewer_s_page_shows_the_robot_its_motion_and_the_goal(brax_reach, b
     env, _, _ = brax_reach
     states = [jax.tree.map(lambda leaf: leaf[0], state) for state in brax_states[:4]]
     page = render_html(env, states)
-    scene = max((json.loads(zlib.decompress(base64.b64decode(text))) for text in re.findall(r"[A-Za-z0-9+/=]{1000,}", page)), key=len)
+    scene = max(
+        (json.loads(zlib.decompress(base64.b64decode(text))) for text in re.findall(r"[A-Za-z0-9+/=]{1000,}", page)),
+        key=len,
+    )
     shapes = [geom["name"] for geoms in scene["geoms"].values() for geom in geoms]
     assert {"Box", "Capsule", "Sphere", "Plane"} <= set(shapes) and len(shapes) > 12
     assert len(scene["states"]["x"]) == 4 and scene["opt"]["timestep"] == pytest.approx(0.04)
@@ -303,9 +339,18 @@ def test_brax_trains_unchanged(agent):
     seen = []
     with brax_training():
         train(
-            environment=FetchBrax("fetch_reach", reward="dense"), episode_length=10, num_evals=2, num_eval_envs=4, normalize_observations=True,
-            progress_fn=lambda steps, metrics: seen.append((steps, metrics)), **sizes,
+            environment=FetchBrax("fetch_reach", reward="dense"),
+            episode_length=10,
+            num_evals=2,
+            num_eval_envs=4,
+            normalize_observations=True,
+            progress_fn=lambda steps, metrics: seen.append((steps, metrics)),
+            **sizes,
         )
     steps, metrics = seen[-1]
     assert steps >= 400 and np.isfinite([float(value) for value in metrics.values()]).all()
-    assert metrics["eval/episode_diverged"] == 0 and 0 <= metrics["eval/episode_success"] <= 10 and metrics["eval/episode_reward"] < 0
+    assert (
+        metrics["eval/episode_diverged"] == 0
+        and 0 <= metrics["eval/episode_success"] <= 10
+        and metrics["eval/episode_reward"] < 0
+    )

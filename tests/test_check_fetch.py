@@ -1,4 +1,5 @@
-"""`infogoal check-fetch`: a faulty recording is named with its file, array and remedy; a sound one is replayed and measured."""
+"""`infogoal check-fetch`: a faulty recording is named with its file, array and remedy; a sound one is replayed and
+measured."""
 
 import json
 import os
@@ -28,8 +29,10 @@ def sound(task: str = "fetch_reach", episodes: int = EPISODES, steps: int = STEP
     observation = np.zeros((episodes, steps + 1, width), np.float32)
     observation[..., :6] = 0.5
     return {
-        f"{task}/observation": observation, f"{task}/achieved_goal": observation[..., first : first + 3],
-        f"{task}/desired_goal": np.full((episodes, 1, 3), 0.5, np.float32), f"{task}/action": np.zeros((episodes, steps, 4), np.float32),
+        f"{task}/observation": observation,
+        f"{task}/achieved_goal": observation[..., first : first + 3],
+        f"{task}/desired_goal": np.full((episodes, 1, 3), 0.5, np.float32),
+        f"{task}/action": np.zeros((episodes, steps, 4), np.float32),
         f"{task}/reward": np.zeros((episodes, steps), np.float32),
     }
 
@@ -42,43 +45,80 @@ def not_finite(array: np.ndarray) -> np.ndarray:
 
 REACH, PUSH = sound(), sound("fetch_push")
 FAULTS = {
-    "no known task": ({"fetch_pus/observation": np.zeros(3)}, ["fetch_pus", "Did you mean 'fetch_push'", "fetch_pick_and_place"]),
+    "no known task": (
+        {"fetch_pus/observation": np.zeros(3)},
+        ["fetch_pus", "Did you mean 'fetch_push'", "fetch_pick_and_place"],
+    ),
     "no task at all": ({"observation": np.zeros(3)}, ["no episodes of a Fetch task", "TASK/observation"]),
-    "array missing": ({name: value for name, value in REACH.items() if "reward" not in name}, ["fetch_reach/reward is missing", "desired_goal"]),
-    "one task of two whole": ({**REACH, "fetch_push/action": PUSH["fetch_push/action"]}, ["fetch_push/observation is missing"]),
-    "pickled": (REACH | {"fetch_reach/reward": np.array([{}], object)}, ["fetch_reach/reward", "Python objects", "array of numbers"]),
-    "texts": (REACH | {"fetch_reach/action": np.full((EPISODES, STEPS, 4), "0")}, ["fetch_reach/action", "<U1", "real numbers"]),
-    "complex": (REACH | {"fetch_reach/reward": np.zeros((EPISODES, STEPS), complex)}, ["fetch_reach/reward", "complex128"]),
-    "actions of 3": (REACH | {"fetch_reach/action": np.zeros((EPISODES, STEPS, 3))}, ["fetch_reach/action", "(2, 3, 3)", "[E, T, 4]"]),
+    "array missing": (
+        {name: value for name, value in REACH.items() if "reward" not in name},
+        ["fetch_reach/reward is missing", "desired_goal"],
+    ),
+    "one task of two whole": (
+        {**REACH, "fetch_push/action": PUSH["fetch_push/action"]},
+        ["fetch_push/observation is missing"],
+    ),
+    "pickled": (
+        REACH | {"fetch_reach/reward": np.array([{}], object)},
+        ["fetch_reach/reward", "Python objects", "array of numbers"],
+    ),
+    "texts": (
+        REACH | {"fetch_reach/action": np.full((EPISODES, STEPS, 4), "0")},
+        ["fetch_reach/action", "<U1", "real numbers"],
+    ),
+    "complex": (
+        REACH | {"fetch_reach/reward": np.zeros((EPISODES, STEPS), complex)},
+        ["fetch_reach/reward", "complex128"],
+    ),
+    "actions of 3": (
+        REACH | {"fetch_reach/action": np.zeros((EPISODES, STEPS, 3))},
+        ["fetch_reach/action", "(2, 3, 3)", "[E, T, 4]"],
+    ),
     "no episodes": (sound(episodes=0), ["fetch_reach/action", "(0, 3, 4)", "at least one episode"]),
     "no steps": (sound(steps=0), ["fetch_reach/action", "(2, 0, 4)", "at least one step"]),
     "reach with an object": (
-        REACH | {"fetch_reach/observation": PUSH["fetch_push/observation"]}, ["fetch_reach/observation", "(2, 4, 25)", "give (2, 4, 10)"],
+        REACH | {"fetch_reach/observation": PUSH["fetch_push/observation"]},
+        ["fetch_reach/observation", "(2, 4, 25)", "give (2, 4, 10)"],
     ),
     "push without an object": (
-        PUSH | {"fetch_push/observation": REACH["fetch_reach/observation"]}, ["fetch_push/observation", "(2, 4, 10)", "give (2, 4, 25)"],
+        PUSH | {"fetch_push/observation": REACH["fetch_reach/observation"]},
+        ["fetch_push/observation", "(2, 4, 10)", "give (2, 4, 25)"],
     ),
     "last observation missing": (
-        REACH | {"fetch_reach/observation": REACH["fetch_reach/observation"][:, 1:]}, ["fetch_reach/observation", "(2, 3, 10)", "give (2, 4, 10)"],
+        REACH | {"fetch_reach/observation": REACH["fetch_reach/observation"][:, 1:]},
+        ["fetch_reach/observation", "(2, 3, 10)", "give (2, 4, 10)"],
     ),
-    "one reward short": (REACH | {"fetch_reach/reward": np.zeros((EPISODES, STEPS - 1))}, ["fetch_reach/reward", "(2, 2)", "give (2, 3)"]),
+    "one reward short": (
+        REACH | {"fetch_reach/reward": np.zeros((EPISODES, STEPS - 1))},
+        ["fetch_reach/reward", "(2, 2)", "give (2, 3)"],
+    ),
     "a goal for every step": (
-        REACH | {"fetch_reach/desired_goal": np.zeros((EPISODES, STEPS + 1, 3))}, ["fetch_reach/desired_goal", "(2, 4, 3)", "give (2, 1, 3)"],
+        REACH | {"fetch_reach/desired_goal": np.zeros((EPISODES, STEPS + 1, 3))},
+        ["fetch_reach/desired_goal", "(2, 4, 3)", "give (2, 1, 3)"],
     ),
-    "other episodes": (REACH | {"fetch_reach/desired_goal": np.zeros((3, 1, 3))}, ["fetch_reach/desired_goal", "(3, 1, 3)", "2 episodes of 3 steps"]),
+    "other episodes": (
+        REACH | {"fetch_reach/desired_goal": np.zeros((3, 1, 3))},
+        ["fetch_reach/desired_goal", "(3, 1, 3)", "2 episodes of 3 steps"],
+    ),
     "not finite": (
-        REACH | {"fetch_reach/observation": not_finite(REACH["fetch_reach/observation"])}, ["fetch_reach/observation = nan", "[1, 2, 3]", "finite"],
+        REACH | {"fetch_reach/observation": not_finite(REACH["fetch_reach/observation"])},
+        ["fetch_reach/observation = nan", "[1, 2, 3]", "finite"],
     ),
-    "dense reward": (REACH | {"fetch_reach/reward": np.full((EPISODES, STEPS), -0.3)}, ["fetch_reach/reward", "-0.3", "sparse reward"]),
+    "dense reward": (
+        REACH | {"fetch_reach/reward": np.full((EPISODES, STEPS), -0.3)},
+        ["fetch_reach/reward", "-0.3", "sparse reward"],
+    ),
     "achieved elsewhere": (
-        PUSH | {"fetch_push/achieved_goal": PUSH["fetch_push/achieved_goal"] + 0.1}, ["fetch_push/achieved_goal", "0.1 m", "fetch_push/observation"],
+        PUSH | {"fetch_push/achieved_goal": PUSH["fetch_push/achieved_goal"] + 0.1},
+        ["fetch_push/achieved_goal", "0.1 m", "fetch_push/observation"],
     ),
 }
 
 
 @pytest.fixture
 def refused(capsys, monkeypatch):
-    """Runs the command and returns what it prints when it refuses, without a traceback and before anything is compiled."""
+    """Runs the command and returns what it prints when it refuses, without a traceback and before anything is
+    compiled."""
 
     def no_replay(*arguments):
         raise AssertionError("replayed before the mistake was found")
@@ -140,13 +180,17 @@ def test_recordings_of_any_length_are_read_and_actions_clipped():
     arrays["fetch_slide/action"] = np.full((5, 7, 4), -1.5)
     np.savez("several.npz", **arrays, source="made by hand")
     found = load_recordings("several.npz")
-    assert {task: (recording.episodes, recording.steps) for task, recording in found.tasks.items()} == {"fetch_reach": (1, 1), "fetch_slide": (5, 7)}
+    assert {task: (recording.episodes, recording.steps) for task, recording in found.tasks.items()} == {
+        "fetch_reach": (1, 1),
+        "fetch_slide": (5, 7),
+    }
     assert found.skipped == ("their_own_task",) and found.source == "made by hand"
     assert (found.tasks["fetch_slide"].action == -1).all() and found.tasks["fetch_slide"].action.dtype == np.float32
 
 
 def test_errors_are_measured_in_millimetres_and_outcomes_counted():
-    """Three pushes of two steps. The second is 3 mm off at the end; the third falls off here and stays on the table in the recording."""
+    """Three pushes of two steps. The second is 3 mm off at the end; the third falls off here and stays on the table in
+    the recording."""
     observation = np.zeros((3, 3, 25), np.float32)
     observation[..., 2], observation[..., 5] = 0.5, 0.425
     observation[1, -1, 5] = 0.5
@@ -154,8 +198,15 @@ def test_errors_are_measured_in_millimetres_and_outcomes_counted():
     thing[1, -1] += (0.003, 0, 0)
     thing[2, -1, 2] = 0.025
     reward = np.full((3, 2), -1, np.float32)
-    recording = Recording("fetch_push", observation, np.zeros((3, 3), np.float32), np.zeros((3, 2, 4), np.float32), reward)
-    replayed = Replayed(observation[..., :3] + np.float32([0.001, 0, 0]), thing, np.array([[-1, -1], [-1, 0], [-1, -1.0]]), np.zeros(3, bool))
+    recording = Recording(
+        "fetch_push", observation, np.zeros((3, 3), np.float32), np.zeros((3, 2, 4), np.float32), reward
+    )
+    replayed = Replayed(
+        observation[..., :3] + np.float32([0.001, 0, 0]),
+        thing,
+        np.array([[-1, -1], [-1, 0], [-1, -1.0]]),
+        np.zeros(3, bool),
+    )
     everything, first, second = compare(recording, replayed, ("first", "second"))
     assert (everything.episodes, first.episodes, second.episodes) == (3, 2, 1)
     assert everything.grip.mean == pytest.approx(1, abs=1e-3) and everything.grip.end == pytest.approx(1, abs=1e-3)
@@ -168,17 +219,22 @@ def test_errors_are_measured_in_millimetres_and_outcomes_counted():
 
 @pytest.mark.long
 def test_a_recording_of_our_own_environment_is_met_exactly(tmp_path, capsys):
-    """A recording made of a replay: from the command line its distances are zero, and its rewards those of the goals in it."""
+    """A recording made of a replay: from the command line its distances are zero, and its rewards those of the goals in
+    it."""
     env, arrays = load("fetch_reach"), sound()
     start = env.begin(env.physics.start(), jax.numpy.zeros(3)).observation
     arrays["fetch_reach/observation"][:, 0] = start
     arrays["fetch_reach/action"] = np.random.default_rng(0).uniform(-1, 1, (EPISODES, STEPS, 4)).astype(np.float32)
     np.savez("ours.npz", **arrays)
     grip = replay(env, load_recordings("ours.npz").tasks["fetch_reach"]).grip
-    assert np.abs(grip[:, 0] - start[:3]).max() < 1e-6 and np.linalg.norm(grip[:, -1] - grip[:, 0], axis=-1).min() > 0.005
+    assert (
+        np.abs(grip[:, 0] - start[:3]).max() < 1e-6 and np.linalg.norm(grip[:, -1] - grip[:, 0], axis=-1).min() > 0.005
+    )
     arrays["fetch_reach/observation"][..., :3] = arrays["fetch_reach/achieved_goal"] = grip
     arrays["fetch_reach/desired_goal"] = np.stack([grip[0, -1:], grip[1, -1:] + 1])
-    distance = np.linalg.norm(arrays["fetch_reach/observation"][:, 1:, :3] - arrays["fetch_reach/desired_goal"], axis=-1)
+    distance = np.linalg.norm(
+        arrays["fetch_reach/observation"][:, 1:, :3] - arrays["fetch_reach/desired_goal"], axis=-1
+    )
     arrays["fetch_reach/reward"] = -(distance > 0.05).astype(np.float32)
     np.savez("ours.npz", **arrays)
     assert main(["check-fetch", "ours.npz", "--kinds", "near,far", "--out", "out.json"]) == 0

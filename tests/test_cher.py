@@ -30,16 +30,22 @@ def everything(count: int, picks: int):
 
 @pytest.mark.parametrize("case", CASES)
 def test_choices_are_those_of_the_public_code(case):
-    """With the cover of the chosen ones only: weights, every pick at the recorded places, and the objective after each."""
+    """With the cover of the chosen ones only: weights, every pick at the recorded places, and the objective after
+    each."""
     recorded = {name.removeprefix(f"{case}_"): RECORDED[name] for name in RECORDED.files if name.startswith(case)}
     goals, achieved = (jnp.asarray(recorded[name], jnp.float32) for name in ("goals", "achieved_goals"))
 
     @jax.jit
     def choose(goals, achieved, weight, places):
-        weights, distance = cher.neighbour_weights(goals), cher.proximity_distances(goals, jnp.arange(len(goals))[:, None], achieved)
+        weights, distance = (
+            cher.neighbour_weights(goals),
+            cher.proximity_distances(goals, jnp.arange(len(goals))[:, None], achieved),
+        )
         return weights, distance, cher.pick_nearest(weights, weight * distance, places)
 
-    weights, distance, chosen = map(np.asarray, choose(goals, achieved, float(recorded["lambda"]), recorded["draw_positions"]))
+    weights, distance, chosen = map(
+        np.asarray, choose(goals, achieved, float(recorded["lambda"]), recorded["draw_positions"])
+    )
     np.testing.assert_allclose(weights, recorded["weight"], atol=1e-5)
     np.testing.assert_allclose(distance, recorded["proximity_distance"], atol=1e-6)
     np.testing.assert_array_equal(chosen, recorded["repaired_selection"])
@@ -57,7 +63,8 @@ def test_weight_of_proximity_grows_as_in_the_public_code():
 
 
 def test_weights_among_equal_goals():
-    """Where all goals are equal the mean distance is 0: similarities are 1, not undefined, and one candidate stands for all."""
+    """Where all goals are equal the mean distance is 0: similarities are 1, not undefined, and one candidate stands for
+    all."""
     np.testing.assert_array_equal(cher.neighbour_weights(jnp.full((4, 2), 0.3)), [3, 1, 0, 0])
     assert (cher.dense_similarity(jnp.full((4, 2), 0.3)) == 1).all()
 
@@ -66,7 +73,9 @@ def test_comparing_all_finds_the_best_choice_where_candidates_do_not_cover_each_
     random = np.random.default_rng(0)
     weights, cost = random.random((2, 9)).astype(np.float32)
     chosen = cher.pick_nearest(jnp.asarray(weights), jnp.asarray(cost), everything(9, 4))
-    assert set(np.asarray(chosen).tolist()) == set(max(itertools.combinations(range(9), 4), key=lambda some: (weights - cost)[list(some)].sum()))
+    assert set(np.asarray(chosen).tolist()) == set(
+        max(itertools.combinations(range(9), 4), key=lambda some: (weights - cost)[list(some)].sum())
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -82,7 +91,8 @@ def test_greedy_cover_is_near_the_best_and_never_less_than_promised(seed):
 
 
 def test_a_place_that_is_covered_is_not_chosen_again():
-    """Five goals in one place, three in another: the second pick goes to the other, though each of the first place would cover more by itself."""
+    """Five goals in one place, three in another: the second pick goes to the other, though each of the first place
+    would cover more by itself."""
     similarity = cher.dense_similarity(jnp.asarray([[0.0]] * 5 + [[10.0]] * 3))
     first, second = cher.pick_dense(similarity, jnp.zeros(8), everything(8, 2))
     assert first < 5 <= second
@@ -97,10 +107,18 @@ def test_comparing_three_is_better_than_chance(similarity):
 
     def objective(chosen):
         chosen = np.asarray(chosen)
-        return (float(weights[chosen].sum()) if similarity == "nearest" else coverage(dense, chosen)) - float(cost[chosen].sum())
+        return (float(weights[chosen].sum()) if similarity == "nearest" else coverage(dense, chosen)) - float(
+            cost[chosen].sum()
+        )
 
     by_chance = [objective(random.permutation(64)[:32]) for _ in range(50)]
-    pick = jax.jit(lambda places: cher.pick_nearest(weights, cost, places) if similarity == "nearest" else cher.pick_dense(dense, cost, places))
+    pick = jax.jit(
+        lambda places: (
+            cher.pick_nearest(weights, cost, places)
+            if similarity == "nearest"
+            else cher.pick_dense(dense, cost, places)
+        )
+    )
     for seed in range(5):
         chosen = pick(cher.draw_places(jax.random.key(seed), 64, 32))
         assert len(set(np.asarray(chosen).tolist())) == 32
@@ -118,28 +136,39 @@ def test_places_are_different_and_every_three_are_equally_likely():
 
 
 def test_distance_to_what_was_achieved_instead():
-    """To the nearest of several achieved goals; where nothing was achieved, the farthest of the others'; nothing anywhere is no distance."""
+    """To the nearest of several achieved goals; where nothing was achieved, the farthest of the others'; nothing
+    anywhere is no distance."""
     positions = jnp.asarray([[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]])
     achieved = jnp.asarray([[1, 2], [-1, 2], [-1, -1], [-1, 0]])
-    np.testing.assert_allclose(cher.proximity_distances(positions[jnp.zeros(4, int)], achieved, positions), [5, 10, 10, 0])
-    np.testing.assert_array_equal(cher.proximity_distances(positions[jnp.zeros(2, int)], jnp.full((2, 3), -1), positions), [0, 0])
+    np.testing.assert_allclose(
+        cher.proximity_distances(positions[jnp.zeros(4, int)], achieved, positions), [5, 10, 10, 0]
+    )
+    np.testing.assert_array_equal(
+        cher.proximity_distances(positions[jnp.zeros(2, int)], jnp.full((2, 3), -1), positions), [0, 0]
+    )
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def choice(config, scale: float = 1.0, updates: int = 0):
-    """Candidates of the hand-made rows, goals on a line: which are chosen, and how far each goal lies from what was achieved."""
+    """Candidates of the hand-made rows, goals on a line: which are chosen, and how far each goal lies from what was
+    achieved."""
     rows, positions = random_rows(), scale * jnp.asarray([0.0, 1.0, 2.5, 4.0, 7.0, 7.5, 9.0, 13.0, 20.0])[:, None]
     relabelling = cher.make(config)
     table = relabelling.prepare(context(rows, positions=lambda: positions, updates=updates))
     row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), 128, STEPS)
     goal = relabelling.relabel(jax.random.key(1), table, row, step, rows.goal[row, step])
     chosen = relabelling.choose(jax.random.key(2), table, row, step, goal)
-    return chosen, cher.proximity_distances(positions[goal], rows.record[row, step + 1], positions), cher.dense_similarity(positions[goal])
+    return (
+        chosen,
+        cher.proximity_distances(positions[goal], rows.record[row, step + 1], positions),
+        cher.dense_similarity(positions[goal]),
+    )
 
 
 @pytest.mark.parametrize("similarity", ["nearest", "dense"])
 def test_half_is_chosen_diverse_at_first_and_near_in_the_end(similarity):
-    """Half of the candidates, each once. After many updates they lie much nearer to what was achieved than by cover alone, and cover less."""
+    """Half of the candidates, each once. After many updates they lie much nearer to what was achieved than by cover
+    alone, and cover less."""
     diverse, distance, cover = map(np.asarray, choice(cher.CHERConfig(similarity=similarity, proximity_weight=0.0)))
     near = np.asarray(choice(cher.CHERConfig(similarity=similarity), updates=50_000)[0])
     for chosen in (diverse, near):
@@ -164,7 +193,10 @@ def test_many_updates_draw_side_by_side_what_each_draws_alone():
         np.testing.assert_array_equal(chosen, jax.jit(cher.pick_nearest)(weights[number], cost[number], places[number]))
 
 
-@pytest.mark.parametrize("fields", [{"similarity": "nearest_two"}, {"proximity_unit": "m"}, {"proximity_weight": -1.0}, {"proximity_growth": -1e-4}])
+@pytest.mark.parametrize(
+    "fields",
+    [{"similarity": "nearest_two"}, {"proximity_unit": "m"}, {"proximity_weight": -1.0}, {"proximity_growth": -1e-4}],
+)
 def test_fields_that_cannot_be(fields):
     with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
         cher.CHERConfig(**fields).check(None)

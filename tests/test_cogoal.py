@@ -1,4 +1,5 @@
-"""COGOAL pulls together goals that are achieved close together in time, against goals drawn at random, similar ones too."""
+"""COGOAL pulls together goals that are achieved close together in time, against goals drawn at random, similar ones
+too."""
 
 import functools
 from types import SimpleNamespace
@@ -36,8 +37,10 @@ def loss_of(codes, batch: GoalPairs, norm_penalty: float = 0.0):
 def pairs_of(anchor, positive, negative, positive_weight=None, negative_weight=None) -> GoalPairs:
     """Pairs of weight 1, but for the weights given."""
     anchor, positive, negative = map(jnp.asarray, (anchor, positive, negative))
-    weights = [jnp.ones(shape) if given is None else jnp.asarray(given)
-               for given, shape in ((positive_weight, anchor.shape), (negative_weight, negative.shape))]
+    weights = [
+        jnp.ones(shape) if given is None else jnp.asarray(given)
+        for given, shape in ((positive_weight, anchor.shape), (negative_weight, negative.shape))
+    ]
     return GoalPairs(anchor, positive, jnp.broadcast_to(anchor[:, None], negative.shape), negative, *weights)
 
 
@@ -80,13 +83,20 @@ def test_gradient_is_finite_where_codes_are_equal():
     def objective(params):
         codes = learner.encode(params, inputs)
         assert codes.std is None
-        return learner.loss(params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), NoHyperparameters(), jax.random.key(0))[0]
+        return learner.loss(
+            params,
+            state,
+            hand_made.learner_batch(codes.__getitem__, pairs=batch),
+            NoHyperparameters(),
+            jax.random.key(0),
+        )[0]
 
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.jit(jax.grad(objective))(params)))
 
 
 def share_told_apart(codes: jax.Array) -> jax.Array:
-    """Exactly: of all goals with another of their group and one of another group, the share whose code lies nearer to that of their group."""
+    """Exactly: of all goals with another of their group and one of another group, the share whose code lies nearer to
+    that of their group."""
     distance = jnp.abs(codes[:, None] - codes[None]).mean(-1)
     similar = (GROUP[:, None] == GROUP[None]) & ~np.eye(GOALS, dtype=bool)
     triples = similar[:, :, None] & (GROUP[:, None] != GROUP[None])[:, None, :]
@@ -109,7 +119,9 @@ def test_goals_of_a_group_are_pulled_together_and_others_apart():
             anchor = jax.random.randint(anchor_key, (64,), 0, GOALS)
             positive = anchor % GROUPS + GROUPS * jax.random.randint(positive_key, (64,), 0, SIZE)
             negative = jax.random.randint(negative_key, (64, 1), 0, GOALS)
-            batch = pairs_of(anchor, positive, negative, negative_weight=(negative != anchor[:, None]).astype(jnp.float32))
+            batch = pairs_of(
+                anchor, positive, negative, negative_weight=(negative != anchor[:, None]).astype(jnp.float32)
+            )
 
             def objective(params):
                 seen = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, pairs=batch)
@@ -131,20 +143,38 @@ ENV = SimpleNamespace(goals_of=lambda record: record[..., None])
 
 
 def experience(known: np.ndarray) -> Experience:
-    """Rows that each stay in one group of goals, and the dissimilarity that a window of all steps leaves. A record is the goal achieved there."""
+    """Rows that each stay in one group of goals, and the dissimilarity that a window of all steps leaves. A record is
+    the goal achieved there."""
     generator = np.random.default_rng(0)
     row_group = np.arange(4 * GROUPS) % GROUPS
-    record = jnp.asarray(row_group[:, None] + GROUPS * generator.integers(0, SIZE, (len(row_group), STEPS + 1)), jnp.int32)
+    record = jnp.asarray(
+        row_group[:, None] + GROUPS * generator.integers(0, SIZE, (len(row_group), STEPS + 1)), jnp.int32
+    )
     record = jnp.where(record == UNKNOWN, row_group[:, None], record)
     steps = jnp.zeros((len(row_group), STEPS), jnp.int32)
     nothing = jnp.zeros(steps.shape, bool)
     rows = Trajectories(
-        observation=record, record=record, action=steps, goal=steps, valid=~nothing, terminated=nothing, truncated=nothing, decided=~nothing)
+        observation=record,
+        record=record,
+        action=steps,
+        goal=steps,
+        valid=~nothing,
+        terminated=nothing,
+        truncated=nothing,
+        decided=~nothing,
+    )
     achieved = jnp.ones(record.shape, bool)
     return Experience(
-        buffer=rows, decision_count=replay.running_count(rows.valid), achieved=achieved, achieved_count=replay.running_count(achieved),
-        known=jnp.asarray(known), usable=jnp.ones(GOALS, bool), codes=None,
-        dissimilarity=pairs.remove_similar(pairs.initial_dissimilarity(GOALS), record[..., None], rows.episode(), STEPS),
+        buffer=rows,
+        decision_count=replay.running_count(rows.valid),
+        achieved=achieved,
+        achieved_count=replay.running_count(achieved),
+        known=jnp.asarray(known),
+        usable=jnp.ones(GOALS, bool),
+        codes=None,
+        dissimilarity=pairs.remove_similar(
+            pairs.initial_dissimilarity(GOALS), record[..., None], rows.episode(), STEPS
+        ),
     )
 
 
@@ -153,7 +183,11 @@ def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never
     known = np.arange(GOALS) != UNKNOWN
     spec = SampleSpec(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)
     drawn = jax.jit(lambda key: sample_pairs(spec, ENV, experience(known), key))(jax.random.key(0))
-    anchor, negative, weight = np.asarray(drawn.anchor), np.asarray(drawn.negative)[:, 0], np.asarray(drawn.negative_weight)[:, 0]
+    anchor, negative, weight = (
+        np.asarray(drawn.anchor),
+        np.asarray(drawn.negative)[:, 0],
+        np.asarray(drawn.negative_weight)[:, 0],
+    )
     used = weight > 0
     assert known[negative[used]].all() and (negative != anchor)[used].all()
     similar = GROUP[anchor] == GROUP[negative]
@@ -174,15 +208,26 @@ def test_no_random_negative_carries_weight_while_no_goal_is_known():
 
 def test_the_learner_asks_for_random_negatives_and_gives_no_intrinsic_reward():
     learner = cogoal.make(cogoal.CoGoalConfig(window=2, num_pairs=5, num_negatives=3))
-    assert learner.sample_spec == SampleSpec(num_pairs=5, window=2, num_negatives=3, anchored=True, dissimilar=False, num_goals=0)
-    reward, _ = learner.intrinsic_reward((), GoalCode(jnp.ones((2, 4))).__getitem__, hand_made.visited(0, jnp.ones((1, 3, 1), int), jnp.ones((1, 3))))
+    assert learner.sample_spec == SampleSpec(
+        num_pairs=5, window=2, num_negatives=3, anchored=True, dissimilar=False, num_goals=0
+    )
+    reward, _ = learner.intrinsic_reward(
+        (), GoalCode(jnp.ones((2, 4))).__getitem__, hand_made.visited(0, jnp.ones((1, 3, 1), int), jnp.ones((1, 3)))
+    )
     assert not reward.any()
 
 
-@pytest.mark.parametrize(("field", "changes"), [
-    ("window", {"window": 21}), ("window", {"window": -1}), ("num_pairs", {"num_pairs": 0}), ("num_negatives", {"num_negatives": 0}),
-    ("norm_penalty", {"norm_penalty": -1.0}), ("latent_size", {"latent_size": 0}),
-])
+@pytest.mark.parametrize(
+    ("field", "changes"),
+    [
+        ("window", {"window": 21}),
+        ("window", {"window": -1}),
+        ("num_pairs", {"num_pairs": 0}),
+        ("num_negatives", {"num_negatives": 0}),
+        ("norm_penalty", {"norm_penalty": -1.0}),
+        ("latent_size", {"latent_size": 0}),
+    ],
+)
 def test_values_out_of_range_are_named(field, changes):
     with pytest.raises(UserError, match=field):
         hand_made.config("cogoal", learner=cogoal.CoGoalConfig(**changes))

@@ -1,4 +1,5 @@
-"""The command line: a newcomer is understood, and a mistake is named with its field, its value and the remedy, before anything is compiled."""
+"""The command line: a newcomer is understood, and a mistake is named with its field, its value and the remedy, before
+anything is compiled."""
 
 import dataclasses
 import json
@@ -49,7 +50,10 @@ MISTAKES = [
     ("train object_search --buffer-steps 10", ["buffer_steps = 10", "3200"]),
     ("train object_search --learner.window 101", ["learner.window = 101", "episode length, 100"]),
     ("train object_search --learner.window -1", ["learner.window = -1", "between 0"]),
-    ("train object_search --learner.loss ratio --learner.score bilinear", ["learner.loss = 'ratio'", "--learner.score distance"]),
+    (
+        "train object_search --learner.loss ratio --learner.score bilinear",
+        ["learner.loss = 'ratio'", "--learner.score distance"],
+    ),
     ("train object_search --agent.num-steps 0", ["agent.num_steps = 0", "between 1 and"]),
     ("train object_search --hyper.discount 1.5", ["hyper.discount = 1.5", "[0, 1)"]),
     ("train object_search --hyper.learning-rate nan", ["hyper.learning_rate = nan", "finite"]),
@@ -114,7 +118,9 @@ def spoil_by_removing_images(house):
 
 
 @pytest.mark.parametrize("spoil", [spoil_annotations, spoil_image, spoil_by_removing_images])
-def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(spoil, tmp_path, capsys, no_compilation):
+def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
+    spoil, tmp_path, capsys, no_compilation
+):
     build_house(tmp_path / "house", node_spacing=1.2, image_width=64)
     spoil(tmp_path / "house")
     assert main(["train", "object_search", "--env.dataset", "house"]) == 2
@@ -125,7 +131,12 @@ def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
 
 def test_an_object_that_the_dataset_does_not_have_is_named(tmp_path, capsys, no_compilation):
     """More goals in the split than the dataset has."""
-    split = {"objects": {"red_bul": {"room": "kitchen", "use": "train"}, "advil_liqui_gels": {"room": "kitchen", "use": "test"}}}
+    split = {
+        "objects": {
+            "red_bul": {"room": "kitchen", "use": "train"},
+            "advil_liqui_gels": {"room": "kitchen", "use": "test"},
+        }
+    }
     (tmp_path / "split.json").write_text(json.dumps(split))
     assert main(["train", "object_search", "--env.split", "split.json"]) == 2
     assert "red bul" in capsys.readouterr().err.replace("_", " ")
@@ -156,16 +167,22 @@ def help_of(capsys, monkeypatch):
     return printed
 
 
-@pytest.mark.parametrize(("arguments", "expected"), [
-    ("", ["train", "evaluate", "report", "data", "final", "--version"]),
-    ("train", [*presets.registry, "--resume"]),
-    ("train object_search", ["--seeds", "--num-epochs", "--method", "--agent", "dqn, hrac, cql", "--help-all", "default: 100"]),
-    ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
-    ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
-    ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
-    ("evaluate", ["RUN", "--starts", "default: 50"]),
-    ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount"]),
-])
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("", ["train", "evaluate", "report", "data", "final", "--version"]),
+        ("train", [*presets.registry, "--resume"]),
+        (
+            "train object_search",
+            ["--seeds", "--num-epochs", "--method", "--agent", "dqn, hrac, cql", "--help-all", "default: 100"],
+        ),
+        ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
+        ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
+        ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
+        ("evaluate", ["RUN", "--starts", "default: 50"]),
+        ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount"]),
+    ],
+)
 def test_help_fits_a_screen_and_names_what_there_is(arguments, expected, help_of):
     text = help_of(f"{arguments} --help")
     assert all(words in text for words in expected) and "--task" not in text
@@ -175,7 +192,11 @@ def test_help_fits_a_screen_and_names_what_there_is(arguments, expected, help_of
 def test_the_help_of_all_flags_has_every_field_and_the_interval_of_every_number(help_of):
     text = " ".join(help_of("train object_search --learner vae --agent cql --help-all").replace("│", " ").split())
     config = load("object_search", learner="vae", agent="cql")
-    fields = {f"{kind}.{field.name}" for kind in ("env", "learner", "agent", "state_encoder") for field in dataclasses.fields(getattr(config, kind))}
+    fields = {
+        f"{kind}.{field.name}"
+        for kind in ("env", "learner", "agent", "state_encoder")
+        for field in dataclasses.fields(getattr(config, kind))
+    }
     for name in fields:
         assert f"--{name.replace('_', '-')}" in text
     for name, value, number in floats(config.hyper):
@@ -185,7 +206,11 @@ def test_the_help_of_all_flags_has_every_field_and_the_interval_of_every_number(
 
 def test_a_task_that_is_registered_later_is_a_subcommand(monkeypatch, help_of):
     monkeypatch.setitem(envs.registry, "mine", envs.registry["object_search"])
-    monkeypatch.setitem(presets.registry, "mine", dataclasses.replace(presets.registry["object_search"], description="A task of my own."))
+    monkeypatch.setitem(
+        presets.registry,
+        "mine",
+        dataclasses.replace(presets.registry["object_search"], description="A task of my own."),
+    )
     assert "A task of my own." in help_of("train --help")
     assert "A task of my own." in help_of("train mine --help")
 
@@ -202,11 +227,16 @@ for arguments in ([], ["--help"], ["data", "--help"], ["evaluate", "--help"], ["
         assert stopped.code == 0
 assert not {"jax", "numpy", "scipy"} & {*sys.modules}
 """
-    assert infogoal_jax.__version__ in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert (
+        infogoal_jax.__version__
+        in subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    )
 
 
 def test_names_of_the_package_are_imported_when_they_are_asked_for():
-    assert {*infogoal_jax.__all__} <= {*dir(infogoal_jax)} and all(getattr(infogoal_jax, name) for name in infogoal_jax.__all__)
+    assert {*infogoal_jax.__all__} <= {*dir(infogoal_jax)} and all(
+        getattr(infogoal_jax, name) for name in infogoal_jax.__all__
+    )
     with pytest.raises(AttributeError, match="nothing_of_that_name"):
         _ = infogoal_jax.nothing_of_that_name
 
@@ -217,8 +247,11 @@ def test_a_configuration_comes_back_from_its_json():
         assert from_dict(json.loads(to_json(config))) == config
 
 
-TINY = ("--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 --buffer-steps 100 "
-        "--evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16")
+TINY = (
+    "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
+    "--buffer-steps 100 "
+    "--evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"
+)
 
 
 def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
@@ -227,16 +260,32 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "a stand-in" in printed and "success rate" in printed
     run = tmp_path / "run"
-    for name in ("config.json", "timing.json", "checkpoint", "policy", *(f"{table}{end}" for table in files.TABLES for end in (".csv", ".jsonl"))):
+    for name in (
+        "config.json",
+        "timing.json",
+        "checkpoint",
+        "policy",
+        *(f"{table}{end}" for table in files.TABLES for end in (".csv", ".jsonl")),
+    ):
         assert (run / name).stat().st_size > 0, name
     assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
     assert main(["evaluate", "run", "--starts", "2"]) == 0
     assert main(["evaluate", "run", "--corruption", "0.4"]) == 2 and main(["video", "run", "--out", "a.mp4"]) == 2
     refusals = capsys.readouterr().err
-    assert "goals of object_search are not images" in refusals and "is of object_search; videos are of tasks with image goals" in refusals
+    assert (
+        "goals of object_search are not images" in refusals
+        and "is of object_search; videos are of tasks with image goals" in refusals
+    )
     assert main("train --resume run --num-epochs 3 --no-figures".split()) == 0
-    assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [1, 1, 2, 2, 3, 3]
+    assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [
+        1,
+        1,
+        2,
+        2,
+        3,
+        3,
+    ]
     capsys.readouterr()
     assert main(f"train object_search --out run {TINY}".split()) == 2  # The folder holds a run.
     assert "--resume run" in capsys.readouterr().err
@@ -245,7 +294,8 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
 
 
 def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
-    """The command in a process that may write no file over 50 kB, as on a disk that fills up while the checkpoint is written."""
+    """The command in a process that may write no file over 50 kB, as on a disk that fills up while the checkpoint is
+    written."""
     code = f"""
 import resource, sys
 from infogoal_jax.train import files

@@ -26,18 +26,35 @@ def env():
 
 
 def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
-    """A run's folder as training leaves it, with random results; the success rates are those of the steps that were needed."""
+    """A run's folder as training leaves it, with random results; the success rates are those of the steps that were
+    needed."""
     folder.mkdir()
-    (folder / "config.json").write_text(json.dumps(
-        {"config": to_dict(config), "seeds": list(seeds), "data": DATA, "versions": {}, "device": "cpu"}))
+    (folder / "config.json").write_text(
+        json.dumps({"config": to_dict(config), "seeds": list(seeds), "data": DATA, "versions": {}, "device": "cpu"})
+    )
     random, evaluations, epochs = np.random.default_rng(len(str(folder))), [], []
     for seed in seeds:
         for epoch in EPOCHS:
-            first = random.integers(1, 2 * env.episode_length, (len(env.goals.evaluated), STARTS)).clip(max=env.episode_length + 1)
-            rates = {f"{group}_goal/success_rate": float((first[np.asarray(getattr(env.goals, f"{group}_mask"))] <= env.episode_length).mean())
-                     for group in env.goals.groups}
-            evaluations.append({"seed": seed, "epoch": epoch, "env_steps": 320 * epoch, "first_reached": first.tolist()} | rates)
-            epochs.append({"seed": seed, "epoch": epoch, "agent/loss": math.nan if seed in diverged else 0.1, "agent/gradient_norm": 1.0})
+            first = random.integers(1, 2 * env.episode_length, (len(env.goals.evaluated), STARTS)).clip(
+                max=env.episode_length + 1
+            )
+            rates = {
+                f"{group}_goal/success_rate": float(
+                    (first[np.asarray(getattr(env.goals, f"{group}_mask"))] <= env.episode_length).mean()
+                )
+                for group in env.goals.groups
+            }
+            evaluations.append(
+                {"seed": seed, "epoch": epoch, "env_steps": 320 * epoch, "first_reached": first.tolist()} | rates
+            )
+            epochs.append(
+                {
+                    "seed": seed,
+                    "epoch": epoch,
+                    "agent/loss": math.nan if seed in diverged else 0.1,
+                    "agent/gradient_norm": 1.0,
+                }
+            )
     files.append_rows(folder, "evaluations", evaluations)
     files.append_rows(folder, "epochs", epochs)
     return folder
@@ -47,7 +64,10 @@ def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
 def folders(tmp_path, env):
     """A run of InfoGoal, and one of the bare agent with an explorer of which one seed diverged."""
     explored = hand_made.config("none", explorer="sse_db")
-    return [write_run(tmp_path / "first", env, hand_made.config()), write_run(tmp_path / "second", env, explored, diverged=(1,))]
+    return [
+        write_run(tmp_path / "first", env, hand_made.config()),
+        write_run(tmp_path / "second", env, explored, diverged=(1,)),
+    ]
 
 
 def curves(figure, place: int) -> dict[str, np.ndarray]:
@@ -62,24 +82,40 @@ def text_of(figure) -> str:
 
 
 def test_curves_are_the_means_of_the_runs_tables(folders, env):
-    """Left against environment steps, right by the allowed length; training goals above test goals; without the seed that diverged."""
+    """Left against environment steps, right by the allowed length; training goals above test goals; without the seed
+    that diverged."""
     figure = comparison([read_compared(folder) for folder in folders], env)
     for row, group in enumerate(("train", "test")):
         left, right = curves(figure, 2 * row), curves(figure, 2 * row + 1)
         assert list(left) == list(right) == ["infogoal, 3 seeds", "sse_db, 2 seeds"]
-        for label, folder, seeds in (("infogoal, 3 seeds", folders[0], (0, 1, 2)), ("sse_db, 2 seeds", folders[1], (0, 2))):
+        for label, folder, seeds in (
+            ("infogoal, 3 seeds", folders[0], (0, 1, 2)),
+            ("sse_db, 2 seeds", folders[1], (0, 2)),
+        ):
             rows = [row for row in files.read_table(folder, "evaluations") if row["seed"] in seeds]
-            rates = [np.mean([row[f"{group}_goal/success_rate"] for row in rows if row["epoch"] == epoch]) for epoch in EPOCHS]
+            rates = [
+                np.mean([row[f"{group}_goal/success_rate"] for row in rows if row["epoch"] == epoch])
+                for epoch in EPOCHS
+            ]
             np.testing.assert_allclose(left[label], [[320, 640, 960], rates])
-            first = np.array([row["first_reached"] for row in rows if row["epoch"] == EPOCHS[-1]])[:, np.asarray(getattr(env.goals, f"{group}_mask"))]
-            np.testing.assert_allclose(right[label][1], [(first <= length).mean() for length in range(env.episode_length + 1)])
+            first = np.array([row["first_reached"] for row in rows if row["epoch"] == EPOCHS[-1]])[
+                :, np.asarray(getattr(env.goals, f"{group}_mask"))
+            ]
+            np.testing.assert_allclose(
+                right[label][1], [(first <= length).mean() for length in range(env.episode_length + 1)]
+            )
             assert right[label][1][-1] == pytest.approx(rates[-1])
     assert "training goals" in figure.axes[0].get_ylabel() and "test goals" in figure.axes[2].get_ylabel()
 
 
 def test_figure_names_task_data_and_what_is_left_out(folders, env):
     text = text_of(comparison([read_compared(folder) for folder in folders], env))
-    assert text.startswith("object search") and DATA in text and "sse_db: seed 1 diverged at epoch 1" in text and "95 % interval" in text
+    assert (
+        text.startswith("object search")
+        and DATA in text
+        and "sse_db: seed 1 diverged at epoch 1" in text
+        and "95 % interval" in text
+    )
 
 
 def test_runs_of_one_method_are_told_apart_by_their_folders(folders, env):
@@ -95,7 +131,8 @@ def test_figure_is_written(folders, env, tmp_path):
 
 
 def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
-    """Another task, another setting of the task, a run without numbers, and a file that is no PNG, each with the folder or the value."""
+    """Another task, another setting of the task, a run without numbers, and a file that is no PNG, each with the folder
+    or the value."""
     first = read_compared(folders[0]).run
     other_task = dataclasses.replace(first, config=presets.load("embodied_qa"))
     with pytest.raises(UserError, match="is of task embodied_qa, and .*first of object_search; give runs of one task"):

@@ -1,4 +1,5 @@
-"""Compiling: programs that stay small, options that leave the user's own alone, and a cache that works across processes and is nobody's surprise."""
+"""Compiling: programs that stay small, options that leave the user's own alone, and a cache that works across processes
+and is nobody's surprise."""
 
 import os
 import subprocess
@@ -20,17 +21,22 @@ assert jax.config.jax_compilation_cache_dir is None, "an import has set the cach
 infogoal_jax.use_compilation_cache(sys.argv[1])
 hits = []
 jax.monitoring.register_event_listener(lambda name, **_: hits.append(name) if name.endswith("cache_hits") else None)
-jax.jit(lambda x: jax.lax.fori_loop(0, 10, lambda _, y: jax.numpy.linalg.qr(y)[0] @ x, x), compiler_options=infogoal_jax.compiler_options())(
-    jax.numpy.ones((8, 8)))
+def program(x):
+    return jax.lax.fori_loop(0, 10, lambda _, y: jax.numpy.linalg.qr(y)[0] @ x, x)
+jax.jit(program, compiler_options=infogoal_jax.compiler_options())(jax.numpy.ones((8, 8)))
 print(len(hits))
 """
 
 
 def cache_hits(folder) -> int:
     """Programs that a new process, which compiles the same few, finds in the cache."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_") and name != "XLA_FLAGS"}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("JAX_") and name != "XLA_FLAGS"
+    }
     command = [sys.executable, "-c", COUNT_HITS, str(folder)]
-    done = subprocess.run(command, env=environment | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, env=environment | {"JAX_PLATFORMS": "cpu"}, capture_output=True, text=True, check=True
+    )
     return int(done.stdout)
 
 
@@ -53,10 +59,18 @@ def test_options_that_the_user_has_set_are_left_alone(monkeypatch):
     assert compiler_options() == {}
 
 
-@pytest.mark.parametrize(("task", "most"), [("object_search", 4_000), ("fetch_reach", 14_500), ("fetch_pick_and_place", 18_000)])
+@pytest.mark.parametrize(
+    ("task", "most"), [("object_search", 4_000), ("fetch_reach", 14_500), ("fetch_pick_and_place", 18_000)]
+)
 def test_training_programs_stay_small(task, most):
-    """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had 81,663."""
+    """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had
+    81,663."""
     config = presets.load(task)
     train = make_train(config)
     state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    assert operations(jax.make_jaxpr(train.chunk)(state, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)) < most
+    assert (
+        operations(
+            jax.make_jaxpr(train.chunk)(state, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)
+        )
+        < most
+    )

@@ -1,4 +1,5 @@
-"""Conservative Q-learning: its term by hand, and what it is there for, values of moves that nobody recorded kept below those that were."""
+"""Conservative Q-learning: its term by hand, and what it is there for, values of moves that nobody recorded kept below
+those that were."""
 
 import jax
 import jax.numpy as jnp
@@ -25,8 +26,19 @@ def batch(mask) -> AgentBatch:
     action = jax.random.randint(keys[2], (BATCH,), 0, 2)
     every = jnp.broadcast_to(mask, (BATCH, ACTIONS))
     return AgentBatch(
-        observation=None, next_observation=None, features=features, code=code, action=action, next_features=features, next_code=code,
-        target_features=features, target_code=code, reward=jnp.zeros(BATCH), discount=jnp.full(BATCH, 0.9), action_mask=every, next_action_mask=every,
+        observation=None,
+        next_observation=None,
+        features=features,
+        code=code,
+        action=action,
+        next_features=features,
+        next_code=code,
+        target_features=features,
+        target_code=code,
+        reward=jnp.zeros(BATCH),
+        discount=jnp.full(BATCH, 0.9),
+        action_mask=every,
+        next_action_mask=every,
     )
 
 
@@ -47,7 +59,8 @@ def test_gap_is_never_negative():
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_values_of_unrecorded_moves_are_held_down(weight):
-    """After training, the greedy move is a recorded one under the penalty; without it nothing keeps the others below."""
+    """After training, the greedy move is a recorded one under the penalty; without it nothing keeps the others
+    below."""
     agent = agents.registry.entry("cql").make(CQLConfig(hidden=(32,)), FourActions())
     data = batch(jnp.ones(ACTIONS, bool))
     params, state = agent.init(jax.random.key(3), data.features[0], data.code[0])
@@ -55,7 +68,9 @@ def test_values_of_unrecorded_moves_are_held_down(weight):
 
     @jax.jit
     def step(params, _):
-        gradient, metrics = jax.grad(lambda own: agent.loss(own, params, data, state, hyper, jax.random.key(0)), has_aux=True)(params)
+        gradient, metrics = jax.grad(
+            lambda own: agent.loss(own, params, data, state, hyper, jax.random.key(0)), has_aux=True
+        )(params)
         return jax.tree.map(lambda leaf, slope: leaf - 0.1 * slope, params, gradient), metrics["conservative_gap"]
 
     params, gaps = jax.lax.scan(step, params, None, length=300)

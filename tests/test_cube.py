@@ -1,4 +1,5 @@
-"""The generated arm with its cube: joints orient the cube as the paper says, moves undo one another, and the pictures show what was set."""
+"""The generated arm with its cube: joints orient the cube as the paper says, moves undo one another, and the pictures
+show what was set."""
 
 import numpy as np
 import pytest
@@ -8,8 +9,13 @@ from infogoal_jax.data.rotations import geodesic, orientation_classes
 from infogoal_jax.stand_ins import cube, cube_render
 
 SEED, LARGE = 3, 256
-NARROW = ((-15, 15), (30, 60), (-360, 360))  # Degrees of joints 1, 2 and 6: an arm of 3 x 3 x 24 settings, quickly drawn.
-# Pairs of settings, degrees of joints 1, 2 and 6, that orient the cube alike: turned over behind its back, and with two axes in line.
+NARROW = (
+    (-15, 15),
+    (30, 60),
+    (-360, 360),
+)  # Degrees of joints 1, 2 and 6: an arm of 3 x 3 x 24 settings, quickly drawn.
+# Pairs of settings, degrees of joints 1, 2 and 6, that orient the cube alike: turned over behind its back, and with two
+# axes in line.
 ALIASES = (((0, 30, 45), (-180, 150, -135)), ((-60, -45, 90), (120, -135, -90)), ((30, 90, 15), (60, 90, 45)))
 
 
@@ -29,7 +35,8 @@ def orientation(degrees) -> np.ndarray:
 
 
 def stickers_in_view(scene: cube_render.Scene, rotation: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Middles int [N, 2] (column, row in an inset of `side` pixels) and colour numbers int [N] of the stickers on faces seen at a fair angle."""
+    """Middles int [N, 2] (column, row in an inset of `side` pixels) and colour numbers int [N] of the stickers on faces
+    seen at a fair angle."""
     middles, colours = [], []
     for face in range(6):
         axis, sign = face // 2, 1 - 2 * (face % 2)
@@ -75,7 +82,8 @@ def narrow(monkeypatch):
 
 
 def test_arm_reaches_where_its_data_sheet_says():
-    """Stretched forwards at zero joints, the flange is 433 mm before the base's axis and 791.1 mm up, and the elbow 350 mm over the shoulder."""
+    """Stretched forwards at zero joints, the flange is 433 mm before the base's axis and 791.1 mm up, and the elbow 350
+    mm over the shoulder."""
     frames = cube.link_frames(np.zeros(6))
     np.testing.assert_allclose(frames[6, :3, 3], (0.433, 0, 0.7911), atol=1e-9)
     np.testing.assert_allclose(frames[2, :3, 3] - frames[1, :3, 3], (0, 0, 0.350), atol=1e-9)
@@ -92,9 +100,12 @@ def test_every_setting_is_oriented_so(every_rotation):
 
 
 def test_settings_show_6384_orientations(every_rotation):
-    """As many as there are different matrices; classes are numbered as they appear, and hold what is less than a thousandth of a degree apart."""
+    """As many as there are different matrices; classes are numbered as they appear, and hold what is less than a
+    thousandth of a degree apart."""
     classes = orientation_classes(every_rotation)
-    assert len(classes) == 24**3 and classes.max() + 1 == 6384 == len(np.unique(np.round(every_rotation, 6) + 0.0, axis=0))
+    assert len(classes) == 24**3 and classes.max() + 1 == 6384 == len(
+        np.unique(np.round(every_rotation, 6) + 0.0, axis=0)
+    )
     values, first = np.unique(classes, return_index=True)
     assert (values == np.arange(6384)).all() and (np.diff(first) > 0).all()
     assert np.degrees(geodesic(every_rotation, every_rotation[first[classes]])).max() < 1e-3
@@ -146,17 +157,23 @@ def test_joints_with_limits_stop_there():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_stickers_are_those_of_a_cube_and_tell_its_faces_apart(seed):
-    """Nine of each colour, all six in the middles; no face looks like another, however turned; pictures are neither mirrored nor upside down."""
+    """Nine of each colour, all six in the middles; no face looks like another, however turned; pictures are neither
+    mirrored nor upside down."""
     scene = cube_render.scene(seed, 64)
     assert (np.bincount(scene.stickers.ravel()) == 9).all() and len(set(scene.stickers[:, 1, 1])) == 6
-    views = [np.rot90(face if number % 2 == 0 else face.T, turn) for number, face in enumerate(scene.stickers) for turn in range(4)]
+    views = [
+        np.rot90(face if number % 2 == 0 else face.T, turn)
+        for number, face in enumerate(scene.stickers)
+        for turn in range(4)
+    ]
     agreeing = [(one == other).sum() for place, one in enumerate(views) for other in views[:place]]
     assert max(agreeing) <= 5
     assert np.linalg.det(scene.axes) == pytest.approx(1) and scene.axes[1, 2] < -0.8
 
 
 def test_inset_shows_the_stickers_that_face_the_camera(narrow, scene):
-    """In every frame of a built dataset, under its own light, each sticker in view has its colour where the frame's rotation puts it."""
+    """In every frame of a built dataset, under its own light, each sticker in view has its colour where the frame's
+    rotation puts it."""
     data = cube.build(SEED, physical_limits=True, size=LARGE)
     np.testing.assert_allclose(data.rotation, turned(np.degrees(data.joints)), atol=1e-6)
     shown = set()
@@ -176,7 +193,9 @@ def test_aliases_look_alike_in_the_inset_only(scene, one, other):
     pictures = []
     for degrees in (one, other):
         links = cube.link_motions(joints_of(degrees))
-        pictures.append(cube_render.draw(scene, cube_render.draw_posture(scene, links), cube.cube_pose(links), light).astype(int))
+        pictures.append(
+            cube_render.draw(scene, cube_render.draw_posture(scene, links), cube.cube_pose(links), light).astype(int)
+        )
     assert geodesic(orientation(one), orientation(other)) < 1e-6
     different = np.abs(pictures[0] - pictures[1]).max(-1) > 8
     assert inset(different).mean() < 0.002 and different.mean() > 0.01

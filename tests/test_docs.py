@@ -21,7 +21,9 @@ from infogoal_jax.train.program import make_train
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-CHANGELOG = ROOT / "CHANGELOG.md"  # It may name flags and files that are no more; its links lead somewhere all the same.
+CHANGELOG = (
+    ROOT / "CHANGELOG.md"
+)  # It may name flags and files that are no more; its links lead somewhere all the same.
 LONGEST_README = 150
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
 OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
@@ -42,7 +44,11 @@ def flags_in(text: str) -> set[str]:
 def flags_of(words: str) -> set[str]:
     """The flags in the help of these words of the command line."""
     printed = io.StringIO()
-    with mock.patch.dict(os.environ, {"COLUMNS": "200"}), contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
+    with (
+        mock.patch.dict(os.environ, {"COLUMNS": "200"}),
+        contextlib.redirect_stdout(printed),
+        pytest.raises(SystemExit),
+    ):
         main([*words.split(), "--help-all" if words.split()[0] in ("train", "tune") else "--help"])
     return flags_in(printed.getvalue())
 
@@ -61,7 +67,9 @@ def commands_in(group: Group, path: str = "") -> Iterator[str]:
 @functools.cache
 def flags_of_all_parts() -> set[str]:
     """The flags of `infogoal train`, of every task and part."""
-    chosen = [f"{task} --learner {learner} --relabelling her" for task in presets.TASKS for learner in learners.registry]
+    chosen = [
+        f"{task} --learner {learner} --relabelling her" for task in presets.TASKS for learner in learners.registry
+    ]
     chosen += [f"object_search --method {method}" for method in presets.METHODS] + ["object_manipulation --agent dqn"]
     return set().union(*(flags_of(f"train {words}") for words in chosen))
 
@@ -69,7 +77,10 @@ def flags_of_all_parts() -> set[str]:
 @functools.cache
 def flags_of_commands() -> dict[str, set[str]]:
     """The flags of every command, by its words; of one that takes parts by name, those of every part."""
-    return {words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set()) for words in commands_in(COMMANDS)}
+    return {
+        words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set())
+        for words in commands_in(COMMANDS)
+    }
 
 
 def benchmark_flags(path: Path) -> set[str]:
@@ -88,7 +99,9 @@ def known_flags() -> set[str]:
 @pytest.mark.parametrize("page", [*PAGES, CHANGELOG], ids=lambda page: page.name)
 def test_every_relative_link_leads_somewhere(page):
     links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
-    missing = [link for link in links if not re.match(r"[a-z]+:|#", link) and not (page.parent / link.split("#")[0]).exists()]
+    missing = [
+        link for link in links if not re.match(r"[a-z]+:|#", link) and not (page.parent / link.split("#")[0]).exists()
+    ]
     assert not missing
 
 
@@ -103,12 +116,22 @@ def test_the_readme_is_short():
 
 @each_page
 def test_every_file_that_is_named_is_there(page):
-    """A path that begins with a folder of the repository or of the package, and every name with the ending of a source file."""
+    """A path that begins with a folder of the repository or of the package, and every name with the ending of a source
+    file."""
     text = re.sub(r"https?://\S+", "", page.read_text())
-    places = (ROOT, ROOT / "infogoal_jax", page.parent, *(path for path in (ROOT / "infogoal_jax").iterdir() if path.is_dir()))
+    places = (
+        ROOT,
+        ROOT / "infogoal_jax",
+        page.parent,
+        *(path for path in (ROOT / "infogoal_jax").iterdir() if path.is_dir()),
+    )
     folders = {path.name for place in places[:2] for path in place.iterdir() if path.is_dir() and path.name != "runs"}
     names = {name.rstrip("./") for name in re.findall(r"(?<![\w./*~$-])[A-Za-z_][\w.-]*(?:/[\w.*-]+)*/?", text)}
-    named = {name for name in names if name.endswith(FILES) or name == "constraints.txt" or ("/" in name and name.split("/")[0] in folders)}
+    named = {
+        name
+        for name in names
+        if name.endswith(FILES) or name == "constraints.txt" or ("/" in name and name.split("/")[0] in folders)
+    }
     assert not [name for name in sorted(named) if not any(any(place.glob(name)) for place in places)]
 
 
@@ -125,7 +148,9 @@ def test_flags_stand_behind_their_own_command(page):
         words = command.split()
         if words[:1] == ["infogoal"]:
             known = flags_of_commands()
-            name = max((name for name in known if f"{' '.join(words[1:])} ".startswith(f"{name} ")), key=len, default=None)
+            name = max(
+                (name for name in known if f"{' '.join(words[1:])} ".startswith(f"{name} ")), key=len, default=None
+            )
             resumed = known["train object_search"] if words[1:3] == ["train", "--resume"] else None
             assert name or resumed, line
             assert flags_in(command) <= (resumed or known[name]), line

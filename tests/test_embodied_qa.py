@@ -1,4 +1,5 @@
-"""Embodied question answering: goals that are known, recorded flights as rows, learning without acting, and datasets that cannot be used."""
+"""Embodied question answering: goals that are known, recorded flights as rows, learning without acting, and datasets
+that cannot be used."""
 
 import dataclasses
 
@@ -24,9 +25,15 @@ def env():
 
 
 def test_goals_and_what_is_known_of_them(env):
-    """Names and training questions can be achieved; questions of validation and test never are, though their objects are detected."""
+    """Names and training questions can be achieved; questions of validation and test never are, though their objects
+    are detected."""
     goals = env.goals
-    assert (goals.num_goals, int(goals.train_mask.sum()), int(goals.validation_mask.sum()), int(goals.test_mask.sum())) == (4 + 2 + 8 + 8, 2, 8, 8)
+    assert (
+        goals.num_goals,
+        int(goals.train_mask.sum()),
+        int(goals.validation_mask.sum()),
+        int(goals.test_mask.sum()),
+    ) == (4 + 2 + 8 + 8, 2, 8, 8)
     known = np.asarray(env.goals_of(jnp.arange(env.num_observations)))
     hidden = np.asarray(goals.validation_mask | goals.test_mask)
     assert not hidden[known[known >= 0]].any()
@@ -39,7 +46,8 @@ def test_goals_and_what_is_known_of_them(env):
 
 
 def test_flights_become_rows(env):
-    """Every recorded move is a valid transition, in its order; each flight has one training goal; nothing is terminated."""
+    """Every recorded move is a valid transition, in its order; each flight has one training goal; nothing is
+    terminated."""
     data, rows = hand_made_frames.shelf(), env.recorded
     assert int(rows.valid.sum()) == len(data.frame)
     np.testing.assert_array_equal(np.asarray(rows.observation)[data.trajectory, data.time], data.frame)
@@ -53,25 +61,42 @@ def test_flights_of_different_lengths():
     """Shorter flights are padded with transitions that are never drawn."""
     data = hand_made_frames.shelf()
     keep = ~((data.trajectory == 3) & (data.time > 4))
-    moves = {name: getattr(data, name)[keep] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    moves = {
+        name: getattr(data, name)[keep] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+    }
     moves["terminal"] = moves["terminal"] | ((moves["trajectory"] == 3) & (moves["time"] == 4))
-    env = lay_out(dataclasses.replace(data, **moves), hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15))
+    env = lay_out(
+        dataclasses.replace(data, **moves),
+        hand_made_frames.asked(),
+        hand_made_frames.embeddings(),
+        EmbodiedQAConfig(episode_length=15),
+    )
     assert env.recorded.valid[3].sum() == 5 and int(env.recorded.valid.sum()) == keep.sum()
 
 
 def test_random_policy_and_shortest_path(env):
     """The oracle answers every question on a shortest path."""
-    scores = jax.jit(lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 10))(env)
+    scores = jax.jit(
+        lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 10)
+    )(env)
     assert scores["o_test/success_rate"] == 1.0 and scores["o_test/spl"] == 1.0
     assert scores["r_test/success_rate"] < 1.0
 
 
 def test_learns_from_flights_alone(env):
-    """CQL over relabelled flights reaches training questions far more often than chance, and nothing is ever collected."""
+    """CQL over relabelled flights reaches training questions far more often than chance, and nothing is ever
+    collected."""
     config = hand_made_frames.qa_config(
-        "none", num_epochs=4, epochs_per_evaluation=4, updates_per_epoch=250, batch_size=128, evaluation_starts=8,
-        agent=CQLConfig(hidden=(64, 64)), state_encoder=StateEncoderConfig(features=64),
-        hyper=presets.load("embodied_qa", "none").hyper.replace(discount=0.9))
+        "none",
+        num_epochs=4,
+        epochs_per_evaluation=4,
+        updates_per_epoch=250,
+        batch_size=128,
+        evaluation_starts=8,
+        agent=CQLConfig(hidden=(64, 64)),
+        state_encoder=StateEncoderConfig(features=64),
+        hyper=presets.load("embodied_qa", "none").hyper.replace(discount=0.9),
+    )
     train = make_train(config, env)
     result = jax.jit(train)(jax.random.key(0), env=env)
     chance = jax.jit(lambda env: evaluate(env, {"{group}": random_policy(env)}, 8))(env)
@@ -82,9 +107,12 @@ def test_learns_from_flights_alone(env):
 
 
 def test_infogoal_pairs_come_from_the_flights(env):
-    """Goals seen within the window of a flight are no longer dissimilar, others are; seeds share one dataset and differ in their draws."""
+    """Goals seen within the window of a flight are no longer dissimilar, others are; seeds share one dataset and differ
+    in their draws."""
     train = make_train(hand_made_frames.qa_config("infogoal"), env)
-    states = jax.jit(jax.vmap(train.initial, in_axes=(0, None, None)))(jax.random.split(jax.random.key(0), 2), train.config.hyper, env)
+    states = jax.jit(jax.vmap(train.initial, in_axes=(0, None, None)))(
+        jax.random.split(jax.random.key(0), 2), train.config.hyper, env
+    )
     window, seen_together = train.config.learner.window, np.zeros((env.goals.num_goals,) * 2, bool)
     goals = np.asarray(env.goals_of(env.recorded.record))
     for flight in goals:
@@ -103,18 +131,26 @@ def refused(change: dict, message: str, asked=None):
     """The dataset with this change is refused in these words."""
     data = dataclasses.replace(hand_made_frames.shelf(), **change)
     with pytest.raises(UserError, match=message):
-        lay_out(data, asked or hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15))
+        lay_out(
+            data, asked or hand_made_frames.asked(), hand_made_frames.embeddings(), EmbodiedQAConfig(episode_length=15)
+        )
 
 
 def test_datasets_that_cannot_be_used():
     """The error says what is missing and what to do."""
     refused({"detected": None}, "tells no detections")
     data = hand_made_frames.shelf()
-    never = ~np.isin(data.trajectory, np.unique(data.trajectory[data.detected[data.frame, 0] | data.detected[data.next_frame, 0]]))
-    moves = {name: getattr(data, name)[never] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    never = ~np.isin(
+        data.trajectory, np.unique(data.trajectory[data.detected[data.frame, 0] | data.detected[data.next_frame, 0]])
+    )
+    moves = {
+        name: getattr(data, name)[never] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+    }
     refused(moves, "no trajectory ever reaches the training goal red mug|can be found from nowhere")
     refused({"objects": ("red mug", "blue book", "green ball", "door")}, "old clock.*detected nowhere")
-    nothing = {name: getattr(data, name)[:0] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    nothing = {
+        name: getattr(data, name)[:0] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+    }
     refused(nothing, "no recorded moves")
 
 

@@ -1,4 +1,5 @@
-"""Every method goes through one program on every kind of task: houses and poses under DQN, image goals under HRAC, recorded flights under CQL.
+"""Every method goes through one program on every kind of task: houses and poses under DQN, image goals under HRAC,
+recorded flights under CQL.
 
 Programs of the other tasks take minutes to trace, and runs to compile: both stand among the long tests.
 """
@@ -14,7 +15,8 @@ from infogoal_jax import make_train, presets
 from infogoal_jax.train.combinations import reasons_against
 
 TASKS = {
-    "object_search": (hand_made.config, hand_made.environment), "fetch_reach": (hand_made_points.config, hand_made_points.steered),
+    "object_search": (hand_made.config, hand_made.environment),
+    "fetch_reach": (hand_made_points.config, hand_made_points.steered),
     "object_manipulation": (hand_made_frames.manipulation_config, hand_made_frames.manipulation),
     "embodied_qa": (hand_made_frames.qa_config, hand_made_frames.qa),
 }
@@ -23,7 +25,12 @@ SHORT = {"num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 3, "e
 
 def working() -> list[tuple[str, str]]:
     """Pairs of a task and a method that go together."""
-    return [(task, method) for task in TASKS for method in presets.METHODS if not reasons_against(presets.load(task, method))]
+    return [
+        (task, method)
+        for task in TASKS
+        for method in presets.METHODS
+        if not reasons_against(presets.load(task, method))
+    ]
 
 
 def train_of(task: str, method: str):
@@ -50,9 +57,12 @@ SOME_LONG = [pair if pair[0] == "object_search" else pytest.param(*pair, marks=p
 
 @pytest.mark.parametrize(("task", "method"), SOME_LONG)
 def test_is_one_program_over_seeds(task, method):
-    """Traced, not run: shapes agree from the first draw to the last evaluation, with an axis of seeds, and the method's own loss has its metrics."""
+    """Traced, not run: shapes agree from the first draw to the last evaluation, with an axis of seeds, and the method's
+    own loss has its metrics."""
     train = train_of(task, method)
-    result = jax.eval_shape(lambda keys, env: swept(train, keys, env), jax.random.split(jax.random.key(0), 2), train.env)
+    result = jax.eval_shape(
+        lambda keys, env: swept(train, keys, env), jax.random.split(jax.random.key(0), 2), train.env
+    )
     assert result.metrics["test_goal/success_rate"].shape == (2, 2) and result.epochs["agent/loss"].shape == (2, 2)
     learner = presets.METHODS[method].learner
     assert any(name.startswith(f"{learner}/") for name in result.epochs) == (learner not in ("none", "rad"))

@@ -1,4 +1,5 @@
-"""The Fetch environments' promises: fresh resets, observations in the reference's order, ends of episodes, divergence, bad input."""
+"""The Fetch environments' promises: fresh resets, observations in the reference's order, ends of episodes, divergence,
+bad input."""
 
 import jax
 import jax.numpy as jnp
@@ -50,7 +51,9 @@ def test_actions_beyond_one_are_clipped(reach):
     """An action of 7 is an action of 1."""
     _, reset, step = reach
     states = reset(keys(3))
-    np.testing.assert_array_equal(step(states, jnp.full((BATCH, 4), 7.0)).observation, step(states, jnp.ones((BATCH, 4))).observation)
+    np.testing.assert_array_equal(
+        step(states, jnp.full((BATCH, 4), 7.0)).observation, step(states, jnp.ones((BATCH, 4))).observation
+    )
 
 
 def test_reaching_the_goal_ends_the_episode_and_time_truncates_it(reach):
@@ -65,13 +68,19 @@ def test_reaching_the_goal_ends_the_episode_and_time_truncates_it(reach):
         far = step(far, jnp.zeros((BATCH, 4)))
         assert far.truncated.all() == (number == 4)
     assert not far.terminated.any()
-    assert np.array(env.reached(jnp.zeros(3), jnp.array([[0.0, 0.0, 0.0499], [0.0, 0.0, 0.0501]]))).tolist() == [True, False]
-    assert np.array(env.reward(jnp.zeros(3), jnp.array([[0.0, 0.0, 0.0499], [0.0, 0.0, 0.0501]]))).tolist() == [0.0, -1.0]
+    assert np.array(env.reached(jnp.zeros(3), jnp.array([[0.0, 0.0, 0.0499], [0.0, 0.0, 0.0501]]))).tolist() == [
+        True,
+        False,
+    ]
+    assert np.array(env.reward(jnp.zeros(3), jnp.array([[0.0, 0.0, 0.0499], [0.0, 0.0, 0.0501]]))).tolist() == [
+        0.0,
+        -1.0,
+    ]
 
 
 def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
-    """One robot's state is spoilt: its step is taken back and its episode ends, marked; the others go on untouched, and its transition is not
-    valid."""
+    """One robot's state is spoilt: its step is taken back and its episode ends, marked; the others go on untouched, and
+    its transition is not valid."""
     env, reset, step = reach
     states = reset(keys(5))
     spoilt = states.replace(motion=states.motion.replace(velocity=states.motion.velocity.at[3].set(jnp.nan)))
@@ -86,13 +95,16 @@ def test_a_diverged_simulation_ends_its_own_episode_and_leaves_no_trace(reach):
 
     following, rows = collect(env, spoilt, policy, jax.random.key(0), 4)
     assert np.isfinite(rows.observation).all() and np.isfinite(following.observation).all()
-    assert not rows.valid[3, :2].any() and rows.valid[3, 2:].all()  # The diverged step, the reset, and then a sound episode.
+    assert (
+        not rows.valid[3, :2].any() and rows.valid[3, 2:].all()
+    )  # The diverged step, the reset, and then a sound episode.
     assert rows.valid[others].all() and np.isfinite(following.motion.velocity).all()
 
 
 @pytest.mark.parametrize("task, size", [("fetch_reach", 10), ("fetch_pick_and_place", 25)])
 def test_observation_is_laid_out_as_the_references(task, size):
-    """Sizes, and the parts that can be told from one another at the start: grip, object, their difference, and the object at rest."""
+    """Sizes, and the parts that can be told from one another at the start: grip, object, their difference, and the
+    object at rest."""
     env = envs.load(task)
     state = jax.jit(env.reset)(jax.random.key(0))
     assert state.observation.shape == (size,) == (env.observation_size,)
@@ -115,9 +127,12 @@ def test_euler_angles():
 
 
 def test_goals_outside_of_the_workspace_are_refused(reach):
-    """The error names the goal and the workspace; inside a jitted function, where values are unknown, nothing is checked."""
+    """The error names the goal and the workspace; inside a jitted function, where values are unknown, nothing is
+    checked."""
     env, _, _ = reach
-    with pytest.raises(UserError, match=r"goal = \[3.0, 0.7, 0.5\]: lies outside of the workspace of fetch_reach; give x 1.05 to 1.55"):
+    with pytest.raises(
+        UserError, match=r"goal = \[3.0, 0.7, 0.5\]: lies outside of the workspace of fetch_reach; give x 1.05 to 1.55"
+    ):
         env.reset_to(jax.random.key(0), jnp.array([3.0, 0.7, 0.5]))
     with pytest.raises(UserError, match="give positions of 3 numbers"):
         env.reset_to(jax.random.key(0), jnp.zeros(2))

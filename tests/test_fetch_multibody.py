@@ -1,4 +1,5 @@
-"""The robot's own kinematics and dynamics against MuJoCo's engine in C, and what keeps the programs made of them small."""
+"""The robot's own kinematics and dynamics against MuJoCo's engine in C, and what keeps the programs made of them
+small."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,12 @@ from infogoal_jax.envs.fetch.environment import LATE
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.train.program_size import operations
 
-CASES = [("fetch_reach", model.FAST), ("fetch_reach", model.FAITHFUL), ("fetch_pick_and_place", model.FAITHFUL), ("fetch_slide", model.FAST)]
+CASES = [
+    ("fetch_reach", model.FAST),
+    ("fetch_reach", model.FAITHFUL),
+    ("fetch_pick_and_place", model.FAITHFUL),
+    ("fetch_slide", model.FAST),
+]
 """The fewest joints, the trunk's branch, fingers and a cube, and a puck, whose inertia differs between axes."""
 
 
@@ -52,7 +58,8 @@ def test_bodies_are_where_mujoco_puts_them(compared):
 
 
 def test_inertia_and_forces_are_mujocos(compared):
-    """The inertia matrix, and passive less bias forces: stiffness, damping, gravity, Coriolis and the puck's gyration."""
+    """The inertia matrix, and passive less bias forces: stiffness, damping, gravity, Coriolis and the puck's
+    gyration."""
     ours, results = compared
     for data, _, (_, inertia, force) in results:
         theirs = np.zeros((data.qvel.size, data.qvel.size))
@@ -78,12 +85,15 @@ def test_axes_are_the_jacobian_of_every_point(compared):
 def test_the_start_needs_no_kinematics_and_is_what_kinematics_gives(task):
     """Where bodies are at the start of an episode are constants: those of the start's joint positions."""
     ours = physics.load(TASKS[task], model.FAITHFUL)
-    for constant, worked_out in zip(jax.tree.leaves(ours.start_frames), jax.tree.leaves(ours.multibody.frames(ours.start().position)), strict=True):
+    for constant, worked_out in zip(
+        jax.tree.leaves(ours.start_frames), jax.tree.leaves(ours.multibody.frames(ours.start().position)), strict=True
+    ):
         np.testing.assert_allclose(constant, worked_out, atol=1e-6)
 
 
 def test_a_late_pose_is_the_pose_of_the_time_before():
-    """The pose 2 ms ago, worked out from velocities and accelerations, is where 2 ms of the same velocities come from, within a micrometre."""
+    """The pose 2 ms ago, worked out from velocities and accelerations, is where 2 ms of the same velocities come from,
+    within a micrometre."""
     ours = physics.load(TASKS["fetch_pick_and_place"], model.FAST)
     start, draw = ours.start(), np.random.default_rng(1)
     velocity = jnp.asarray(draw.normal(size=start.velocity.shape), jnp.float32)
@@ -91,7 +101,9 @@ def test_a_late_pose_is_the_pose_of_the_time_before():
     late, before = ours.pose(now, LATE), ours.pose(start.replace(velocity=velocity), 0.0)
     assert np.abs(ours.pose(now, 0.0).grip - before.grip).max() > 1e-4
     for name in ("gripper", "grip", "thing", "grip_velocity"):
-        np.testing.assert_allclose(getattr(late, name), getattr(before, name), atol=3e-6 if name != "grip_velocity" else 1e-4, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(late, name), getattr(before, name), atol=3e-6 if name != "grip_velocity" else 1e-4, err_msg=name
+        )
     np.testing.assert_allclose(late.gripper_quaternion, before.gripper_quaternion, atol=5e-6)
 
 
@@ -101,11 +113,16 @@ def test_closed_fingers_are_where_kinematics_puts_them():
     position = ours.start().position.at[ours.fingers].set(jnp.array([0.004, 0.002]))
     closed = ours.closed(ours.motion(position, ours.start().velocity))
     np.testing.assert_array_equal(closed.position[ours.fingers], 0.0)
-    for moved, worked_out in zip(jax.tree.leaves(closed.frames), jax.tree.leaves(ours.multibody.frames(closed.position)), strict=True):
+    for moved, worked_out in zip(
+        jax.tree.leaves(closed.frames), jax.tree.leaves(ours.multibody.frames(closed.position)), strict=True
+    ):
         np.testing.assert_allclose(moved, worked_out, atol=1e-6)
 
 
-@pytest.mark.parametrize(("task", "step", "reset"), [("fetch_reach", 3200, 500), ("fetch_push", 3700, 700), ("fetch_pick_and_place", 3900, 700)])
+@pytest.mark.parametrize(
+    ("task", "step", "reset"),
+    [("fetch_reach", 3200, 500), ("fetch_push", 3700, 700), ("fetch_pick_and_place", 3900, 700)],
+)
 def test_the_programs_stay_small(task, step, reset):
     """Operations of a control step and of a reset: a step had 19,000 to 27,500 of them, and took minutes to compile."""
     env = load(task)

@@ -1,7 +1,8 @@
 """Our Fetch tasks follow the reference: recorded episodes of Gymnasium-Robotics on C MuJoCo 3.3.7, replayed here.
 
-Episodes of the recording are in turn random actions, random actions held for five steps, and a script that reaches, pushes or grasps and lifts.
-The faithful setting is as near as the robot's simpler shapes allow; the default is faster, and near enough for the same behaviour.
+Episodes of the recording are in turn random actions, random actions held for five steps, and a script that reaches,
+pushes or grasps and lifts. The faithful setting is as near as the robot's simpler shapes allow; the default is faster,
+and near enough for the same behaviour.
 """
 
 import functools
@@ -30,13 +31,17 @@ GRIP_LIMITS = {
 }
 """Mean distance of the grip from where it was recorded, at most, in mm."""
 LIFTED_LIMIT, PUSHED_LIMITS = 5.0, {FAITHFUL: 20.0, DEFAULT: 30.0}
-"""How far an object may end from where it was recorded, in mm: after being lifted, and after being pushed over the table."""
+"""How far an object may end from where it was recorded, in mm: after being lifted, and after being pushed over the
+table."""
 
 
 def cases(*tasks: str):
     """Every setting of the tasks, as parameters of a test."""
     pairs = [pair for pair in GRIP_LIMITS if pair[0] in tasks]
-    marked = [pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.long, id=f"{pair[0]}-{pair[1]}") for pair in pairs]
+    marked = [
+        pytest.param(*pair, marks=[] if pair in QUICK else pytest.mark.long, id=f"{pair[0]}-{pair[1]}")
+        for pair in pairs
+    ]
     return pytest.mark.parametrize(("task", "setting"), marked)
 
 
@@ -62,7 +67,9 @@ def by_kind(pair):
 def test_the_grip_follows_the_recording(replayed, task, setting):
     rows = by_kind(replayed(task, setting))
     limits = GRIP_LIMITS[task, setting]
-    too_far = {kind: (round(rows[kind].grip.mean, 2), limit) for kind, limit in limits.items() if rows[kind].grip.mean > limit}
+    too_far = {
+        kind: (round(rows[kind].grip.mean, 2), limit) for kind, limit in limits.items() if rows[kind].grip.mean > limit
+    }
     assert not too_far, f"mean error and limit in mm: {too_far}"
     assert rows[ALL].grip.start < 0.1
     assert rows[ALL].diverged == 0
@@ -71,7 +78,9 @@ def test_the_grip_follows_the_recording(replayed, task, setting):
 @cases("fetch_reach", "fetch_push", "fetch_pick_and_place")
 def test_rewards_are_those_recorded(replayed, task, setting):
     recording, here = replayed(task, setting)
-    if task != "fetch_push":  # Its script pushes past the goal: nothing is reached in the recording, and nothing may be here.
+    if (
+        task != "fetch_push"
+    ):  # Its script pushes past the goal: nothing is reached in the recording, and nothing may be here.
         assert {*np.unique(recording.reward).tolist()} == {-1.0, 0.0}
     assert by_kind((recording, here))[ALL].equal_rewards >= 0.99
 
@@ -94,7 +103,8 @@ def test_scripted_lifts_succeed_and_end_where_they_were_recorded(replayed, task,
 
 @cases("fetch_push")
 def test_scripted_pushes_end_near_where_they_were_recorded(replayed, task, setting):
-    """Those that stay on the table, or are just tipping over its edge; what has fallen lands anywhere (benchmarks/fidelity/fetch_chaos.py)."""
+    """Those that stay on the table, or are just tipping over its edge; what has fallen lands anywhere
+    (benchmarks/fidelity/fetch_chaos.py)."""
     recording, here = replayed(task, setting)
     stays = recording.thing[2::3, -1, 2] > 0.3
     assert stays.any()

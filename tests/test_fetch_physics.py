@@ -23,18 +23,33 @@ def reach():
 
 @pytest.fixture(scope="module")
 def twin(reach):
-    """The same robot for MuJoCo's own constraint code: the pairs that this project works out itself, and the reference's inverse weights."""
+    """The same robot for MuJoCo's own constraint code: the pairs that this project works out itself, and the
+    reference's inverse weights."""
     spec = mujoco.MjSpec.from_file(str(model.ARM_XML))
     spec.option.timestep, spec.option.iterations, spec.option.tolerance = model.FAITHFUL.timestep, 100, 0
     low, high = model.table_of(TASKS["fetch_reach"])
-    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(low + high) / 2, size=(high - low) / 2, contype=0, conaffinity=0)
-    for names, pair in [(names, model.ROBOT_AND_ROBOT) for names in model.ROBOT_PAIRS] + [(("table", "palm"), model.MESH_AND_TABLE)] + [
-        (("table", finger), model.FINGER_AND_THING) for finger in model.FINGERS
-    ]:
+    spec.worldbody.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(low + high) / 2,
+        size=(high - low) / 2,
+        contype=0,
+        conaffinity=0,
+    )
+    for names, pair in (
+        [(names, model.ROBOT_AND_ROBOT) for names in model.ROBOT_PAIRS]
+        + [(("table", "palm"), model.MESH_AND_TABLE)]
+        + [(("table", finger), model.FINGER_AND_THING) for finger in model.FINGERS]
+    ):
         sliding, torsional = pair.friction
         spec.add_pair(
-            geomname1=names[0], geomname2=names[1], condim=4 if pair.torsion else 3, friction=[sliding, sliding, torsional, 0, 0], margin=pair.margin,
-            solref=pair.reference, solimp=pair.impedance,
+            geomname1=names[0],
+            geomname2=names[1],
+            condim=4 if pair.torsion else 3,
+            friction=[sliding, sliding, torsional, 0, 0],
+            margin=pair.margin,
+            solref=pair.reference,
+            solimp=pair.impedance,
         )
     twin = spec.compile()
     twin.eq_data[:] = reach.mujoco_model.eq_data
@@ -47,7 +62,8 @@ def twin(reach):
     return twin
 
 
-# Arm poses (torso, head pan and tilt, seven joints, fingers): free above the table; both fingers on it; the upper arm at the head.
+# Arm poses (torso, head pan and tilt, seven joints, fingers): free above the table; both fingers on it; the upper arm
+# at the head.
 POSES = {
     "free": [0.0013, 0, 0.06, 0.0099, -0.8256, -0.0036, 1.4439, 0.0031, 0.9532, 0.0055, 0.001, -0.0002],
     "fingers on the table": [0.0013, 0, 0.06, 0.0123, -0.5854, -0.0054, 1.4531, 0.0021, 0.6991, 0.0076, 0.0, 0.0002],
@@ -56,7 +72,8 @@ POSES = {
 
 
 def forward(reach, twin, position):
-    """MuJoCo's data at this position and a drawn velocity, with the mocap body a little away from the gripper; and the same for our code."""
+    """MuJoCo's data at this position and a drawn velocity, with the mocap body a little away from the gripper; and the
+    same for our code."""
     data = mujoco.MjData(twin)
     data.qpos[:], data.qvel[:] = position, np.random.default_rng(0).normal(size=twin.nv) * 0.1
     mujoco.mj_forward(twin, data)
@@ -64,17 +81,26 @@ def forward(reach, twin, position):
     quaternion = data.xquat[twin.body("wrist_roll").id] + [1, 0, 1, 0]
     data.mocap_pos[0], data.mocap_quat[0] = target, quaternion / np.linalg.norm(quaternion)
     mujoco.mj_forward(twin, data)
-    return data, reach.motion(data.qpos, data.qvel), jnp.asarray(target, jnp.float32), jnp.asarray(data.mocap_quat[0], jnp.float32)
+    return (
+        data,
+        reach.motion(data.qpos, data.qvel),
+        jnp.asarray(target, jnp.float32),
+        jnp.asarray(data.mocap_quat[0], jnp.float32),
+    )
 
 
 @pytest.mark.parametrize("pose", POSES)
 def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
-    """Jacobian, stiffness and reference of every active row, and the acceleration at the minimum, agree with MuJoCo's engine in C.
+    """Jacobian, stiffness and reference of every active row, and the acceleration at the minimum, agree with MuJoCo's
+    engine in C.
 
-    Its newer versions add a velocity term to the weld's reference that MJX does not have (mjx_notes); so the weld's reference is compared with MJX.
+    Its newer versions add a velocity term to the weld's reference that MJX does not have (mjx_notes); so the weld's
+    reference is compared with MJX.
     """
     data, motion, target, quaternion = forward(reach, twin, POSES[pose])
-    axes, inertia, force = jax.jit(lambda motion: reach.multibody.dynamics(motion.frames, None, motion.position, motion.velocity))(motion)
+    axes, inertia, force = jax.jit(
+        lambda motion: reach.multibody.dynamics(motion.frames, None, motion.position, motion.velocity)
+    )(motion)
     rows = jax.jit(lambda motion, axes: reach.rows(motion, axes, None, target, quaternion))(motion, axes)
     active = np.flatnonzero(np.array(rows.stiffness) > 0)
     jacobian = data.efc_J.reshape(-1, twin.nv)
@@ -94,13 +120,19 @@ def test_rows_and_acceleration_are_mujocos(reach, twin, pose):
 def cost_of(inertia, force, rows):
     """MuJoCo's primal cost as a function of the acceleration, in float64 by numpy."""
     inertia, force = np.array(inertia, float), np.array(force, float)
-    jacobian, stiffness, reference = (np.array(part, float) for part in (rows.jacobian.T, rows.stiffness, rows.reference))
+    jacobian, stiffness, reference = (
+        np.array(part, float) for part in (rows.jacobian.T, rows.stiffness, rows.reference)
+    )
 
     def cost(acceleration):
         acceleration = np.array(acceleration, float)
         away = jacobian @ acceleration - reference
         counts = (np.arange(len(away)) < solver.EQUALITIES) | (away < 0)
-        return 0.5 * acceleration @ inertia @ acceleration - acceleration @ force + 0.5 * (stiffness * away**2 * counts).sum()
+        return (
+            0.5 * acceleration @ inertia @ acceleration
+            - acceleration @ force
+            + 0.5 * (stiffness * away**2 * counts).sum()
+        )
 
     return cost
 
@@ -118,8 +150,11 @@ def test_free_step_is_mjx_step(reach):
     start = reach.start()
     pose = reach.pose(start, 0.0)
     target, quaternion = pose.gripper + jnp.array([0.03, -0.02, 0.01]), pose.gripper_quaternion
-    data = mjx.make_data(theirs_model).replace(qpos=start.position, qvel=start.velocity, mocap_pos=target[None], mocap_quat=quaternion[None])
-    # XLA's CPU fusions compute a parent's transform anew for every level of the tree below it: MJX would take a second for this step.
+    data = mjx.make_data(theirs_model).replace(
+        qpos=start.position, qvel=start.velocity, mocap_pos=target[None], mocap_quat=quaternion[None]
+    )
+    # XLA's CPU fusions compute a parent's transform anew for every level of the tree below it: MJX would take a second
+    # for this step.
     theirs = jax.jit(mjx.step, compiler_options={"xla_cpu_use_fusion_emitters": False})(theirs_model, data)
     ours = jax.jit(reach.substep)(start, target, quaternion, jnp.zeros(2))
     np.testing.assert_allclose(ours.position, theirs.qpos, atol=2e-6)
@@ -137,9 +172,17 @@ def random_problem(seed, size=8, count=40):
     """A solvable problem of some degrees of freedom and rows, six of them equalities."""
     draw = np.random.default_rng(seed)
     root = draw.normal(size=(size, size))
-    rows = solver.ConstraintRows(*(jnp.asarray(part, jnp.float32) for part in (
-        draw.normal(size=(count, size)).T, draw.uniform(10, 500, count), draw.normal(size=count) * 50)))
-    return jnp.asarray(root @ root.T + np.eye(size), jnp.float32), jnp.asarray(draw.normal(size=size) * 10, jnp.float32), rows
+    rows = solver.ConstraintRows(
+        *(
+            jnp.asarray(part, jnp.float32)
+            for part in (draw.normal(size=(count, size)).T, draw.uniform(10, 500, count), draw.normal(size=count) * 50)
+        )
+    )
+    return (
+        jnp.asarray(root @ root.T + np.eye(size), jnp.float32),
+        jnp.asarray(draw.normal(size=size) * 10, jnp.float32),
+        rows,
+    )
 
 
 def solved(inertia, force, rows, steps):
@@ -149,7 +192,8 @@ def solved(inertia, force, rows, steps):
 
 @pytest.mark.long
 def test_four_newton_steps_reach_the_minimum():
-    """On drawn problems, far harder than a robot's, four steps bring the cost within a thousandth of the minimum found by many; one does not."""
+    """On drawn problems, far harder than a robot's, four steps bring the cost within a thousandth of the minimum found
+    by many; one does not."""
     shortfall = {1: [], 4: []}
     for seed in range(20):
         inertia, force, rows = random_problem(seed)
@@ -173,7 +217,9 @@ def test_damping_is_taken_implicitly():
     damping = np.linspace(0.5, 2.0, 8, dtype=np.float32)
     acceleration, damped = solver.solve(inertia, damping, force, rows, jnp.zeros(8), 12)
     forces = np.array(inertia, float) @ np.array(acceleration, float)  # At the minimum all forces together.
-    np.testing.assert_allclose(damped, np.linalg.solve(np.array(inertia, float) + np.diag(damping), forces), atol=0.02 * np.abs(damped).max())
+    np.testing.assert_allclose(
+        damped, np.linalg.solve(np.array(inertia, float) + np.diag(damping), forces), atol=0.02 * np.abs(damped).max()
+    )
 
 
 @pytest.mark.parametrize(("size", "count", "steps"), [(7, 38, 1), (7, 38, 4), (18, 143, 4)])
@@ -183,9 +229,13 @@ def test_the_kernel_finds_what_plain_operations_find(size, count, steps):
     damping, start = jnp.linspace(0.1, 1.0, size), jnp.linspace(-1.0, 1.0, size)
     problem = (inertia, damping, force, rows.jacobian, rows.stiffness, rows.reference, start)
     plain = solver.solve_anywhere(*problem, steps=steps)
-    kernel = newton_kernel.solve(*problem, lengths=solver.TRIAL_LENGTHS, equalities=solver.EQUALITIES, steps=steps, interpret=True)
+    kernel = newton_kernel.solve(
+        *problem, lengths=solver.TRIAL_LENGTHS, equalities=solver.EQUALITIES, steps=steps, interpret=True
+    )
     np.testing.assert_allclose(kernel[0], plain[0], atol=1e-3 * np.abs(plain[0]).max())
-    np.testing.assert_allclose(kernel[1], plain[1], atol=0.02 * np.abs(plain[1]).max())  # Forces of rows that nearly cancel.
+    np.testing.assert_allclose(
+        kernel[1], plain[1], atol=0.02 * np.abs(plain[1]).max()
+    )  # Forces of rows that nearly cancel.
 
 
 def test_elimination_solves_what_a_library_solves():
@@ -203,7 +253,9 @@ TABLE = contacts.block(np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]], np.float32
 def cube(center, rotation=UPRIGHT):
     """A cube with edges of 0.2 m."""
     half = Vector.of(jnp.full((1, 3), 0.1))
-    return contacts.Box(Vector.of(jnp.asarray(center, jnp.float32)[None]), Rotation.of(jnp.asarray(rotation, jnp.float32)[None]), half)
+    return contacts.Box(
+        Vector.of(jnp.asarray(center, jnp.float32)[None]), Rotation.of(jnp.asarray(rotation, jnp.float32)[None]), half
+    )
 
 
 def on_ground(box):
@@ -237,7 +289,8 @@ def test_a_cube_over_the_edge_is_held_as_far_as_the_table_reaches():
 
 
 def test_a_cube_beside_the_table_meets_its_side_and_then_the_floor():
-    """A box that leans against the side gets a sideways normal; one that has fallen meets the floor, one in mid-air nothing."""
+    """A box that leans against the side gets a sideways normal; one that has fallen meets the floor, one in mid-air
+    nothing."""
     beside = on_ground(cube([1.099, 0.0, 0.7]))
     np.testing.assert_allclose(beside.normal.array, np.tile([1, 0, 0], (4, 1)), atol=1e-6)
     np.testing.assert_allclose(beside.distance, -0.001, atol=1e-6)
@@ -248,7 +301,8 @@ def test_a_cube_beside_the_table_meets_its_side_and_then_the_floor():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_boxes_face_to_face_have_mujocos_depth_and_normal(seed):
-    """Two boxes that overlap by a little on one face: the deepest point and the normal are those of MuJoCo's box against box."""
+    """Two boxes that overlap by a little on one face: the deepest point and the normal are those of MuJoCo's box
+    against box."""
     draw = np.random.default_rng(seed)
     axis = seed % 3
     offset = draw.uniform(-0.05, 0.05, 3)
@@ -287,7 +341,8 @@ def test_capsules_touch_where_mujoco_says():
 
 
 def test_a_weld_of_longer_steps_moves_as_far():
-    """The violation after 40 ms is that of 20 steps of 2 ms, whatever the violation and velocity at first; with MuJoCo's own rule it is not."""
+    """The violation after 40 ms is that of 20 steps of 2 ms, whatever the violation and velocity at first; with
+    MuJoCo's own rule it is not."""
     short = constraints.Softness((0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0), 0.002)
     time, ratio = constraints.lengthened(short, 0.005, 0.04).reference
     after = np.linalg.matrix_power(constraints.step_map(1 / (time * ratio) ** 2, 2 / time, 0.005), 8)

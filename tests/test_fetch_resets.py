@@ -1,8 +1,11 @@
-"""Our resets are drawn from the reference's distributions: 1,000 resets a task of Gymnasium-Robotics beside 4,000 of ours.
+"""Our resets are drawn from the reference's distributions: 1,000 resets a task of Gymnasium-Robotics beside 4,000 of
+ours.
 
-Two-sample tests at a level of 0.001 for all coordinates of a test together (Bonferroni): Kolmogorov and Smirnov's for the shape, and for the range,
-where it is blind, how many draws of one sample lie beyond all of the other. They can fail: the last test shows what they notice.
-The puck of Slide is compared in x and y alone: the reference's sinks 6.5 mm into the table and lies tilted there, ours stands on it.
+Two-sample tests at a level of 0.001 for all coordinates of a test together (Bonferroni): Kolmogorov and Smirnov's for
+the shape, and for the range, where it is blind, how many draws of one sample lie beyond all of the other. They can
+fail: the last test shows what they notice.
+The puck of Slide is compared in x and y alone: the reference's sinks 6.5 mm into the table and lies tilted there, ours
+stands on it.
 """
 
 import functools
@@ -23,10 +26,17 @@ OURS = 4000
 START_TOLERANCE = 1e-4
 """Of the first observation, in its own units: m, rad, and these per step of 40 ms."""
 STILL_TORSO = 2e-4
-"""Of the default setting's velocities (m per step): the reference still lifts its torso at 3.3 mm/s when an episode starts, and ours stands still."""
+"""Of the default setting's velocities (m per step): the reference still lifts its torso at 3.3 mm/s when an episode
+starts, and ours stands still."""
 TASKS_WITH_OBJECT = [task.name for task in TASKS.values() if task.object_height is not None]
 OBJECT, RELATIVE, FINGERS, ROTATION, VELOCITIES, OBJECT_VELOCITY, FINGER_VELOCITY = (
-    slice(3, 6), slice(6, 9), slice(9, 11), slice(11, 14), slice(14, 25), slice(14, 20), slice(23, 25),
+    slice(3, 6),
+    slice(6, 9),
+    slice(9, 11),
+    slice(11, 14),
+    slice(14, 25),
+    slice(14, 20),
+    slice(23, 25),
 )
 """Parts of an observation of 25; of 10, the fingers are 3 to 4, and the velocities 5 to 9, the fingers' last."""
 
@@ -36,7 +46,8 @@ every_object = pytest.mark.parametrize("task", TASKS_WITH_OBJECT)
 
 @pytest.fixture(scope="session")
 def resets():
-    """Goal [N, 3] and first observation [N, 10 or 25] of resets of ours (in a setting) and of the reference's, made when first asked for."""
+    """Goal [N, 3] and first observation [N, 10 or 25] of resets of ours (in a setting) and of the reference's, made
+    when first asked for."""
     recorded = np.load(FIXTURE)
 
     @functools.cache
@@ -50,7 +61,8 @@ def resets():
 
 
 def beyond(sample: np.ndarray, other: np.ndarray) -> float:
-    """P-value of as many draws [N] of one sample lying above all of the other [M], if both are of one distribution (Rosenbaum's test, 1954).
+    """P-value of as many draws [N] of one sample lying above all of the other [M], if both are of one distribution
+    (Rosenbaum's test, 1954).
 
     The k largest of N + M equal draws are all of the first sample with probability C(N, k) / C(N + M, k).
     """
@@ -59,17 +71,27 @@ def beyond(sample: np.ndarray, other: np.ndarray) -> float:
 
 
 def p_value(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Of two samples [N] and [M] being of one distribution: the least of five tests (shape, and both samples beyond both ends), times five."""
-    ends = (beyond(side * first, side * second) for side in (1, -1) for first, second in ((ours, theirs), (theirs, ours)))
+    """Of two samples [N] and [M] being of one distribution: the least of five tests (shape, and both samples beyond
+    both ends), times five."""
+    ends = (
+        beyond(side * first, side * second) for side in (1, -1) for first, second in ((ours, theirs), (theirs, ours))
+    )
     return 5 * min(ks_2samp(ours, theirs).pvalue, *ends)
 
 
 def differing(ours: np.ndarray, theirs: np.ndarray) -> dict[int, float]:
-    """Columns of [N, C] and [M, C] that do not come from one distribution, with the p-value; a constant column counts with its distance instead."""
-    ours, theirs = (np.round(sample.astype(float), 5) for sample in (ours, theirs))  # Heights on the table are equal but for rounding.
+    """Columns of [N, C] and [M, C] that do not come from one distribution, with the p-value; a constant column counts
+    with its distance instead."""
+    ours, theirs = (
+        np.round(sample.astype(float), 5) for sample in (ours, theirs)
+    )  # Heights on the table are equal but for rounding.
     varying = np.flatnonzero(np.ptp(theirs, axis=0) > 0)
     apart = np.abs(ours - theirs[0]).max(axis=0)
-    constant = {column: apart[column] for column in range(theirs.shape[1]) if column not in varying and apart[column] > START_TOLERANCE}
+    constant = {
+        column: apart[column]
+        for column in range(theirs.shape[1])
+        if column not in varying and apart[column] > START_TOLERANCE
+    }
     values = {column: p_value(ours[:, column], theirs[:, column]) for column in varying.tolist()}
     return constant | {column: value for column, value in values.items() if value < LEVEL / len(varying)}
 
@@ -125,7 +147,8 @@ def test_half_of_the_goals_of_pick_and_place_are_in_the_air(resets):
 @pytest.mark.parametrize("faithful", [False, pytest.param(True, marks=pytest.mark.long)], ids=["default", "faithful"])
 @every_task
 def test_the_first_observation_is_that_of_the_reference(resets, task, faithful):
-    """All that no draw decides; the fingers of the default setting are one block in tasks that keep them closed, so theirs read zero."""
+    """All that no draw decides; the fingers of the default setting are one block in tasks that keep them closed, so
+    theirs read zero."""
     (_, first), (_, their_first) = resets(task, faithful)
     has_object = task in TASKS_WITH_OBJECT
     velocities, fingers, finger_velocity = (
@@ -148,7 +171,8 @@ def test_the_first_observation_is_that_of_the_reference(resets, task, faithful):
 
 @every_task
 def test_a_range_five_per_cent_too_small_or_too_large_would_be_noticed(resets, task):
-    """The power of the tests above: our own draws, drawn together or apart by 5 % around the middle of their range, are told from the reference's."""
+    """The power of the tests above: our own draws, drawn together or apart by 5 % around the middle of their range, are
+    told from the reference's."""
     (goals, first), (their_goals, their_first) = resets(task)
     columns = [(goals[:, :2], their_goals[:, :2])]
     if task in TASKS_WITH_OBJECT:

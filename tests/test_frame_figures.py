@@ -13,12 +13,26 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import figures, house_figures, image_goal_episodes, image_goal_figures, pose_figures, shelf_figures, walks
+from infogoal_jax.report import (
+    figures,
+    house_figures,
+    image_goal_episodes,
+    image_goal_figures,
+    pose_figures,
+    shelf_figures,
+    walks,
+)
 from infogoal_jax.report.summary import print_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 
-EVERY_TASKS_FIGURES = {"learning_curves", "beta_and_accuracy", "representations", "success_by_length", "success_by_goal"}
+EVERY_TASKS_FIGURES = {
+    "learning_curves",
+    "beta_and_accuracy",
+    "representations",
+    "success_by_length",
+    "success_by_goal",
+}
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
 SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_reward"}
 
@@ -74,20 +88,29 @@ def test_what_learns_offline_is_shown_against_epochs(shelf_subject, pose_subject
     for subject, steps in ((shelf_subject, "720 recorded steps"), (pose_subject, "environment steps a seed")):
         console = Console(file=io.StringIO(), width=150)
         print_run(subject.run.folder, console)
-        assert steps in console.file.getvalue() and ("environment steps/s" in console.file.getvalue()) == (subject is pose_subject)
+        assert steps in console.file.getvalue() and ("environment steps/s" in console.file.getvalue()) == (
+            subject is pose_subject
+        )
 
 
 def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
     """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
     env, data = pose_subject.train.env, hand_made_frames.arm()
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))
-    episodes, = image_goal_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
+    (episodes,) = image_goal_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
     rotation = Rotation.from_matrix(data.rotation)
     for goal, frames, steps, success, angle in zip(
-        goals, episodes.observations.frame, episodes.steps, episodes.success, pose_figures.angles_to_goals(env, goals, episodes), strict=True
+        goals,
+        episodes.observations.frame,
+        episodes.steps,
+        episodes.success,
+        pose_figures.angles_to_goals(env, goals, episodes),
+        strict=True,
     ):
         target = rotation[int(env.goals.rows[goal])]
-        np.testing.assert_allclose(angle, np.rad2deg((target.inv() * rotation[frames[: steps + 1]]).magnitude()), atol=0.1)
+        np.testing.assert_allclose(
+            angle, np.rad2deg((target.inv() * rotation[frames[: steps + 1]]).magnitude()), atol=0.1
+        )
         assert len(angle) == steps + 1 and (angle[:-1] > 10).all() and (angle[-1] < 10) == success
 
 
@@ -109,7 +132,9 @@ def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_sub
     while (read := video.read())[0]:
         first, count = read[1] if first is None else first, count + 1
     assert len(reached) == 2 and first.shape == (64, 96, 3)
-    assert (count - 2 * 25) % image_goal_episodes.PICTURES_A_FRAME == 0 and 2 <= (count - 2 * 25) // image_goal_episodes.PICTURES_A_FRAME <= 2 * 13
+    assert (count - 2 * 25) % image_goal_episodes.PICTURES_A_FRAME == 0 and 2 <= (
+        count - 2 * 25
+    ) // image_goal_episodes.PICTURES_A_FRAME <= 2 * 13
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
         image_goal_episodes.policy_video(shelf_subject, tmp_path / "flights.mp4")
 
@@ -120,7 +145,9 @@ def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, po
     assert len(shelf.places) == hand_made_frames.WIDTH * hand_made_frames.HEIGHT and shelf.side == pytest.approx(0.2)
     np.testing.assert_allclose(shelf.places[shelf.place], env.position, atol=1e-3)
     assert shelf_figures.make_shelf(env.replace(position=jnp.full_like(env.position, jnp.nan))) is None
-    unknown = dataclasses.replace(shelf_subject, train=dataclasses.replace(shelf_subject.train, env=env.replace(position=env.position * jnp.nan)))
+    unknown = dataclasses.replace(
+        shelf_subject, train=dataclasses.replace(shelf_subject.train, env=env.replace(position=env.position * jnp.nan))
+    )
     assert shelf_figures.draw_shelves(unknown) == shelf_figures.draw_shelves(pose_subject) == {}
     assert house_figures.draw_plans(shelf_subject) == house_figures.draw_plans(pose_subject) == {}
     assert image_goal_figures.draw_image_goals(shelf_subject) == {}
@@ -137,7 +164,10 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
     """And unknown where nothing that training knows is in view; images of one place count together."""
     env, shelf = shelf_subject.train.env, shelf_figures.make_shelf(shelf_subject.train.env)
     goal = int(env.goals.commanded[0])
-    reward, of_image = shelf_figures.reward_of_places(shelf_subject, shelf, goal), walks.reward_of_images(shelf_subject, goal)
+    reward, of_image = (
+        shelf_figures.reward_of_places(shelf_subject, shelf, goal),
+        walks.reward_of_images(shelf_subject, goal),
+    )
     np.testing.assert_allclose(reward[shelf.place], of_image)
     np.testing.assert_array_equal(np.isnan(of_image), (np.asarray(env.achieved_goals) < 0).all(1))
     np.testing.assert_allclose(of_image[np.asarray(env.in_view)[:, goal]], 0, atol=1e-6)
@@ -149,7 +179,10 @@ def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     """Goal by goal, though most of the goals of training are never evaluated."""
     env, found = shelf_subject.train.env, walks.walks_of_policy(shelf_subject)
     assert list(found) == np.asarray(env.goals.evaluated).tolist()
-    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in found.values()]
+    steps = [
+        [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
+        for of_goal in found.values()
+    ]
     np.testing.assert_array_equal(steps, shelf_subject.evaluations.last()["first_reached"][0])
     in_view = np.asarray(env.in_view)
     assert all(in_view[walk.nodes[-1], goal] == walk.success for goal, of_goal in found.items() for walk in of_goal)
@@ -161,5 +194,10 @@ def test_codes_beside_flights_leave_out_validation_questions(shelf_subject):
     shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), walks.walks_of_policy(shelf_subject)
     figure = shelf_figures.codes_and_trajectories(shelf_subject, shelf, found)
     labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
-    assert {"mean, name of an object", "mean, training question", "mean, test question", "the object is in view"} <= set(labels)
+    assert {
+        "mean, name of an object",
+        "mean, training question",
+        "mean, test question",
+        "the object is in view",
+    } <= set(labels)
     assert not any("validation" in label for label in labels)

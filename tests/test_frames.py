@@ -1,4 +1,5 @@
-"""Image datasets: the file keeps every bit, `infogoal data check` finds every planted fault in one pass, and the cache costs nothing but time."""
+"""Image datasets: the file keeps every bit, `infogoal data check` finds every planted fault in one pass, and the cache
+costs nothing but time."""
 
 import dataclasses
 
@@ -18,13 +19,22 @@ def small(**changes) -> FrameDataset:
     pixels = np.random.default_rng(0).integers(0, 256, (6, 8, 10, 3), np.uint8)
     turns = [cv2.Rodrigues(np.array([0.1, 0.2, 0.3]) * row)[0] for row in range(6)]
     fields = {
-        "frames": pixels, "state": np.array([0, 1, 2, 3, 4, 4], np.int32), "actions": ("right", "left ←"),
-        "frame": np.array([0, 1, 2, 4, 5], np.int32), "action": np.array([0, 0, 0, 1, 0], np.int32),
+        "frames": pixels,
+        "state": np.array([0, 1, 2, 3, 4, 4], np.int32),
+        "actions": ("right", "left ←"),
+        "frame": np.array([0, 1, 2, 4, 5], np.int32),
+        "action": np.array([0, 0, 0, 1, 0], np.int32),
         "next_frame": np.array([1, 2, 3, 5, 0], np.int32),
-        "trajectory": np.array([3, 3, 3, 7, 7], np.int32), "time": np.array([0, 1, 2, 0, 1], np.int32),
-        "terminal": np.array([False, False, True, False, True]), "about": {"name": "a row of five", "stand_in": True, "made_by": "a test", "seed": 3},
-        "rotation": np.array(turns, np.float32), "joints": np.arange(12, dtype=np.float32).reshape(6, 2), "joint_names": ("shoulder", "rail_m"),
-        "position": np.arange(12, dtype=np.float32).reshape(6, 2) / 3, "detected": np.eye(6, 2, dtype=bool), "objects": ("a red mug", "una caña"),
+        "trajectory": np.array([3, 3, 3, 7, 7], np.int32),
+        "time": np.array([0, 1, 2, 0, 1], np.int32),
+        "terminal": np.array([False, False, True, False, True]),
+        "about": {"name": "a row of five", "stand_in": True, "made_by": "a test", "seed": 3},
+        "rotation": np.array(turns, np.float32),
+        "joints": np.arange(12, dtype=np.float32).reshape(6, 2),
+        "joint_names": ("shoulder", "rail_m"),
+        "position": np.arange(12, dtype=np.float32).reshape(6, 2) / 3,
+        "detected": np.eye(6, 2, dtype=bool),
+        "objects": ("a red mug", "una caña"),
     }
     return FrameDataset(**(fields | changes))
 
@@ -64,7 +74,9 @@ def test_next_state_follows_the_moves_and_stays_where_none_is_recorded():
 
 def test_next_state_names_the_two_moves_that_contradict_each_other():
     contradicting = small(state=np.array([0, 1, 2, 3, 0, 4], np.int32), action=np.zeros(5, np.int32))
-    with pytest.raises(UserError, match=r"a row of five: next_frame\[3\]: moves 0 and 3 are both action 0 in state 0.* states 1 and 4"):
+    with pytest.raises(
+        UserError, match=r"a row of five: next_frame\[3\]: moves 0 and 3 are both action 0 in state 0.* states 1 and 4"
+    ):
         frames.next_state(contradicting)
 
 
@@ -78,10 +90,16 @@ def changed(name: str, row, value) -> dict:
 MIRROR = np.diag([1, 1, -1]).astype(np.float32)
 FAULTS = {  # What is changed in a sound file, and what the message must say: where, what is wrong, what to do.
     "no frames": ({"frames": None}, ["frames: missing", "frames.save"]),
-    "no moves": ({name: np.zeros(0, bool if name == "terminal" else np.int32) for name in MOVES}, ["frame: has no moves"]),
+    "no moves": (
+        {name: np.zeros(0, bool if name == "terminal" else np.int32) for name in MOVES},
+        ["frame: has no moves"],
+    ),
     "wrong type": ({"action": np.zeros(5)}, ["action: is float64", ".astype(np.int32)"]),
     "floats in frames": ({"frames": np.zeros((6, 8, 10, 3))}, ["frames: is float64", "uint8"]),
-    "no channels": ({"frames": np.zeros((6, 8, 10), np.uint8)}, ["frames: has the shape [6, 8, 10]", "[K, H, W, 1 or 3]"]),
+    "no channels": (
+        {"frames": np.zeros((6, 8, 10), np.uint8)},
+        ["frames: has the shape [6, 8, 10]", "[K, H, W, 1 or 3]"],
+    ),
     "four channels": ({"frames": np.zeros((6, 8, 10, 4), np.uint8)}, ["frames: has the shape [6, 8, 10, 4]"]),
     "fewer states than frames": ({"state": np.arange(5, dtype=np.int32)}, ["state: has 5 frames, but frames has 6"]),
     "fewer actions than moves": ({"action": np.zeros(4, np.int32)}, ["action: has 4 moves, but frame has 5"]),
@@ -94,19 +112,31 @@ FAULTS = {  # What is changed in a sound file, and what the message must say: wh
     "no such action": (changed("action", 2, 2), ["action[2]: is 2, which is not there; give 0 to 1"]),
     "a gap in the states": (changed("state", [4, 5], 9), ["state[4]: is 9, but no frame shows state 4"]),
     "a negative state": (changed("state", 2, -1), ["state[2]: is -1; count states from 0"]),
-    "contradicting moves": (changed("state", 4, 1) | changed("action", 3, 0), ["moves 1 and 3 are both action 0 in state 1", "2 and 4; remove"]),
+    "contradicting moves": (
+        changed("state", 4, 1) | changed("action", 3, 0),
+        ["moves 1 and 3 are both action 0 in state 1", "2 and 4; remove"],
+    ),
     "trajectories mixed": (changed("trajectory", 0, 8), ["trajectory[1]: is 3 after 8; sort"]),
     "time does not begin": (changed("time", 3, 1), ["time[3]: is 1, but trajectory 7 begins here; count time from 0"]),
     "a gap in time": (changed("time", 2, 5), ["time[2]: is 5 after 1, a gap in trajectory 3; split it"]),
-    "frames that do not join": (changed("next_frame", 0, 5), ["next_frame[0]: is 5, but the next move of trajectory 3 starts at frame[1] = 1"]),
+    "frames that do not join": (
+        changed("next_frame", 0, 5),
+        ["next_frame[0]: is 5, but the next move of trajectory 3 starts at frame[1] = 1"],
+    ),
     "an end in the middle": (changed("terminal", 1, True), ["terminal[1]: is true in the middle of trajectory 3"]),
     "no end": (changed("terminal", 4, False), ["terminal[4]: is false, but trajectory 7 has no later move; set it"]),
-    "a stretched rotation": (changed("rotation", 1, 1.01 * np.eye(3)), ["rotation[1]: is no rotation; give orthogonal"]),
+    "a stretched rotation": (
+        changed("rotation", 1, 1.01 * np.eye(3)),
+        ["rotation[1]: is no rotation; give orthogonal"],
+    ),
     "a mirror": (changed("rotation", 5, MIRROR), ["rotation[5]: is no rotation"]),
     "an infinite joint": (changed("joints", 2, np.inf), ["joints[2]: is [inf, inf]; give finite numbers, radians"]),
     "no position": (changed("position", 0, np.nan), ["position[0]: is [nan, nan]; give finite numbers, metres"]),
     "about is no JSON": ({"about": np.array("by hand")}, ["about: is no JSON"]),
-    "about without a name": ({"about": np.array('{"stand_in": true, "made_by": "x"}')}, ["about: its name is None; give words"]),
+    "about without a name": (
+        {"about": np.array('{"stand_in": true, "made_by": "x"}')},
+        ["about: its name is None; give words"],
+    ),
     "another version": ({"format_version": np.array(2)}, ["format_version: is 2; this program reads 1"]),
     "pickles": ({"detected": np.array([{}] * 6, object)}, ["detected: unreadable", "pickled objects", "frames.save"]),
 }
@@ -125,8 +155,20 @@ def test_a_fault_is_named_with_file_field_row_and_remedy(case, tmp_path):
 
 
 def test_every_planted_fault_is_found_in_one_pass(tmp_path, capsys):
-    cases = ["a name twice", "from nowhere", "no such action", "a gap in the states", "time does not begin", "frames that do not join", "no end",
-             "a mirror", "an infinite joint", "about is no JSON", "another version", "pickles"]
+    cases = [
+        "a name twice",
+        "from nowhere",
+        "no such action",
+        "a gap in the states",
+        "time does not begin",
+        "frames that do not join",
+        "no end",
+        "a mirror",
+        "an infinite joint",
+        "about is no JSON",
+        "another version",
+        "pickles",
+    ]
     planted(tmp_path / "row.npz", **{name: value for case in cases for name, value in FAULTS[case][0].items()})
     problems = [f"{finding.where}: {finding.problem}" for finding in frames_check.check_frames(tmp_path / "row.npz")]
     missing = [case for case in cases if not any(FAULTS[case][1][0] in problem for problem in problems)]
@@ -142,7 +184,10 @@ def test_a_sound_file_has_no_finding_and_is_summed_up(tmp_path, capsys):
     assert main(["data", "check", str(tmp_path / "row.npz")]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].endswith("0 errors, 0 warnings")
-    assert "a row of five; 6 frames of 8 x 10 x 3, 5 states, 5 moves of 2 actions; 0.0 MB on disk, 0.0 MB on the device" in printed[1]
+    assert (
+        "a row of five; 6 frames of 8 x 10 x 3, 5 states, 5 moves of 2 actions; 0.0 MB on disk, 0.0 MB on the device"
+        in printed[1]
+    )
 
 
 def test_what_may_surprise_is_a_warning_and_no_error(tmp_path):
@@ -150,7 +195,10 @@ def test_what_may_surprise_is_a_warning_and_no_error(tmp_path):
     pixels = sound.frames.copy()
     pixels[4] = pixels[1]
     surprising = {
-        "frames": pixels, "detected": np.zeros((6, 2), bool), "actions": np.array(["right", "left", "up"]), "rotations": sound.rotation,
+        "frames": pixels,
+        "detected": np.zeros((6, 2), bool),
+        "actions": np.array(["right", "left", "up"]),
+        "rotations": sound.rotation,
         **{name: getattr(sound, name)[:3] for name in MOVES},
     }
     planted(tmp_path / "row.npz", **surprising)
@@ -159,8 +207,12 @@ def test_what_may_surprise_is_a_warning_and_no_error(tmp_path):
     assert {finding.severity for finding in findings} == {"warning"}
     problems = [f"{finding.where}: {finding.problem}" for finding in findings]
     expected = [
-        "rotations: nothing reads it. Did you mean 'rotation'?", "objects[0]: 'a red mug' is detected in no frame", "objects[1]",
-        "state[4]: no move leaves or reaches state 4", "actions[2]: 'up' is the action of no move", "frames[4]: has the pixels of frames[1]",
+        "rotations: nothing reads it. Did you mean 'rotation'?",
+        "objects[0]: 'a red mug' is detected in no frame",
+        "objects[1]",
+        "state[4]: no move leaves or reaches state 4",
+        "actions[2]: 'up' is the action of no move",
+        "frames[4]: has the pixels of frames[1]",
     ]
     for part in expected:
         assert any(part in problem for problem in problems), (part, problems)
@@ -181,7 +233,9 @@ def test_a_file_cut_short_is_named(kept, tmp_path):
     frames.save(path, small())
     content = path.read_bytes()
     path.write_bytes(content[: int(kept * len(content)) if 0 < kept < 1 else kept])
-    with pytest.raises(UserError, match=r"image dataset = '.*row\.npz': format = 'not an npz': the file is cut short.*data import"):
+    with pytest.raises(
+        UserError, match=r"image dataset = '.*row\.npz': format = 'not an npz': the file is cut short.*data import"
+    ):
         frames.load(path)
     assert [finding.problem.split(":")[0] for finding in frames_check.check_frames(path)] == ["format = 'not an npz'"]
 
@@ -254,7 +308,11 @@ def test_a_dataset_is_built_once_and_then_comes_from_the_cache(cache, capsys):
 def test_a_cache_that_cannot_be_written_to_costs_only_time(cache, capsys):
     cache.write_text("a file in the way")
     dataset = frames.cached("row-1", small)
-    assert len(dataset.frames) == 6 and "cannot be written" in capsys.readouterr().err and cache.read_text() == "a file in the way"
+    assert (
+        len(dataset.frames) == 6
+        and "cannot be written" in capsys.readouterr().err
+        and cache.read_text() == "a file in the way"
+    )
 
 
 def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsys):
@@ -267,7 +325,11 @@ def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsy
     assert main(["data", "build", "cube", str(path), "--seed", "5", "--physical-limits"]) == 0
     assert "6 frames" in capsys.readouterr().out
     assert frames.load(path).about["seed"] == 5 and frames.load(path).about["physical_limits"] is True
-    mistakes = {("cube", str(path)): "is there already", ("cube", "cube"): "let it end in .npz", ("castle",): "Known: house, cube"}
+    mistakes = {
+        ("cube", str(path)): "is there already",
+        ("cube", "cube"): "let it end in .npz",
+        ("castle",): "Known: house, cube",
+    }
     for arguments, expected in mistakes.items():
         assert main(["data", "build", *arguments]) == 2
         assert expected in capsys.readouterr().err

@@ -1,4 +1,5 @@
-"""A laboratory's folder of images and a CSV become an image dataset; every mistake in them is named with file, row and remedy."""
+"""A laboratory's folder of images and a CSV become an image dataset; every mistake in them is named with file, row and
+remedy."""
 
 import cv2
 import numpy as np
@@ -46,11 +47,25 @@ def laboratory(tmp_path):
 
 
 def test_recorded_moves_become_a_dataset(laboratory, tmp_path):
-    dataset = laboratory(MOVES.replace("left end", "linkes Ende, ä").replace(",linkes Ende, ä,", ',"linkes Ende, ä",'), "utf-8-sig")
+    dataset = laboratory(
+        MOVES.replace("left end", "linkes Ende, ä").replace(",linkes Ende, ä,", ',"linkes Ende, ä",'), "utf-8-sig"
+    )
     assert [name for name in dataset.actions] == ["left", "right"]
-    np.testing.assert_array_equal(dataset.frames, [draw(tmp_path / "again.png", number) for number in (0, 1, 3, 2)])  # As they are first named.
+    np.testing.assert_array_equal(
+        dataset.frames, [draw(tmp_path / "again.png", number) for number in (0, 1, 3, 2)]
+    )  # As they are first named.
     assert [len(set(dataset.state[rows])) for rows in ([0, 1, 2], [1, 3])] == [3, 1]
-    moves = list(zip(dataset.frame, dataset.action, dataset.next_frame, dataset.trajectory, dataset.time, dataset.terminal, strict=True))
+    moves = list(
+        zip(
+            dataset.frame,
+            dataset.action,
+            dataset.next_frame,
+            dataset.trajectory,
+            dataset.time,
+            dataset.terminal,
+            strict=True,
+        )
+    )
     assert moves == [(0, 1, 1, 0, 0, False), (1, 1, 2, 0, 1, True), (1, 0, 3, 1, 0, False), (3, 1, 2, 1, 1, True)]
     assert dataset.objects == ("book", "red mug")
     np.testing.assert_array_equal(dataset.detected, [[True, True], [False, False], [True, False], [True, False]])
@@ -64,7 +79,9 @@ def test_recorded_moves_become_a_dataset(laboratory, tmp_path):
 
 def test_roll_pitch_and_yaw_turn_about_z_after_y_after_x(laboratory):
     rows = "image,trajectory,time,action,roll,pitch,yaw\na.png,1,0,up,10,20,30\nb.png,1,1,,0,0,-90\n"
-    about = [Rotation.from_euler(axis, angle, degrees=True).as_matrix() for axis, angle in (("z", 30), ("y", 20), ("x", 10))]
+    about = [
+        Rotation.from_euler(axis, angle, degrees=True).as_matrix() for axis, angle in (("z", 30), ("y", 20), ("x", 10))
+    ]
     dataset = laboratory(rows)
     assert dataset.joints is None and dataset.detected is None and dataset.num_states == 2
     np.testing.assert_allclose(dataset.rotation[0], about[0] @ about[1] @ about[2], atol=1e-6)
@@ -73,7 +90,11 @@ def test_roll_pitch_and_yaw_turn_about_z_after_y_after_x(laboratory):
 def grid(values=((0, 120, 240), (0.1, 0.2)), skip=(), extra="") -> str:
     """A CSV of poses: joint_turn in degrees, joint_rail_m in metres, an image each."""
     rows = [(turn, rail) for turn in values[0] for rail in values[1] if (turn, rail) not in skip]
-    return "image,joint_turn,joint_rail_m\n" + "".join(f"{number}.png,{turn},{rail}\n" for number, (turn, rail) in enumerate(rows)) + extra
+    return (
+        "image,joint_turn,joint_rail_m\n"
+        + "".join(f"{number}.png,{turn},{rail}\n" for number, (turn, rail) in enumerate(rows))
+        + extra
+    )
 
 
 @pytest.fixture
@@ -87,7 +108,9 @@ def poses(laboratory):
 def test_neighbours_of_a_grid_are_joined_and_a_full_turn_only_where_asked(poses):
     dataset = poses(grid())  # Frames 0 to 5: turn 0, rail 0.1; turn 0, rail 0.2; turn 120, rail 0.1; ...
     assert dataset.actions == ("turn +", "turn -", "rail_m +", "rail_m -")
-    np.testing.assert_array_equal(frames.next_state(dataset), [[2, 0, 1, 0], [3, 1, 1, 0], [4, 0, 3, 2], [5, 1, 3, 2], [4, 2, 5, 4], [5, 3, 5, 4]])
+    np.testing.assert_array_equal(
+        frames.next_state(dataset), [[2, 0, 1, 0], [3, 1, 1, 0], [4, 0, 3, 2], [5, 1, 3, 2], [4, 2, 5, 4], [5, 3, 5, 4]]
+    )
     np.testing.assert_allclose(dataset.joints[3], [np.radians(120), 0.2], atol=1e-6)
     assert dataset.terminal.all() and len(set(dataset.trajectory)) == len(dataset.trajectory) == 14
     wrapped = frames.next_state(poses(grid(), wrap=("turn",)))
@@ -96,7 +119,9 @@ def test_neighbours_of_a_grid_are_joined_and_a_full_turn_only_where_asked(poses)
 
 def test_a_grid_point_without_an_image_has_no_moves(poses):
     dataset = poses(grid(skip=[(120, 0.2)]), wrap=("turn",))  # Frames: 0/.1, 0/.2, 120/.1, 240/.1, 240/.2.
-    np.testing.assert_array_equal(frames.next_state(dataset), [[2, 3, 1, 0], [1, 4, 1, 0], [3, 0, 2, 2], [0, 2, 4, 3], [1, 4, 4, 3]])
+    np.testing.assert_array_equal(
+        frames.next_state(dataset), [[2, 3, 1, 0], [1, 4, 1, 0], [3, 0, 2, 2], [0, 2, 4, 3], [1, 4, 4, 3]]
+    )
 
 
 def test_several_images_of_a_pose_share_a_state(poses):
@@ -117,7 +142,9 @@ def test_rounded_steps_are_on_the_grid(poses):
 
 def test_images_of_several_sizes_are_brought_to_one(laboratory):
     draw(laboratory.folder / "a.png", 0, (48, 64))
-    with pytest.raises(UserError, match=r"row 3: image = 'b\.png': is 24 x 32 pixels.* but 'a\.png' in row 2 is 48 x 64; give --size"):
+    with pytest.raises(
+        UserError, match=r"row 3: image = 'b\.png': is 24 x 32 pixels.* but 'a\.png' in row 2 is 48 x 64; give --size"
+    ):
         laboratory(MOVES)
     dataset = laboratory(MOVES, size=(12, 16))
     assert dataset.frames.shape == (4, 12, 16, 3) and dataset.about["recorded_size"] == [48, 64]
@@ -136,26 +163,46 @@ MISTAKES = {  # What is replaced in the CSV of moves, and what the message must 
     "a column twice": (HEADER, HEADER.replace("time", "image"), ["row 1", "the column 'image' twice"]),
     "half a quaternion": (HEADER, HEADER.replace("qw", "z"), ["row 1", "lacks the column qw"]),
     "half a position": (HEADER, HEADER.replace(",y,", ",z,"), ["row 1", "lacks the column y"]),
-    "both orientations": (MOVES, HEADER.replace("state", "roll,pitch,yaw") + "\na.png" + 14 * ",", ["row 1", "give one of them"]),
+    "both orientations": (
+        MOVES,
+        HEADER.replace("state", "roll,pitch,yaw") + "\na.png" + 14 * ",",
+        ["row 1", "give one of them"],
+    ),
     "no moves": (MOVES, "image,state\na.png,x\n", ["row 1", "says nothing of moves", "joint_NAME"]),
     "a cell too many": ("red mug; book", "red mug, book", ["row 2", "has 14 cells, but the header has 13"]),
     "an open quotation mark": ("red mug", '"red mug', ["no CSV", "quotation mark"]),
     "no image named": ("c.bmp", "", ["row 6", "image = ''", "name a file"]),
     "no such image": ("c.bmp", "c.png", ["row 6", "image = 'c.png'", "no such file", "Did you mean"]),
     "time is no number": ("first,7", "first,7.5", ["row 6", "time = '7.5'", "a whole number"]),
-    "a gap in time": ("first,8", "first,9", ["row 5", "time = '9'", "a gap of trajectory 'first', after time 7 in row 6"]),
+    "a gap in time": (
+        "first,8",
+        "first,9",
+        ["row 5", "time = '9'", "a gap of trajectory 'first', after time 7 in row 6"],
+    ),
     "a time twice": ("first,8", "first,7", ["time = '7'", "row 5 of trajectory 'first' has the same time"]),
     "no trajectory": ("second,0", ",0", ["row 2", "trajectory = ''"]),
     "one row": ("second,0", "third,0", ["row 2", "trajectory = 'third'", "one row only"]),
     "no action in the middle": ("6,left", "6,", ["row 7", "action = ''", "not the last row of trajectory 'first'"]),
-    "an action at the end": ("2,,right", "2,right,right", ["row 8", "action = 'right'", "is the last row of trajectory 'second'", "leave it empty"]),
+    "an action at the end": (
+        "2,,right",
+        "2,right,right",
+        ["row 8", "action = 'right'", "is the last row of trajectory 'second'", "leave it empty"],
+    ),
     "a state that is empty": ("left end", "", ["row 2", "state = ''"]),
-    "another word of one image": ("d.png,second,2,,right end", "d.png,second,2,,left end", ["row 8", "state = 'left end'", "row 5 says"]),
+    "another word of one image": (
+        "d.png,second,2,,right end",
+        "d.png,second,2,,left end",
+        ["row 8", "state = 'left end'", "row 5 says"],
+    ),
     "a contradiction": ("6,left", "6,right", ["row 7", "action = 'right'", "as in row 3", "column state"]),
     "no number": ("0.5", "half", ["row 2", "x = 'half'", "a number in metres"]),
     "a decimal comma": ("0.5", '"0,5"', ["row 2", "x = '0,5'", "a decimal point"]),
     "not finite": (",90,", ",nan,", ["row 2", "joint_lift = 'nan'", "a number in degrees"]),
-    "a long quaternion": ("end,1,0", "end,2,0", ["row 2", "qw, qx, qy, qz = 2, 0, 0, 0", "length 2.0000, not 1", "divide"]),
+    "a long quaternion": (
+        "end,1,0",
+        "end,2,0",
+        ["row 2", "qw, qx, qy, qz = 2, 0, 0, 0", "length 2.0000, not 1", "divide"],
+    ),
     "no objects": ("red mug; book", "", ["row 5 says", "book"]),
 }
 
@@ -164,7 +211,11 @@ MISTAKES = {  # What is replaced in the CSV of moves, and what the message must 
 def test_a_mistake_is_named_with_file_row_and_remedy(case, laboratory, tmp_path):
     old, new, expected = MISTAKES[case]
     if case == "no objects":
-        old, new, expected = MOVES, MOVES.replace("red mug; book", "").replace(",book", ","), ["objects: no row names an object"]
+        old, new, expected = (
+            MOVES,
+            MOVES.replace("red mug; book", "").replace(",book", ","),
+            ["objects: no row names an object"],
+        )
     assert old in MOVES
     with pytest.raises(UserError) as caught:
         laboratory(MOVES.replace(old, new, 1))
@@ -176,7 +227,10 @@ def test_a_mistake_is_named_with_file_row_and_remedy(case, laboratory, tmp_path)
 def test_an_image_that_cannot_be_decoded_is_named(laboratory):
     for content in (b"", b"no image", (laboratory.folder / "b.png").read_bytes()[:30]):
         (laboratory.folder / "b.png").write_bytes(content)
-        with pytest.raises(UserError, match=r"table\.csv: row 3: image = 'b\.png': .*b\.png is damaged or no image that OpenCV reads; replace it"):
+        with pytest.raises(
+            UserError,
+            match=r"table\.csv: row 3: image = 'b\.png': .*b\.png is damaged or no image that OpenCV reads; replace it",
+        ):
             laboratory(MOVES)
 
 
@@ -193,12 +247,20 @@ GRID_MISTAKES = {  # CSV, joints that wrap, and what the message must say.
     "a pose twice": (grid(extra="6.png,120,0.2\n"), (), ["row 8", "'6.png'", "has the joints of row 5"]),
     "an image twice": (grid(extra="0.png,360,0.1\n"), (), ["row 8", "'0.png'", "in row 2 already"]),
     "a full turn is no turn": (grid(extra="6.png,360,0.1\n"), ("turn",), ["row 8", "has the joints of row 2"]),
-    "off the grid": (grid(extra="6.png,250,0.1\n"), (), ["row 8", "joint_turn = '250'", "off the grid", "others are 120 apart"]),
+    "off the grid": (
+        grid(extra="6.png,250,0.1\n"),
+        (),
+        ["row 8", "joint_turn = '250'", "off the grid", "others are 120 apart"],
+    ),
     "no joint moves": (grid(values=((5,), (0.1,))), (), ["no joint ever moves"]),
     "no neighbours": ("image,joint_a,joint_b\n0.png,0,0\n1.png,1,1\n", (), ["a +", "no two images"]),
     "an unknown joint wraps": (grid(), ("trun",), ["wrap = 'trun'", "Did you mean 'turn'?"]),
     "a rail wraps": (grid(), ("rail_m",), ["wrap = 'rail_m'", "slides"]),
-    "no full turn": (grid(values=((0, 100, 200), (0.1, 0.2))), ("turn",), ["wrap = 'turn'", "steps of 100 degrees", "360"]),
+    "no full turn": (
+        grid(values=((0, 100, 200), (0.1, 0.2))),
+        ("turn",),
+        ["wrap = 'turn'", "steps of 100 degrees", "360"],
+    ),
     "wrap of moves": (MOVES, ("lift",), ["wrap = ('lift',)", "recorded moves"]),
 }
 

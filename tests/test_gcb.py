@@ -1,4 +1,5 @@
-"""GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code (fixtures/README.md)."""
+"""GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code
+(fixtures/README.md)."""
 
 from pathlib import Path
 
@@ -22,12 +23,18 @@ def assert_relatively_close(found, recorded):
     np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
 
 
-@pytest.mark.parametrize(("variant", "reward_weight"), [("next_observation", 1.0), ("next_observation_weight_10", 10.0)])
+@pytest.mark.parametrize(
+    ("variant", "reward_weight"), [("next_observation", 1.0), ("next_observation_weight_10", 10.0)]
+)
 def test_paired_loss_and_its_gradient_are_those_of_the_authors_code(variant, reward_weight):
-    phi, following, rewards, partner = (jnp.asarray(FIXTURE[name]) for name in ("phi", "phi_next", "rewards", "permutation"))
+    phi, following, rewards, partner = (
+        jnp.asarray(FIXTURE[name]) for name in ("phi", "phi_next", "rewards", "permutation")
+    )
 
     def loss(codes):
-        target = gcb.bisimulation_target(rewards, following, jnp.full(len(rewards), FIXTURE["discount"]), partner, reward_weight)
+        target = gcb.bisimulation_target(
+            rewards, following, jnp.full(len(rewards), FIXTURE["discount"]), partner, reward_weight
+        )
         return gcb.paired_loss(codes, target, partner)
 
     value, gradient = jax.value_and_grad(loss)(phi)
@@ -37,7 +44,9 @@ def test_paired_loss_and_its_gradient_are_those_of_the_authors_code(variant, rew
 
 @pytest.mark.parametrize(("variant", "grounded"), [("delta", True), ("delta_without_grounding", False)])
 def test_difference_loss_and_its_gradients_are_those_of_the_authors_code(variant, grounded):
-    state, goal, paired, grounding = (jnp.asarray(FIXTURE[name]) for name in ("psi_state", "psi_goal", "phi_state_goal", "phi_goal_goal"))
+    state, goal, paired, grounding = (
+        jnp.asarray(FIXTURE[name]) for name in ("psi_state", "psi_goal", "phi_state_goal", "phi_goal_goal")
+    )
 
     def loss(state, goal):
         return gcb.difference_loss(goal - state, paired, *([grounding] if grounded else []))
@@ -58,17 +67,27 @@ def test_code_spread_is_what_the_authors_code_logs_and_0_for_one_code():
 def test_what_terminated_has_no_successor():
     """Codes (3, 4) and (6, 8) follow, of length 5 and 10 and 5 apart; rewards 2 apart, which costs 1.5."""
     following = jnp.array([[3.0, 4.0], [6.0, 8.0]])
-    for discounts, distance in (((0.9, 0.9), 4.5), ((0.0, 0.0), 0.0), ((0.9, 0.0), 4.5), ((0.0, 0.9), 9.0), ((0.8, 0.4), 0.0)):
+    for discounts, distance in (
+        ((0.9, 0.9), 4.5),
+        ((0.0, 0.0), 0.0),
+        ((0.9, 0.0), 4.5),
+        ((0.0, 0.9), 9.0),
+        ((0.8, 0.4), 0.0),
+    ):
         target = gcb.bisimulation_target(jnp.array([2.0, 0.0]), following, jnp.array(discounts), jnp.array([1, 0]), 2.0)
         np.testing.assert_allclose(target, 2 * [2.0 * 1.5 + distance], rtol=1e-6)
 
 
 def test_targets_carry_no_gradient():
-    rewards, following, discounts = jnp.array([0.0, 1.0, 0.5]), jax.random.normal(jax.random.key(0), (3, 4)), jnp.full(3, 0.9)
-    partner, codes = jnp.array([1, 2, 0]), jax.random.normal(jax.random.key(1), (3, 4))
-    gradients = jax.grad(lambda *of: gcb.paired_loss(codes, gcb.bisimulation_target(*of, partner, 1.0), partner), argnums=(0, 1, 2))(
-        rewards, following, discounts
+    rewards, following, discounts = (
+        jnp.array([0.0, 1.0, 0.5]),
+        jax.random.normal(jax.random.key(0), (3, 4)),
+        jnp.full(3, 0.9),
     )
+    partner, codes = jnp.array([1, 2, 0]), jax.random.normal(jax.random.key(1), (3, 4))
+    gradients = jax.grad(
+        lambda *of: gcb.paired_loss(codes, gcb.bisimulation_target(*of, partner, 1.0), partner), argnums=(0, 1, 2)
+    )(rewards, following, discounts)
     gradients += jax.grad(gcb.difference_loss, argnums=(1, 2))(codes, codes + 1.0, codes + 3.0)
     assert all(not gradient.any() for gradient in gradients)
 
@@ -77,7 +96,9 @@ def test_gradients_are_finite_where_codes_are_equal():
     equal, partner = jnp.ones((3, 4)), jnp.array([0, 2, 1])
 
     def loss(codes):
-        return gcb.paired_loss(codes, gcb.bisimulation_target(jnp.arange(3.0), codes, jnp.full(3, 0.9), partner, 1.0), partner)
+        return gcb.paired_loss(
+            codes, gcb.bisimulation_target(jnp.arange(3.0), codes, jnp.full(3, 0.9), partner, 1.0), partner
+        )
 
     assert np.isfinite(jax.grad(loss)(equal)).all()
 
@@ -91,12 +112,14 @@ GOALS = np.array([0, 0, 0, 0, 0, 0, 1, 1])
 REWARDS = jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
 FOLLOWING = np.array([WORSE_END, WORSE_END, WORSE_END, BETTER_END, FIRST, FIRST, WORSE_END, FIRST])
 DISCOUNTS = jnp.where((STATES == WORSE_END) | (STATES == BETTER_END), 0.0, DISCOUNT)
-"""Eight transitions of six states: two of equal reward and successor, one of another reward, one of another successor, two that end; and the first
-state and an end under another goal, where the first state earns more. All eight targets can be met at once."""
+"""Eight transitions of six states: two of equal reward and successor, one of another reward, one of another successor,
+two that end; and the first state and an end under another goal, where the first state earns more. All eight targets can
+be met at once."""
 
 
 def learner_and_params(**changes):
-    """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next features and rewards."""
+    """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next
+    features and rewards."""
     settings = {"hidden": (64, 64), "paired_hidden": (64, 64), "latent_size": 8, "reward_weight": 2.0}
     learner = gcb.make(gcb.GCBConfig(**(settings | changes)))
     params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), NoHyperparameters())
@@ -121,7 +144,8 @@ def test_the_loss_trains_every_network_of_the_method_and_nothing_of_the_agent():
 
 
 def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
-    """Trained from random codes; distances are 1-norms summed over the code, and a gap of 1 between rewards costs 2 * 0.5."""
+    """Trained from random codes; distances are 1-norms summed over the code, and a gap of 1 between rewards costs 2 *
+    0.5."""
     learner, params, loss = learner_and_params()
     optimizer = optax.adam(optax.linear_schedule(2e-3, 1e-4, 600))
 
@@ -131,19 +155,31 @@ def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
         change, optimizer_state = optimizer.update(gradient, optimizer_state)
         return (optax.apply_updates(params, change), optimizer_state), metrics
 
-    run = jax.jit(lambda params: jax.lax.scan(step, (params, optimizer.init(params)), jax.random.split(jax.random.key(4), 600)))
+    run = jax.jit(
+        lambda params: jax.lax.scan(step, (params, optimizer.init(params)), jax.random.split(jax.random.key(4), 600))
+    )
     (trained, _), metrics = run(params)
     paired = gcb.PairedEncoder((64, 64), (64, 64), 8, False)
-    before, codes = (np.asarray(paired.apply(given["paired"], FEATURES[STATES], INPUTS[GOALS])) for given in (params, trained))
+    before, codes = (
+        np.asarray(paired.apply(given["paired"], FEATURES[STATES], INPUTS[GOALS])) for given in (params, trained)
+    )
 
     def distance(codes, first, second):
         return np.abs(codes[first] - codes[second]).sum()
 
-    ends, worse_end, better_end = (DISCOUNT * np.linalg.norm(code) for code in (codes[4] - codes[5], codes[4], codes[5]))
+    ends, worse_end, better_end = (
+        DISCOUNT * np.linalg.norm(code) for code in (codes[4] - codes[5], codes[4], codes[5])
+    )
     assert distance(before, FIRST, TWIN) > 0.3 and min(ends, worse_end, better_end) > 0.2
     expected = {
-        (FIRST, TWIN): 0.0, (FIRST, BETTER): 1.0, (FIRST, ELSEWHERE): ends, (BETTER, ELSEWHERE): 1.0 + ends, (WORSE_END, BETTER_END): 1.0,
-        (FIRST, WORSE_END): worse_end, (FIRST, BETTER_END): 1.0 + worse_end, (ELSEWHERE, WORSE_END): better_end,
+        (FIRST, TWIN): 0.0,
+        (FIRST, BETTER): 1.0,
+        (FIRST, ELSEWHERE): ends,
+        (BETTER, ELSEWHERE): 1.0 + ends,
+        (WORSE_END, BETTER_END): 1.0,
+        (FIRST, WORSE_END): worse_end,
+        (FIRST, BETTER_END): 1.0 + worse_end,
+        (ELSEWHERE, WORSE_END): better_end,
     }  # What ended has no successor, so that its partner's stands alone.
     for pair, target in expected.items():
         assert distance(codes, *pair) == pytest.approx(target, abs=0.05), pair
@@ -178,8 +214,14 @@ def test_the_policy_can_be_given_the_goal_alone():
 
 
 def test_wrong_settings_are_refused():
-    for field, value in (("latent_size", 0), ("paired_hidden", (128, 0)), ("reward_weight", 0.0), ("policy_input", "sum"),
-                         ("reward_hidden", -1), ("relabelled_share", 1.5)):
+    for field, value in (
+        ("latent_size", 0),
+        ("paired_hidden", (128, 0)),
+        ("reward_weight", 0.0),
+        ("policy_input", "sum"),
+        ("reward_hidden", -1),
+        ("relabelled_share", 1.5),
+    ):
         with pytest.raises(UserError, match=field):
             hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
 

@@ -16,21 +16,27 @@ A, B = 1, 2
 
 
 def test_ranks_and_choices_are_those_of_the_public_code():
-    """Returns without equals, and sparse ones ranked by a stable sort; equal ranks settled by return, and by advantage."""
+    """Returns without equals, and sparse ones ranked by a stable sort; equal ranks settled by return, and by
+    advantage."""
     for case in ("dense", "sparse"):
         returns, baselines = (jnp.asarray(RECORDED[f"{case}_{name}"], jnp.float32) for name in ("returns", "baselines"))
         ranks = ghrl.percentiles(returns)
         np.testing.assert_array_equal(ranks, RECORDED[f"{case}_ranks"])
         np.testing.assert_array_equal(ghrl.choose_task(ranks, returns), RECORDED[f"{case}_chosen"])
-        np.testing.assert_array_equal(ghrl.choose_task(ranks, returns - baselines), RECORDED[f"{case}_chosen_by_advantage"])
+        np.testing.assert_array_equal(
+            ghrl.choose_task(ranks, returns - baselines), RECORDED[f"{case}_chosen_by_advantage"]
+        )
     returns = jnp.asarray(RECORDED["cache_returns"], jnp.float32)
     np.testing.assert_array_equal(ghrl.percentiles(returns), RECORDED["cache_ranks"])
     tasks = RECORDED["cache_candidates"]  # Tasks of the columns, some of them twice.
-    np.testing.assert_array_equal(tasks[ghrl.choose_task(ghrl.percentiles(returns), returns)[:8]], RECORDED["cache_chosen"])
+    np.testing.assert_array_equal(
+        tasks[ghrl.choose_task(ghrl.percentiles(returns), returns)[:8]], RECORDED["cache_chosen"]
+    )
 
 
 def achieved_at(*rows: dict[int, int], steps: int = 10):
-    """Rows of one episode each that achieve these goals at these steps; several goals at once have places of their own."""
+    """Rows of one episode each that achieve these goals at these steps; several goals at once have places of their
+    own."""
     achieved = np.full((len(rows), steps + 1, 4), -1)
     for row, hits in enumerate(rows):
         for step, goal in hits.items():
@@ -44,7 +50,8 @@ def best_goals(rows, **changes):
 
 
 def test_an_episode_is_given_the_goal_that_it_reached_better_than_others():
-    """The first reaches A sooner than all others and B later than all others: it is given A, though it reached B first."""
+    """The first reaches A sooner than all others and B later than all others: it is given A, though it reached B
+    first."""
     rows = achieved_at({3: B, 6: A}, {2: B, 8: A}, {1: B, 9: A})
     table = best_goals(rows)
     assert table.goal[:, 0].tolist() == [A, B, B]
@@ -72,13 +79,17 @@ def by_hand(rows) -> tuple[np.ndarray, np.ndarray]:
     delays = [{} for _ in found]
     for (row, first, last), delay in zip(found, delays, strict=True):
         for step in range(last, first, -1):
-            delay |= {int(goal): step - first for goal in rows.record[row, step] if goal >= 0 and goal not in rows.record[row, first]}
+            delay |= {
+                int(goal): step - first
+                for goal in rows.record[row, step]
+                if goal >= 0 and goal not in rows.record[row, first]
+            }
     goals, hits = np.full((ROWS, STEPS + 1), -1), np.full((ROWS, STEPS + 1), -1)
     for (row, first, last), delay in zip(found, delays, strict=True):
         if delay:
             rank = {goal: sum(other.get(goal, np.inf) > delay[goal] for other in delays) for goal in delay}
             goal = max(delay, key=lambda goal: (rank[goal], -delay[goal], -goal))
-            goals[row, first:last + 1], hits[row, first:last + 1] = goal, first + delay[goal]
+            goals[row, first : last + 1], hits[row, first : last + 1] = goal, first + delay[goal]
     return goals, hits
 
 
@@ -99,21 +110,29 @@ def test_a_goal_that_held_at_the_start_was_not_reached():
 
 
 def test_the_environment_says_when_a_goal_was_reached():
-    """It may do so before the record is nearest to the goal: here a goal counts as reached from the one before it on."""
+    """It may do so before the record is nearest to the goal: here a goal counts as reached from the one before it
+    on."""
     rows = rows_of(np.ones((1, 4)), [[[1], [2], [3], [4], [5]]])
-    table = best_goals(rows, reached=lambda record, goal: ((record == goal[..., None]) | (record == goal[..., None] - 1)).any(-1))
+    table = best_goals(
+        rows, reached=lambda record, goal: ((record == goal[..., None]) | (record == goal[..., None] - 1)).any(-1)
+    )
     assert table.goal[0, 0] == 3 and (table.hit == 1).all()  # 2 held at the start by this judgement.
 
 
 def test_agrees_with_the_public_rule_where_no_two_returns_are_equal():
-    """Of the goals that were reached, that which `percentiles` and `choose_task` choose from the whole matrix of returns."""
+    """Of the goals that were reached, that which `percentiles` and `choose_task` choose from the whole matrix of
+    returns."""
     random, count, discount = np.random.default_rng(3), 10, 0.9
-    delay = np.stack([random.permutation(count) + 1 for _ in range(GOALS)], axis=1)  # [episodes, goals], different for each goal.
+    delay = np.stack(
+        [random.permutation(count) + 1 for _ in range(GOALS)], axis=1
+    )  # [episodes, goals], different for each goal.
     delay[random.random(delay.shape) < 0.4] = 0  # Never reached.
     achieved = np.full((count, count + 1, GOALS), -1)
     for row, goal in zip(*np.nonzero(delay), strict=True):
         again = random.random(count + 1) < 0.5
-        achieved[row, (np.arange(count + 1) == delay[row, goal]) | (again & (np.arange(count + 1) > delay[row, goal])), goal] = goal
+        achieved[
+            row, (np.arange(count + 1) == delay[row, goal]) | (again & (np.arange(count + 1) > delay[row, goal])), goal
+        ] = goal
     returns = jnp.asarray(np.where(delay > 0, discount ** (delay - 1.0), 0.0), jnp.float32)
     ranks = jnp.where(delay > 0, ghrl.percentiles(returns), -1)
     table = best_goals(rows_of(np.ones((count, count)), achieved))
@@ -121,7 +140,8 @@ def test_agrees_with_the_public_rule_where_no_two_returns_are_equal():
 
 
 def test_what_was_achieved_at_the_start_or_was_not_written_does_not_count():
-    """No transition led to a start; and rows not written yet hold no episodes, or A would be nothing special in the first row."""
+    """No transition led to a start; and rows not written yet hold no episodes, or A would be nothing special in the
+    first row."""
     rows = achieved_at({0: B}, {3: B, 6: A}, {2: B, 5: A}, {1: A})
     assert best_goals(rows).goal[:, 0].tolist() == [-1, B, B, A]
     table = best_goals(rows, written=jnp.asarray([True, True, False, False]))
@@ -131,11 +151,16 @@ def test_what_was_achieved_at_the_start_or_was_not_written_does_not_count():
 def relabelled(config, rows, row, step, **changes):
     """Goals that 1,000 transitions at this place are given, under commanded goal 0."""
     relabelling, places = ghrl.make(config), (jnp.full(1000, row), jnp.full(1000, step), jnp.zeros(1000, jnp.int32))
-    return np.asarray(jax.jit(lambda: relabelling.relabel(jax.random.key(0), relabelling.prepare(context(rows, **changes)), *places))())
+    return np.asarray(
+        jax.jit(
+            lambda: relabelling.relabel(jax.random.key(0), relabelling.prepare(context(rows, **changes)), *places)
+        )()
+    )
 
 
 def test_share_of_the_transitions_before_the_hit():
-    """Half of them by default; what comes after the goal was reached, and an episode that reached nothing, keep their goals."""
+    """Half of them by default; what comes after the goal was reached, and an episode that reached nothing, keep their
+    goals."""
     rows = achieved_at({4: A, 8: A}, {})
     np.testing.assert_allclose((relabelled(ghrl.GHRLConfig(), rows, 0, 3) == A).mean(), 0.5, atol=0.06)
     assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 0, 3) == A).all()
@@ -148,7 +173,8 @@ def test_share_of_the_transitions_before_the_hit():
 
 @pytest.mark.parametrize(("value", "passes"), [(0.9**3 - 0.01, True), (0.9**3 + 0.01, False)])
 def test_filter_accepts_what_is_no_worse_than_the_policy(value, passes):
-    """A goal reached by the fourth transition is worth discount^3; the value asked for is that of the episode's start and goal alone."""
+    """A goal reached by the fourth transition is worth discount^3; the value asked for is that of the episode's start
+    and goal alone."""
     rows = achieved_at({4: A})
     rows = rows.replace(observation=jnp.arange(11)[None])
 

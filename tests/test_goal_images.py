@@ -1,4 +1,5 @@
-"""Banks of goal images: the shipped ones, the file format and everything that can be wrong with a file, and the builder."""
+"""Banks of goal images: the shipped ones, the file format and everything that can be wrong with a file, and the
+builder."""
 
 import dataclasses
 import importlib.util
@@ -128,8 +129,14 @@ def small_bank(**changes) -> dict:
     positions = np.array([[1.0, 0.5, 0.4], [1.0, 0.525, 0.4], [1.01, 0.5, 0.4]], np.float32)
     images = np.random.default_rng(0).integers(0, 256, (3, 64, 64, 3), np.uint8)
     fields = {
-        "task": "fetch_push", "about": json.dumps({"seed": 3}), "spacing": 0.025, "grid_low": positions[0], "grid_shape": np.array([1, 2, 1]),
-        "uses": np.array([0, 0, 1], np.uint8), "positions": positions, "images": images,
+        "task": "fetch_push",
+        "about": json.dumps({"seed": 3}),
+        "spacing": 0.025,
+        "grid_low": positions[0],
+        "grid_shape": np.array([1, 2, 1]),
+        "uses": np.array([0, 0, 1], np.uint8),
+        "positions": positions,
+        "images": images,
     }
     return {field: value for field, value in (fields | changes).items() if value is not None}
 
@@ -170,7 +177,10 @@ BAD_FIELDS = {  # What is changed in a good file, and what the message must say.
     "pickled about": ({"about": np.array({"seed": 1}, object)}, ["about = unreadable", "pickled"]),
     "about is no JSON": ({"about": "built by hand"}, ["about = 'built by hand'", "no JSON"]),
     "about is a list": ({"about": "[1]"}, ["about = 'list'", "dict of words"]),
-    "images of 32 x 32": ({"images": np.zeros((3, 32, 32, 3), np.uint8)}, ["images = 'uint8 (3, 32, 32, 3)'", "64 x 64"]),
+    "images of 32 x 32": (
+        {"images": np.zeros((3, 32, 32, 3), np.uint8)},
+        ["images = 'uint8 (3, 32, 32, 3)'", "64 x 64"],
+    ),
     "grey images": ({"images": np.zeros((3, 64, 64), np.uint8)}, ["images = 'uint8 (3, 64, 64)'", "RGB"]),
     "images of four channels": ({"images": np.zeros((3, 64, 64, 4), np.uint8)}, ["(3, 64, 64, 4)", "RGB"]),
     "images of floats": ({"images": np.zeros((3, 64, 64, 3), np.float32)}, ["float32", "uint8"]),
@@ -180,15 +190,24 @@ BAD_FIELDS = {  # What is changed in a good file, and what the message must say.
     "uses of floats": ({"uses": np.array([0.0, 0.0, 1.0])}, ["uses = 'float64 (3,)'"]),
     "an unknown use": ({"uses": np.array([0, 0, 7], np.uint8)}, ["uses = 7", "3 (test)"]),
     "no training goal": ({"uses": np.array([0, 0, 3], np.uint8)}, ["no training goal"]),
-    "positions not finite": ({"positions": np.array([[1, 0.5, 0.4], [1, np.nan, 0.4], [1, 1, 1]], np.float32)}, ["positions = 'nan'", "finite"]),
+    "positions not finite": (
+        {"positions": np.array([[1, 0.5, 0.4], [1, np.nan, 0.4], [1, 1, 1]], np.float32)},
+        ["positions = 'nan'", "finite"],
+    ),
     "positions in a plane": ({"positions": np.zeros((3, 2), np.float32)}, ["positions = ", "(3, 3)"]),
     "positions as text": ({"positions": np.full((3, 3), "1.0")}, ["positions = "]),
     "grid does not come first": ({"uses": np.array([1, 0, 0], np.uint8)}, ["uses = ", "first"]),
     "grid of another size": ({"grid_shape": np.array([1, 3, 1])}, ["grid_shape = (1, 3, 1)", "2 goals of the grid"]),
     "grid of four axes": ({"grid_shape": np.array([1, 2, 1, 1])}, ["grid_shape = "]),
     "grid without goals": ({"grid_shape": np.array([0, 2, 1])}, ["grid_shape = (0, 2, 1)"]),
-    "grid in the other direction": ({"grid_shape": np.array([2, 1, 1])}, ["positions = [1.0, 0.525, 0.4]", "off the grid"]),
-    "grid elsewhere": ({"grid_low": np.array([1.0, 0.5, 0.5], np.float32)}, ["positions = [1.0, 0.5, 0.4]", "off the grid"]),
+    "grid in the other direction": (
+        {"grid_shape": np.array([2, 1, 1])},
+        ["positions = [1.0, 0.525, 0.4]", "off the grid"],
+    ),
+    "grid elsewhere": (
+        {"grid_low": np.array([1.0, 0.5, 0.5], np.float32)},
+        ["positions = [1.0, 0.5, 0.4]", "off the grid"],
+    ),
     "grid_low not finite": ({"grid_low": np.array([1.0, np.inf, 0.5])}, ["grid_low = 'inf'"]),
     "spacing of zero": ({"spacing": 0.0}, ["spacing = 0.0", "greater than 0"]),
     "spacing not finite": ({"spacing": np.nan}, ["spacing = nan"]),
@@ -232,9 +251,16 @@ def damaged(path, case: str):
 
 @pytest.mark.parametrize(
     ("case", "expected"),
-    [("no file", "no such file; build a bank"), ("a folder", "cannot be read"), ("an array", "not an npz"), ("text", "not an npz"),
-     ("nothing", "not an npz"), ("a zip of something else", "images missing"), ("cut short", "not an npz"),
-     ("a byte changed", "images = unreadable")],
+    [
+        ("no file", "no such file; build a bank"),
+        ("a folder", "cannot be read"),
+        ("an array", "not an npz"),
+        ("text", "not an npz"),
+        ("nothing", "not an npz"),
+        ("a zip of something else", "images missing"),
+        ("cut short", "not an npz"),
+        ("a byte changed", "images = unreadable"),
+    ],
 )
 def test_a_damaged_file_is_named(case, expected, tmp_path):
     path = tmp_path / "bank.npz"
@@ -244,7 +270,10 @@ def test_a_damaged_file_is_named(case, expected, tmp_path):
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize(("name", "expected"), [("fetch_slide", "no goal images of this task"), ("fetch_reech", "Did you mean 'fetch_reach'")])
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("fetch_slide", "no goal images of this task"), ("fetch_reech", "Did you mean 'fetch_reach'")],
+)
 def test_a_task_without_goal_images_is_named(name, expected):
     with pytest.raises(UserError, match=expected):
         goal_rendering.build(name)
@@ -252,7 +281,9 @@ def test_a_task_without_goal_images_is_named(name, expected):
 
 def test_without_gymnasium_robotics_the_builder_says_what_to_install(monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)  # As if it were not installed, where it is.
-    with pytest.raises(UserError, match=r"gymnasium-robotics = not installed.*pip install 'infogoal-jax\[goal-images\]'"):
+    with pytest.raises(
+        UserError, match=r"gymnasium-robotics = not installed.*pip install 'infogoal-jax\[goal-images\]'"
+    ):
         goal_rendering.build("fetch_push")
     assert main(["data", "build", "fetch", str(tmp_path / "banks")]) == 2
     assert "gymnasium-robotics==1.4.2" in capsys.readouterr().err
@@ -279,14 +310,20 @@ def test_a_package_without_the_scene_is_named(monkeypatch, tmp_path):
 def test_without_opengl_the_builder_says_what_to_install(monkeypatch, tmp_path):
     pretend_scene(tmp_path, ("push.xml",), monkeypatch)
     monkeypatch.setenv("MUJOCO_GL", "nonsense")
-    with pytest.raises(UserError, match="MUJOCO_GL = 'nonsense': MuJoCo could not open OpenGL .*MUJOCO_GL=egl.*libosmesa6"):
+    with pytest.raises(
+        UserError, match="MUJOCO_GL = 'nonsense': MuJoCo could not open OpenGL .*MUJOCO_GL=egl.*libosmesa6"
+    ):
         goal_rendering.build("fetch_push")
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
-    [("--tasks fetch_push", "push.npz"), ("--tasks fetch_slide", "fetch_slide"), ("--tasks", "tasks = ()"),
-     ("--seed -1 --tasks fetch_reach", "seed = -1")],
+    [
+        ("--tasks fetch_push", "push.npz"),
+        ("--tasks fetch_slide", "fetch_slide"),
+        ("--tasks", "tasks = ()"),
+        ("--seed -1 --tasks fetch_reach", "seed = -1"),
+    ],
 )
 def test_the_command_refuses_before_it_draws(arguments, expected, monkeypatch, tmp_path, capsys):
     pretend_scene(tmp_path / "package", ("reach.xml", "push.xml"), monkeypatch)

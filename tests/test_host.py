@@ -1,4 +1,5 @@
-"""Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in distribution."""
+"""Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in
+distribution."""
 
 import json
 import os
@@ -27,7 +28,8 @@ if at_once < 2:
     host.seeds_at_once = lambda *arguments: at_once
 config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
 seen = []
-sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(lambda progress: seen.extend(progress.epochs),), env=hand_made.environment())
+listen = lambda progress: seen.extend(progress.epochs)
+sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(listen,), env=hand_made.environment())
 assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
 """
 
@@ -47,7 +49,9 @@ def read_losses(folder: Path) -> list[float]:
 
 def train_on_two_devices(folder: Path, epochs: int, at_once: int) -> None:
     """Train four seeds on two devices, so many of a device's two at once."""
-    environment = os.environ | {"XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"}
+    environment = os.environ | {
+        "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
+    }
     command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), str(epochs), str(at_once)]
     subprocess.run(command, cwd=Path(__file__).parent, env=environment, check=True)
 
@@ -74,7 +78,8 @@ def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, 
 
 
 def test_slices_follow_from_the_memory_of_the_devices():
-    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10; the environment takes 30."""
+    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10;
+    the environment takes 30."""
     for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
         assert devices.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / devices.MEMORY_SHARE)) == at_once
     with pytest.raises(UserError, match="seeds = 10"):
@@ -85,7 +90,14 @@ def test_slices_follow_from_the_memory_of_the_devices():
 
 @pytest.mark.long
 def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
-    config = hand_made.config(num_epochs=16, epochs_per_evaluation=16, updates_per_epoch=50, batch_size=64, buffer_steps=5120, evaluation_starts=10)
+    config = hand_made.config(
+        num_epochs=16,
+        epochs_per_evaluation=16,
+        updates_per_epoch=50,
+        batch_size=64,
+        buffer_steps=5120,
+        evaluation_starts=10,
+    )
     train = make_train(config, hand_made.environment())
     keys = jax.random.split(jax.random.key(0), 32)
     together = np.asarray(jax.jit(jax.vmap(train))(keys).metrics["test_goal/success_rate"][:, -1])

@@ -1,4 +1,5 @@
-"""The synthetic house: the same seed gives the same house, pictures respect occlusion, moves can be undone, and the task is not too easy."""
+"""The synthetic house: the same seed gives the same house, pictures respect occlusion, moves can be undone, and the
+task is not too easy."""
 
 import json
 
@@ -126,10 +127,16 @@ def scene_of(*blocks):
     lower, upper, instance = zip(*blocks, strict=True)
     count = len(blocks)
     boxes = house_render.Boxes(
-        np.array(lower, np.float32), np.array(upper, np.float32), np.zeros((count, 6), int), np.zeros((count, 2), np.float32), np.array(instance)
+        np.array(lower, np.float32),
+        np.array(upper, np.float32),
+        np.zeros((count, 6), int),
+        np.zeros((count, 2), np.float32),
+        np.array(instance),
     )
     camera = house_render.Camera(80, 40, 90.0, 0.0)
-    levels = house_render.texture_levels(np.full((1, house_render.TEXTURE_SIZE, house_render.TEXTURE_SIZE, 3), 200, np.uint8))
+    levels = house_render.texture_levels(
+        np.full((1, house_render.TEXTURE_SIZE, house_render.TEXTURE_SIZE, 3), 200, np.uint8)
+    )
     return house_render.render(boxes, levels, camera, np.zeros(3, np.float32), 0.0, house_render.rays(camera, 0.0))
 
 
@@ -193,7 +200,11 @@ def test_pose_file_is_consistent(tiny):
 
 @pytest.mark.parametrize(
     ("argument", "match"),
-    [({"scene": "Flat_1"}, "scene = 'Flat_1'"), ({"node_spacing": 3.0}, "node_spacing = 3.0"), ({"image_width": 8}, "image_width = 8")],
+    [
+        ({"scene": "Flat_1"}, "scene = 'Flat_1'"),
+        ({"node_spacing": 3.0}, "node_spacing = 3.0"),
+        ({"image_width": 8}, "image_width = 8"),
+    ],
 )
 def test_bad_arguments_are_named(tmp_path, argument, match):
     with pytest.raises(UserError, match=match):
@@ -222,7 +233,9 @@ def cache(tmp_path, monkeypatch):
 def test_a_house_is_built_once_and_announced_in_one_line(cache, capsys):
     first = house.load(3, objects=AUTHORS_SPLIT.objects)
     message = capsys.readouterr().err
-    assert "house-3-1 is not in the cache yet" in message and "ten seconds" in message and len(message.splitlines()) == 1
+    assert (
+        "house-3-1 is not in the cache yet" in message and "ten seconds" in message and len(message.splitlines()) == 1
+    )
     second = house.load(3, objects=AUTHORS_SPLIT.objects)
     np.testing.assert_array_equal(first.images, second.images)
     assert cache == [3] and capsys.readouterr() == ("", "")

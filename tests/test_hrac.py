@@ -1,6 +1,5 @@
 """HRAC's high level: transitions from decision to decision, adjacency and gradients, on a task without physics."""
 
-
 import dataclasses
 
 import hand_made_points
@@ -41,7 +40,8 @@ def params(train):
 
 @pytest.fixture(scope="module")
 def rows(train):
-    """24 rows of 40 steps from fresh episodes, under subgoals that lead to the goal in half of the episodes and astray in the others."""
+    """24 rows of 40 steps from fresh episodes, under subgoals that lead to the goal in half of the episodes and astray
+    in the others."""
     env = train.env
 
     def policy(observation, goal, key):
@@ -68,7 +68,9 @@ def test_adjacent_states_may_lie_1_apart_and_others_have_to_lie_1_2_apart():
     for adjacent, errors in ((True, [0, 0, 0, 0.1, 0.2, 0.3, 2.0]), (False, [1.2, 0.3, 0.2, 0.1, 0, 0, 0])):
         for position in range(7):
             one = jnp.zeros(7).at[position].set(1.0)
-            np.testing.assert_allclose(adjacency_loss(distance, jnp.full(7, adjacent), one), errors[position], atol=1e-6)
+            np.testing.assert_allclose(
+                adjacency_loss(distance, jnp.full(7, adjacent), one), errors[position], atol=1e-6
+            )
         np.testing.assert_allclose(adjacency_loss(distance, jnp.full(7, adjacent), weight), np.mean(errors), atol=1e-6)
     assert adjacency_loss(distance, jnp.full(7, True), jnp.zeros(7)) == 0.0
 
@@ -88,7 +90,9 @@ def test_lengths_have_a_finite_gradient_at_0():
 def test_a_position_lies_in_the_cell_whose_centre_is_nearest(task, side):
     space = TargetSpace(TASKS[task])
     cells = Cells.over(space.bounds, side)
-    centres = cells.low + side * (np.stack(np.meshgrid(*map(np.arange, cells.shape), indexing="ij"), -1).reshape(-1, 3) + 0.5)
+    centres = cells.low + side * (
+        np.stack(np.meshgrid(*map(np.arange, cells.shape), indexing="ij"), -1).reshape(-1, 3) + 0.5
+    )
     assert len(centres) == cells.count
     place = np.random.default_rng(0).uniform(space.bounds[0] - 0.99 * side, space.bounds[1] + 0.99 * side, (500, 3))
     found = np.asarray(cells.of(jnp.asarray(place, jnp.float32)))
@@ -123,7 +127,9 @@ def test_cells_are_adjacent_once_they_were_k_steps_apart_and_stay_so(train, rows
             for first in range(41):
                 for second in range(first, min(first + K + 1, 41)):
                     if episode[row, first] == episode[row, second] and min(place[row, first], place[row, second]) >= 0:
-                        expected[place[row, first], place[row, second]] = expected[place[row, second], place[row, first]] = False
+                        expected[place[row, first], place[row, second]] = expected[
+                            place[row, second], place[row, first]
+                        ] = False
         np.testing.assert_array_equal(apart[0], expected)
     assert (apart == apart.transpose(0, 2, 1)).all() and not jnp.diagonal(apart, axis1=1, axis2=2).any()
 
@@ -140,7 +146,9 @@ def test_the_low_level_follows_each_decision_until_the_next(train, rows):
     targets, differs = [], 0
     for row, column in zip(*np.nonzero(np.asarray(rows.valid)), strict=True):
         decision = column - time[row, column] % K
-        target = np.clip(seen[row, decision, :3] + env.subgoal_scale * np.asarray(rows.action[row, decision]), low, high)
+        target = np.clip(
+            seen[row, decision, :3] + env.subgoal_scale * np.asarray(rows.action[row, decision]), low, high
+        )
         moved = np.clip(target - seen[row, column, :3], -hand_made_points.SPEED, hand_made_points.SPEED)
         np.testing.assert_allclose(seen[row, column + 1, :3], seen[row, column, :3] + moved, atol=1e-5)
         differs += not np.allclose(rows.action[row, column], rows.action[row, decision])
@@ -162,13 +170,20 @@ def by_hand(rows, discount: float, step_reward):
 
 @pytest.mark.parametrize("intrinsic_weight", [0.0, 3.0])
 def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weight):
-    """Eq. 5 and Eq. 16 over the steps of an interval; nothing after the end of an episode counts, and only termination ends what follows."""
+    """Eq. 5 and Eq. 16 over the steps of an interval; nothing after the end of an episode counts, and only termination
+    ends what follows."""
     env, parts = train.env, train.parts
     everything = jnp.ones(env.goals.num_goals, bool)
     codes = GoalCode(jax.random.normal(jax.random.key(1), (env.goals.num_goals, 4)), jnp.ones((env.goals.num_goals, 4)))
     experience = Experience(
-        buffer=rows, decision_count=replay.running_count(rows.valid & rows.decided), achieved=None, achieved_count=None, known=everything,
-        usable=everything, dissimilarity=None, codes=codes,
+        buffer=rows,
+        decision_count=replay.running_count(rows.valid & rows.decided),
+        achieved=None,
+        achieved_count=None,
+        known=everything,
+        usable=everything,
+        dissimilarity=None,
+        codes=codes,
     )
     row, first = (jnp.asarray(index) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
     batch = replay.transitions_at(rows, row, first, parts.agent.num_steps)
@@ -177,8 +192,15 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(parts, {"goal": None}, before, env, hyper, experience, with_rewards(env, experience, batch))
-        return reward, after, metrics, agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0))
+        reward, after, metrics = returns(
+            parts, {"goal": None}, before, env, hyper, experience, with_rewards(env, experience, batch)
+        )
+        return (
+            reward,
+            after,
+            metrics,
+            agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0)),
+        )
 
     reward, after, metrics, made = transitions()
 
@@ -206,12 +228,15 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     np.testing.assert_array_equal(made.action, rows.action[row, first])
     steps = np.array([steps for _, _, steps in expected.values()])
     terminated = np.asarray(made.discount == 0)
-    assert (steps[terminated] < K).any() and ((steps < K) & ~terminated).any()  # Ends within an interval, of both kinds.
+    assert (steps[terminated] < K).any() and (
+        (steps < K) & ~terminated
+    ).any()  # Ends within an interval, of both kinds.
 
 
 @pytest.fixture(scope="module")
 def gradients(train, rows):
-    """The gradient of HRAC's loss, and its metrics, for parameters, target parameters, hyperparameters and whether goal encoders are left alone."""
+    """The gradient of HRAC's loss, and its metrics, for parameters, target parameters, hyperparameters and whether goal
+    encoders are left alone."""
     row, first = (jnp.asarray(index[:64]) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
     batch = replay.transitions_at(rows, row, first, train.parts.agent.num_steps)
     cells = Cells.over(train.env.space.bounds, train.config.agent.cell)
@@ -221,8 +246,12 @@ def gradients(train, rows):
         parts = train.parts._replace(config=dataclasses.replace(train.config, stop_encoder_gradient=stop))
 
         def loss(params):
-            codes = agent_batch(parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1))
-            return parts.agent.loss(params["agent"], target_params["agent"], codes, apart, hyper.agent, jax.random.key(2))
+            codes = agent_batch(
+                parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1)
+            )
+            return parts.agent.loss(
+                params["agent"], target_params["agent"], codes, apart, hyper.agent, jax.random.key(2)
+            )
 
         return jax.grad(loss, has_aux=True)(params)
 
@@ -231,7 +260,9 @@ def gradients(train, rows):
 
 def scaled(params, name: str):
     """The parameters with another actor, critic or adjacency network."""
-    return params | {"agent": params["agent"] | {name: jax.tree.map(lambda leaf: 1.5 * leaf + 0.01, params["agent"][name])}}
+    return params | {
+        "agent": params["agent"] | {name: jax.tree.map(lambda leaf: 1.5 * leaf + 0.01, params["agent"][name])}
+    }
 
 
 def norm(tree) -> float:
@@ -250,10 +281,17 @@ def test_the_critic_trains_the_encoders_and_the_actor_trains_nothing_but_itself(
         assert norm(part) > 0
     other_actor, _ = gradients(scaled(params, "actor"), params, hyper)
     for gradient in (found, other_actor):
-        gradient["others"] = [gradient["goal"], gradient["state"], gradient["agent"]["critic"], gradient["agent"]["adjacency"]]
+        gradient["others"] = [
+            gradient["goal"],
+            gradient["state"],
+            gradient["agent"]["critic"],
+            gradient["agent"]["adjacency"],
+        ]
     assert_close(other_actor["others"], found["others"])
     other_critic, _ = gradients(scaled(params, "critic"), params, hyper)
-    assert norm(jax.tree.map(jnp.subtract, other_critic["agent"]["actor"], found["agent"]["actor"])) > 1e-4  # It climbs the critic.
+    assert (
+        norm(jax.tree.map(jnp.subtract, other_critic["agent"]["actor"], found["agent"]["actor"])) > 1e-4
+    )  # It climbs the critic.
     assert_close(other_critic["agent"]["adjacency"], found["agent"]["adjacency"])
 
 
@@ -279,7 +317,9 @@ def test_targets_come_from_the_target_networks_where_an_episode_goes_on(train, p
 
 def test_the_adjacency_penalty_moves_the_actor_alone(train, params, gradients):
     far_off = scaled(params, "adjacency")
-    far_off["agent"]["adjacency"] = jax.tree.map(lambda leaf: 4.0 * leaf, far_off["agent"]["adjacency"])  # Everything lies far apart.
+    far_off["agent"]["adjacency"] = jax.tree.map(
+        lambda leaf: 4.0 * leaf, far_off["agent"]["adjacency"]
+    )  # Everything lies far apart.
     free, metrics = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 0.0}))
     bound, _ = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 20.0}))
     assert metrics["adjacency_penalty"] > 0

@@ -1,4 +1,5 @@
-"""HRAC's adjacency network against the numbers of its authors' code (fixtures/README.md), and where ours is meant to differ."""
+"""HRAC's adjacency network against the numbers of its authors' code (fixtures/README.md), and where ours is meant to
+differ."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +30,11 @@ def test_margins_are_those_of_the_authors_code():
 
 def test_adjacency_loss_and_its_gradients_are_those_of_the_authors_code():
     """Among the pairs are two that coincide, one adjacent and one not: their gradient is 0."""
-    first, second, adjacent = jnp.asarray(FIXTURE["first"]), jnp.asarray(FIXTURE["second"]), jnp.asarray(FIXTURE["labels"] == 1)
+    first, second, adjacent = (
+        jnp.asarray(FIXTURE["first"]),
+        jnp.asarray(FIXTURE["second"]),
+        jnp.asarray(FIXTURE["labels"] == 1),
+    )
 
     def loss(first, second, weight):
         return hrac.adjacency_loss(hrac.length(first - second), adjacent, weight)
@@ -45,9 +50,13 @@ def test_adjacency_loss_and_its_gradients_are_those_of_the_authors_code():
 
 
 def test_penalty_of_subgoals_and_its_gradient_are_those_of_the_authors_code():
-    """Through the authors' network. They add 1e-6 to each difference of codes and nothing under the root: less than 1e-5 of the numbers here."""
+    """Through the authors' network. They add 1e-6 to each difference of codes and nothing under the root: less than
+    1e-5 of the numbers here."""
     network = networks.MLP((24, 24, 24), 32)
-    layers = {f"Dense_{n}": {"kernel": FIXTURE[f"network_kernel_{n + 1}"], "bias": FIXTURE[f"network_bias_{n + 1}"]} for n in range(4)}
+    layers = {
+        f"Dense_{n}": {"kernel": FIXTURE[f"network_kernel_{n + 1}"], "bias": FIXTURE[f"network_bias_{n + 1}"]}
+        for n in range(4)
+    }
     states = jnp.asarray(FIXTURE["states"])
 
     def embed(states):
@@ -69,7 +78,9 @@ def high_level(interval: int):
     """HRAC's high level over positions in the plane, with cells of side 1 around whole numbers; and those cells."""
     reach = np.abs(FIXTURE["cells"]).max()
     cells = Cells.over(np.array([[-reach, -reach], [reach, reach]]), 1.0)
-    space = SimpleNamespace(size=2, components=1, cells=lambda side: cells, of=lambda states: states, parts=lambda states: states[None])
+    space = SimpleNamespace(
+        size=2, components=1, cells=lambda side: cells, of=lambda states: states, parts=lambda states: states[None]
+    )
     return hrac.make(hrac.HRACConfig(interval=interval, cell=1.0), SimpleNamespace(space=space)), cells
 
 
@@ -81,7 +92,8 @@ def rows_of(trajectories) -> Trajectories:
 
 
 def remembered(interval: int, trajectories) -> np.ndarray:
-    """What `observe` remembers as adjacent after these trajectories, three at a time, between the recorded cells: bool [49, 49]."""
+    """What `observe` remembers as adjacent after these trajectories, three at a time, between the recorded cells: bool
+    [49, 49]."""
     agent, cells = high_level(interval)
     apart = pairs.initial_dissimilarity(cells.count)[None]
     for start in range(0, len(trajectories), 3):
@@ -95,15 +107,21 @@ def remembered(interval: int, trajectories) -> np.ndarray:
 def test_adjacent_cells_are_those_of_the_authors_code_for_an_interval_one_longer(count, recorded):
     """Theirs are adjacent up to k - 1 steps apart, ours up to k."""
     known = len(FIXTURE[recorded])
-    np.testing.assert_array_equal(remembered(INTERVAL - 1, FIXTURE["trajectories"][:count])[:known, :known], FIXTURE[recorded])
+    np.testing.assert_array_equal(
+        remembered(INTERVAL - 1, FIXTURE["trajectories"][:count])[:known, :known], FIXTURE[recorded]
+    )
 
 
 def test_cells_k_steps_apart_are_adjacent_here():
-    """By HRAC's definition (a subgoal is reached within k steps). Nothing else is added, and the network here is trained on pairs k steps apart."""
+    """By HRAC's definition (a subgoal is reached within k steps). Nothing else is added, and the network here is
+    trained on pairs k steps apart."""
     ours = remembered(INTERVAL, FIXTURE["trajectories"])
     expected = FIXTURE["adjacency"].astype(bool)
     number = {tuple(cell): index for index, cell in enumerate(FIXTURE["cells"].tolist())}
-    visited = [[number[tuple(cell)] for cell in trajectory] for trajectory in np.round(FIXTURE["trajectories"]).astype(int).tolist()]
+    visited = [
+        [number[tuple(cell)] for cell in trajectory]
+        for trajectory in np.round(FIXTURE["trajectories"]).astype(int).tolist()
+    ]
     for trajectory in visited:
         for first, second in zip(trajectory, trajectory[INTERVAL:], strict=False):
             expected[first, second] = expected[second, first] = True
@@ -112,8 +130,11 @@ def test_cells_k_steps_apart_are_adjacent_here():
 
 
 def test_recorded_training_pairs_carry_the_labels_that_are_remembered():
-    """The authors train on every pair of cells once; here the label of a pair of states is looked up by their cells in the same way."""
+    """The authors train on every pair of cells once; here the label of a pair of states is looked up by their cells in
+    the same way."""
     number = {tuple(cell): index for index, cell in enumerate(FIXTURE["cells"].tolist())}
-    first, second = ([number[tuple(cell)] for cell in FIXTURE[f"training_{name}"].tolist()] for name in ("first", "second"))
+    first, second = (
+        [number[tuple(cell)] for cell in FIXTURE[f"training_{name}"].tolist()] for name in ("first", "second")
+    )
     ours = remembered(INTERVAL - 1, FIXTURE["trajectories"])
     np.testing.assert_array_equal(ours[first, second], FIXTURE["training_labels"])

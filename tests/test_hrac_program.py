@@ -1,4 +1,5 @@
-"""The whole program with HRAC, on a world of points without physics (`hand_made_points`) and on the real tasks made small."""
+"""The whole program with HRAC, on a world of points without physics (`hand_made_points`) and on the real tasks made
+small."""
 
 import hand_made_points
 import jax
@@ -31,7 +32,9 @@ def sweep(program):
 def plain(tree):
     """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
     is_key = jax.dtypes.prng_key
-    return jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree)
+    return jax.tree.map(
+        lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree
+    )
 
 
 def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
@@ -47,12 +50,18 @@ def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
 
 def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_may_be(program, sweep):
     train, _ = program
-    assert set(sweep.params) == {"goal", "state", "agent"} and set(sweep.params["agent"]) == {"actor", "critic", "adjacency"}
+    assert set(sweep.params) == {"goal", "state", "agent"} and set(sweep.params["agent"]) == {
+        "actor",
+        "critic",
+        "adjacency",
+    }
     assert train.env.low_level.gain == 1.0
     for matrix in (sweep.state.dissimilarity, sweep.state.agent[:, 0]):
         assert (matrix == matrix.transpose(0, 2, 1)).all() and not jnp.diagonal(matrix, axis1=1, axis2=2).any()
     goals = train.env.goals
-    assert sweep.state.dissimilarity[:, goals.evaluated].sum() == 3 * len(goals.evaluated) * (goals.num_goals - 1)  # Never achieved: the grid is.
+    assert sweep.state.dissimilarity[:, goals.evaluated].sum() == 3 * len(goals.evaluated) * (
+        goals.num_goals - 1
+    )  # Never achieved: the grid is.
     buffer = sweep.state.buffer
     commanded = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
     np.testing.assert_array_equal(commanded, goals.commanded)
@@ -88,13 +97,21 @@ def test_first_updates_of_vmapped_seeds_equal_single_runs(method):
 
 @pytest.fixture(scope="module")
 def trained():
-    """What three seeds come to, by the weight of the backgrounds that their goals are corrupted with while they train."""
+    """What three seeds come to, by the weight of the backgrounds that their goals are corrupted with while they
+    train."""
     made = {}
 
     def train(weight: float, change=lambda env: env):
         if weight not in made:
-            config = hand_made_points.config(num_epochs=24, epochs_per_evaluation=8, updates_per_epoch=40, num_envs=16, buffer_steps=10_000,
-                                             evaluation_starts=4, training_corruption=weight)
+            config = hand_made_points.config(
+                num_epochs=24,
+                epochs_per_evaluation=8,
+                updates_per_epoch=40,
+                num_envs=16,
+                buffer_steps=10_000,
+                evaluation_starts=4,
+                training_corruption=weight,
+            )
             made[weight] = make_train(config, hand_made_points.steered())
             made[weight, "compiled"] = jax.jit(jax.vmap(made[weight], in_axes=(0, None, None)))
         hyper = made[weight].config.hyper.replace(learning_rate=3e-3, target_rate=0.05, intrinsic_weight=1.0)
@@ -126,7 +143,9 @@ def test_training_looks_at_training_backgrounds_alone_and_only_when_it_corrupts(
     for weight in (0.0, 0.4):
         result, again = trained(weight), trained(weight, other_test)
         jax.tree.map(np.testing.assert_array_equal, again.params, result.params)
-        assert not np.array_equal(again.metrics["corrupted_test_goal/episode_length"], result.metrics["corrupted_test_goal/episode_length"])
+        assert not np.array_equal(
+            again.metrics["corrupted_test_goal/episode_length"], result.metrics["corrupted_test_goal/episode_length"]
+        )
         changed = trained(weight, other_train)
         assert np.array_equal(changed.epochs["agent/loss"], result.epochs["agent/loss"]) == (weight == 0.0)
     assert not np.array_equal(trained(0.0).epochs["agent/loss"], trained(0.4).epochs["agent/loss"])
@@ -141,7 +160,10 @@ def test_fetch_reach_trains_with_its_own_physics(reach_run):
     for row in (*epochs, *evaluations):
         assert all(np.isfinite(value).all() for value in row.values())
     assert {"test_goal/success_rate", "corrupted_test_goal_mean_code/success_rate"} <= set(evaluations[-1])
-    assert epochs[-1]["env_steps"] > 0.8 * config.num_epochs * config.num_envs * config.rollout_steps and epochs[-1]["collect/goals_seen"] > 8
+    assert (
+        epochs[-1]["env_steps"] > 0.8 * config.num_epochs * config.num_envs * config.rollout_steps
+        and epochs[-1]["collect/goals_seen"] > 8
+    )
     one, other = (row["agent/loss"] for row in epochs[-2:])
     assert one != other  # Two seeds.
 
@@ -149,14 +171,26 @@ def test_fetch_reach_trains_with_its_own_physics(reach_run):
 @pytest.mark.long
 def test_fetch_push_trains_with_its_own_physics():
     """Grip and object: a subgoal of six numbers, two adjacency networks."""
-    config = presets.load("fetch_push", num_epochs=2, epochs_per_evaluation=1, num_envs=8, updates_per_epoch=5, batch_size=32, buffer_steps=1000,
-                          evaluation_starts=1)
+    config = presets.load(
+        "fetch_push",
+        num_epochs=2,
+        epochs_per_evaluation=1,
+        num_envs=8,
+        updates_per_epoch=5,
+        batch_size=32,
+        buffer_steps=1000,
+        evaluation_starts=1,
+    )
     train = make_train(config)
-    result = jax.jit(jax.vmap(train, in_axes=(0, None, None)))(jax.random.split(jax.random.key(0), 2), config.hyper, train.env)
+    result = jax.jit(jax.vmap(train, in_axes=(0, None, None)))(
+        jax.random.split(jax.random.key(0), 2), config.hyper, train.env
+    )
     assert all(np.isfinite(values).all() for values in {**result.metrics, **result.epochs}.values())
     assert result.metrics["corrupted_test_goal/success_rate"].shape == (2, 2)
     assert result.state.buffer.action.shape[-1] == 6 and (jnp.abs(result.state.buffer.action) <= 1).all()
     apart = np.asarray(result.state.agent)
     assert apart.shape[:2] == (2, 2) and (apart == apart.swapaxes(2, 3)).all()
     learned = (~apart).sum((2, 3)) - apart.shape[2]
-    assert (learned[:, 0] > learned[:, 1]).all() and (learned[:, 0] > 50).all()  # The grip moves about more than the object.
+    assert (learned[:, 0] > learned[:, 1]).all() and (
+        learned[:, 0] > 50
+    ).all()  # The grip moves about more than the object.

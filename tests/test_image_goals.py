@@ -1,4 +1,5 @@
-"""Fetch with image goals: what counts as reached and as achieved, corrupted goal images, and mistakes named before anything is compiled."""
+"""Fetch with image goals: what counts as reached and as achieved, corrupted goal images, and mistakes named before
+anything is compiled."""
 
 import os
 import subprocess
@@ -33,10 +34,13 @@ GRIDS = {}
 
 @pytest.fixture(params=presets.FETCH_TASKS)
 def grid(request):
-    """The shipped goals of each task over a robot that is only a point, and the positions [N, 3] of the grid among them."""
+    """The shipped goals of each task over a robot that is only a point, and the positions [N, 3] of the grid among
+    them."""
     if request.param not in GRIDS:
         bank = goal_images.load(goal_images.shipped(request.param), request.param)
-        blank = SimpleNamespace(train=np.zeros((1, 64, 64, 3), np.uint8), test=np.zeros((1, 64, 64, 3), np.uint8), source="blank")
+        blank = SimpleNamespace(
+            train=np.zeros((1, 64, 64, 3), np.uint8), test=np.zeros((1, 64, 64, 3), np.uint8), source="blank"
+        )
         env = lay_out(hand_made_points.Point(), bank, blank, bank.uses.astype(int) - 1)
         GRIDS[request.param] = env, bank.positions[bank.uses == goal_images.GRID]
     return GRIDS[request.param]
@@ -60,12 +64,18 @@ def params(train):
 def test_a_position_counts_as_the_nearest_goal_of_the_grid(grid):
     env, positions = grid
     generator = np.random.default_rng(0)
-    around = np.concatenate([generator.uniform(positions.min(0), positions.max(0), (700, 3)),
-                             generator.uniform(positions.min(0) - 0.9 * env.spacing, positions.max(0) + 0.9 * env.spacing, (300, 3))])
+    around = np.concatenate(
+        [
+            generator.uniform(positions.min(0), positions.max(0), (700, 3)),
+            generator.uniform(positions.min(0) - 0.9 * env.spacing, positions.max(0) + 0.9 * env.spacing, (300, 3)),
+        ]
+    )
     distance = np.linalg.norm(around[:, None] - positions, axis=-1)
     found = np.asarray(env.goals_of(jnp.asarray(around, jnp.float32)))
     assert found.shape == (1000, 1) and (found >= 0).all()
-    np.testing.assert_allclose(distance[np.arange(1000), found[:, 0]], distance.min(1), atol=1e-5)  # Two may be as near.
+    np.testing.assert_allclose(
+        distance[np.arange(1000), found[:, 0]], distance.min(1), atol=1e-5
+    )  # Two may be as near.
     np.testing.assert_array_equal(env.goals_of(jnp.asarray(positions))[:, 0], np.arange(len(positions)))
 
 
@@ -126,7 +136,11 @@ def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(meth
     one_by_one = learner.encode(params, env.goals.inputs[goals])
 
     def every_way(params):
-        ways = [encode(learner, params, env.goals, limit)(goals) for limit in (1, 1000) for encode in (encode_commanded, encode_goals)]
+        ways = [
+            encode(learner, params, env.goals, limit)(goals)
+            for limit in (1, 1000)
+            for encode in (encode_commanded, encode_goals)
+        ]
         return [*ways, encode_all(learner, params, env.goals)[goals]]
 
     for codes in jax.jit(every_way)(params):
@@ -139,7 +153,12 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     pixels = SimpleNamespace(encode=lambda params, images: GoalCode(images.astype(jnp.float32), jnp.zeros(())))
     goals = jnp.repeat(env.goals.commanded, 50)
     parts = SimpleNamespace(config=SimpleNamespace(training_corruption=0.5), learner=SimpleNamespace(augment=None))
-    assert training_view(SimpleNamespace(config=SimpleNamespace(training_corruption=0.0), learner=parts.learner), env, augmented=True) is None
+    assert (
+        training_view(
+            SimpleNamespace(config=SimpleNamespace(training_corruption=0.0), learner=parts.learner), env, augmented=True
+        )
+        is None
+    )
     view = training_view(parts, env, augmented=True)
     for encode in (encode_commanded, encode_goals):
         seen = encode(pixels, None, env.goals, 1000, view, jax.random.key(0))(goals).mean
@@ -164,7 +183,8 @@ STARTS = 5
 
 @pytest.fixture(scope="module")
 def mean_code_actions(train, params):
-    """What each policy of an evaluation does with mean codes, all episodes in one place: {"", "corrupted_"} to [M, STARTS, 3]."""
+    """What each policy of an evaluation does with mean codes, all episodes in one place: {"", "corrupted_"} to [M,
+    STARTS, 3]."""
 
     @partial(jax.jit, static_argnums=2)
     def actions(env, key, seed):
@@ -184,7 +204,9 @@ def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(tra
     assert np.ptp(actions[""], axis=1).max() < 1e-5  # Clean: the same goal, the same action.
     assert (np.ptp(actions["corrupted_"], axis=1).max(-1) > 1e-5).all()  # A background of its own for each start.
     later = mean_code_actions(train.env, key=1)
-    jax.tree.map(np.testing.assert_array_equal, later, actions)  # The same from step to step, and in the next evaluation.
+    jax.tree.map(
+        np.testing.assert_array_equal, later, actions
+    )  # The same from step to step, and in the next evaluation.
     other = mean_code_actions(train.env, seed=8)
     np.testing.assert_allclose(other[""], actions[""], atol=1e-5)
     assert not np.allclose(other["corrupted_"], actions["corrupted_"])
@@ -202,7 +224,9 @@ def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
     def actions(params):
         policies = train.test_policies(params, train.config.hyper, train.env, STARTS, corruption=0.0)
         starts = goal_starts(train.env, STARTS)
-        return {name: policy(train.env.observe(starts), starts.goal, jax.random.key(0)) for name, policy in policies.items()}
+        return {
+            name: policy(train.env.observe(starts), starts.goal, jax.random.key(0)) for name, policy in policies.items()
+        }
 
     found = actions(params)
     for suffix in ("", "_mean_code"):
@@ -240,7 +264,10 @@ MISTAKES = [
     ("train fetch_reach --agent.interval 51", ["agent.interval = 51", "episode length, 50"]),
     ("train fetch_reach --agent.subgoal-scale 0", ["agent.subgoal_scale = 0.0", "metres"]),
     ("train fetch_reach --agent.cell 0.01", ["agent.cell = 0.01"]),
-    (f"train fetch_reach --agent.low-level {shipped('fetch_push')}", ["'fetch_push'", "'fetch_reach'", "infogoal pretrain fetch_reach"]),
+    (
+        f"train fetch_reach --agent.low-level {shipped('fetch_push')}",
+        ["'fetch_push'", "'fetch_reach'", "infogoal pretrain fetch_reach"],
+    ),
     ("train fetch_reach --agent.low-level nothing", ["'nothing'", "no such file"]),
     (f"train fetch_reach --env.goal-images {PUSH}", [str(PUSH), "task = 'fetch_push'", "'fetch_reach'"]),
     ("train fetch_reach --env.goal-images nothing.npz", ["'nothing.npz'", "no such file", "infogoal data build fetch"]),
@@ -250,7 +277,9 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments.split("/")[0] for arguments, _ in MISTAKES])
+@pytest.mark.parametrize(
+    ("arguments", "expected"), MISTAKES, ids=[arguments.split("/")[0] for arguments, _ in MISTAKES]
+)
 def test_a_mistake_is_named_before_anything_is_compiled(arguments, expected, tmp_path, monkeypatch, capsys):
     def refuse(*arguments, **options):
         raise AssertionError("compiled before the mistake was found")
@@ -266,8 +295,18 @@ def test_a_mistake_is_named_before_anything_is_compiled(arguments, expected, tmp
 
 
 def test_a_mistake_ends_a_process_with_status_2_and_no_traceback(tmp_path):
-    command = [sys.executable, "-m", "infogoal_jax", "train", "fetch_reach", "--agent.low-level", str(shipped("fetch_push"))]
-    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)}, cwd=tmp_path)
+    command = [
+        sys.executable,
+        "-m",
+        "infogoal_jax",
+        "train",
+        "fetch_reach",
+        "--agent.low-level",
+        str(shipped("fetch_push")),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)}, cwd=tmp_path
+    )
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "'fetch_push', not 'fetch_reach'" in done.stderr
 

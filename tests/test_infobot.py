@@ -27,7 +27,11 @@ def start(**changes):
     """A small learner with its parameters and state, and inputs of eight goals; beta does not warm up."""
     learner = infobot.make(infobot.InfoBotConfig(**({"hidden": (32,), "latent_size": 8, "warm_up": 0} | changes)))
     inputs = jax.random.normal(jax.random.key(0), (GOALS, 16))
-    return learner, *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), InfoBotHyperparameters()), inputs
+    return (
+        learner,
+        *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), InfoBotHyperparameters()),
+        inputs,
+    )
 
 
 def by_hand(code: GoalCode) -> np.ndarray:
@@ -43,7 +47,9 @@ def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditione
     code = learner.encode(params, inputs[desired])
     code = learner.condition(params, code, features) if state_conditioned else code
     kl = by_hand(code).mean()  # Goal 0 counts twice.
-    batch = hand_made.learner_batch(learner.encode(params, inputs).__getitem__, desired=desired, transitions=Transitions(features))
+    batch = hand_made.learner_batch(
+        learner.encode(params, inputs).__getitem__, desired=desired, transitions=Transitions(features)
+    )
     state = state.replace(counts=jnp.array([0.0, 2.0, 0.0, 1.0, 0.0]))
     loss, metrics, after = learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.03), jax.random.key(3))
     np.testing.assert_allclose(loss, 0.03 * kl / np.log(2), rtol=1e-4)
@@ -176,9 +182,11 @@ def test_code_of_the_state_conditioned_form_depends_on_state_and_goal():
 
 
 def test_kl_of_the_state_conditioned_form_shapes_both_encoders():
-    """Its gradient reaches the goal's half, the joint layers and the features of the state; it is finite for a state without any feature."""
+    """Its gradient reaches the goal's half, the joint layers and the features of the state; it is finite for a state
+    without any feature."""
     learner, params, state, inputs = start(state_conditioned=True)
     for features in (jax.random.normal(jax.random.key(6), (3, FEATURES)), jnp.zeros((3, FEATURES))):
+
         def loss(params, features):
             encode = learner.encode(params, inputs).__getitem__
             batch = hand_made.learner_batch(encode, desired=jnp.array([0, 1, 2]), transitions=Transitions(features))
@@ -200,7 +208,9 @@ def test_gradient_is_zero_and_finite_at_the_standard_normal():
 
 
 def test_a_run_is_finite_and_counts_every_collected_step():
-    config = hand_made.config("infobot", num_epochs=1, epochs_per_evaluation=1, learner=infobot.InfoBotConfig(warm_up=0))
+    config = hand_made.config(
+        "infobot", num_epochs=1, epochs_per_evaluation=1, learner=infobot.InfoBotConfig(warm_up=0)
+    )
     train = make_train(config, hand_made.environment())
     result = jax.jit(train)(jax.random.key(0), train.config.hyper.replace(intrinsic_weight=1.0))
     for name, values in (result.metrics | result.epochs).items():

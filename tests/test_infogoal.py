@@ -1,4 +1,5 @@
-"""InfoGoal's loss, multiplier and intrinsic reward are those of the paper, in the readings that docs/infogoal.md states."""
+"""InfoGoal's loss, multiplier and intrinsic reward are those of the paper, in the readings that docs/infogoal.md
+states."""
 
 import itertools
 
@@ -35,12 +36,15 @@ def mutual_information(joint: np.ndarray) -> float:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_bound_of_theorem_3_never_exceeds_the_mutual_information(seed):
-    """Exactly, by enumeration: the sum over the whole of X, and one or two negatives drawn from the marginal with log(K + 1) added."""
+    """Exactly, by enumeration: the sum over the whole of X, and one or two negatives drawn from the marginal with log(K
+    + 1) added."""
     generator = np.random.default_rng(seed)
     size = 4
     joint = generator.dirichlet(np.full(size * size, 0.2)).reshape(size, size)
     information, marginal = mutual_information(joint), joint.sum(0)
-    best = np.log(joint / (joint.sum(1, keepdims=True) * marginal) + 1e-12)  # The score for which the sampled bound is tightest.
+    best = np.log(
+        joint / (joint.sum(1, keepdims=True) * marginal) + 1e-12
+    )  # The score for which the sampled bound is tightest.
     for log_f in (best, generator.normal(size=(size, size)), generator.normal(size=(size, size)) * 5):
         others = np.stack([[np.delete(log_f[x], y) for y in range(size)] for x in range(size)])
         whole = np.asarray(infogoal.contrastive_bound(jnp.asarray(log_f), jnp.asarray(others)))
@@ -61,12 +65,22 @@ def test_bound_is_tight_where_it_can_be():
     assert abs(float(infogoal.contrastive_bound(jnp.diagonal(log_f), others).mean())) < 1e-6
 
 
-@pytest.mark.parametrize(("rule", "accuracy", "expected"), [
-    ("linear", 1.0, 0.5 + 2.5e-4 * 0.04), ("linear", 0.5, 0.5 - 2.5e-4 * 0.46), ("sign", 0.97, 0.5 + 1e-5), ("sign", 0.2, 0.5 - 1e-5),
-])
+@pytest.mark.parametrize(
+    ("rule", "accuracy", "expected"),
+    [
+        ("linear", 1.0, 0.5 + 2.5e-4 * 0.04),
+        ("linear", 0.5, 0.5 - 2.5e-4 * 0.46),
+        ("sign", 0.97, 0.5 + 1e-5),
+        ("sign", 0.2, 0.5 - 1e-5),
+    ],
+)
 def test_beta_follows_equation_15(rule, accuracy, expected):
     config = infogoal.InfoGoalConfig(beta_rule=rule)
-    assert np.isclose(infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), InfoGoalHyperparameters()), expected, atol=1e-8)
+    assert np.isclose(
+        infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), InfoGoalHyperparameters()),
+        expected,
+        atol=1e-8,
+    )
 
 
 def test_beta_never_leaves_zero_to_one():
@@ -139,7 +153,9 @@ def train_codes(loss: str, beta: jax.Array, updates: int = 1500) -> jax.Array:
 
         def objective(params):
             codes = learner.encode(params, inputs)
-            loss, metrics, _ = learner.loss(params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), hyper, keys[3])
+            loss, metrics, _ = learner.loss(
+                params, state, hand_made.learner_batch(codes.__getitem__, pairs=batch), hyper, keys[3]
+            )
             return loss, metrics
 
         gradient, metrics = jax.grad(objective, has_aux=True)(params)

@@ -1,6 +1,8 @@
-"""Another laboratory's recordings, from a folder of images and a CSV to a trained and evaluated policy, all by the command line.
+"""Another laboratory's recordings, from a folder of images and a CSV to a trained and evaluated policy, all by the
+command line.
 
-The two functions that make the recordings know nothing of this project: they write images and a CSV as a person with a camera would.
+The two functions that make the recordings know nothing of this project: they write images and a CSV as a person with a
+camera would.
 """
 
 import csv
@@ -13,12 +15,26 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import questions
 
-TINY = ["--num-epochs", "1", "--epochs-per-evaluation", "1", "--updates-per-epoch", "3", "--batch-size", "32", "--evaluation-starts", "1",
-        "--state-encoder.features", "16", "--no-figures"]
+TINY = [
+    "--num-epochs",
+    "1",
+    "--epochs-per-evaluation",
+    "1",
+    "--updates-per-epoch",
+    "3",
+    "--batch-size",
+    "32",
+    "--evaluation-starts",
+    "1",
+    "--state-encoder.features",
+    "16",
+    "--no-figures",
+]
 
 
 def photograph_turntable(folder):
-    """A turntable with a tilting arm: 12 x 5 settings in steps of 30 degrees, a picture of each, and a CSV of joints and poses."""
+    """A turntable with a tilting arm: 12 x 5 settings in steps of 30 degrees, a picture of each, and a CSV of joints
+    and poses."""
     folder.mkdir()
     rows = []
     for turn in range(-180, 180, 30):
@@ -46,7 +62,9 @@ def film_corridor(folder, objects):
         for time in range(20):
             move = "forward" if place == 0 or (place < 11 and random.random() < 0.5) else "back"
             seen = ";".join(name for number, name in enumerate(objects) if abs(place - 3 * number - 1) <= 1)
-            rows.append([f"{place:02d}.jpg", f"drive {drive}", time, move if time < 19 else "", place, 0.5 * place, 0.0, seen])
+            rows.append(
+                [f"{place:02d}.jpg", f"drive {drive}", time, move if time < 19 else "", place, 0.5 * place, 0.0, seen]
+            )
             place += 1 if move == "forward" else -1
     with open(folder / "drives.csv", "w", newline="") as file:
         csv.writer(file).writerows([["image", "trajectory", "time", "action", "state", "x", "y", "objects"], *rows])
@@ -60,11 +78,39 @@ def run(*arguments):
 def test_poses_of_a_turntable(tmp_path, capsys):
     """Imported, checked, trained on with image goals, evaluated."""
     photograph_turntable(tmp_path / "photos")
-    given = [tmp_path / "photos", tmp_path / "photos" / "poses.csv", "--out", tmp_path / "table.npz", "--wrap", "turn", "--name", "turntable"]
+    given = [
+        tmp_path / "photos",
+        tmp_path / "photos" / "poses.csv",
+        "--out",
+        tmp_path / "table.npz",
+        "--wrap",
+        "turn",
+        "--name",
+        "turntable",
+    ]
     run("data", "import", *given)
     run("data", "check", tmp_path / "table.npz")
-    run("train", "object_manipulation", "--method", "none", "--agent", "dqn", "--env.dataset", tmp_path / "table.npz", "--env.num-goals", 4, 0, 4,
-        "--num-envs", 4, "--rollout-steps", 10, "--out", tmp_path / "run", *TINY)
+    run(
+        "train",
+        "object_manipulation",
+        "--method",
+        "none",
+        "--agent",
+        "dqn",
+        "--env.dataset",
+        tmp_path / "table.npz",
+        "--env.num-goals",
+        4,
+        0,
+        4,
+        "--num-envs",
+        4,
+        "--rollout-steps",
+        10,
+        "--out",
+        tmp_path / "run",
+        *TINY,
+    )
     run("evaluate", tmp_path / "run", "--starts", 2)
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert config["data"].startswith("turntable, content") and config["config"]["agent"]["name"] == "dqn"
@@ -76,9 +122,29 @@ def test_poses_of_a_turntable(tmp_path, capsys):
 def test_the_low_level_of_another_arm(tmp_path, capsys):
     """The shipped low level is refused for an arm with other joints; one that is trained for it is taken."""
     photograph_turntable(tmp_path / "photos")
-    run("data", "import", tmp_path / "photos", tmp_path / "photos" / "poses.csv", "--out", tmp_path / "table.npz", "--wrap", "turn")
+    run(
+        "data",
+        "import",
+        tmp_path / "photos",
+        tmp_path / "photos" / "poses.csv",
+        "--out",
+        tmp_path / "table.npz",
+        "--wrap",
+        "turn",
+    )
     given = ["--env.dataset", tmp_path / "table.npz", "--env.num-goals", 4, 0, 4]
-    arguments = ["train", "object_manipulation", *given, "--num-envs", 4, "--rollout-steps", 10, "--out", tmp_path / "run", *TINY]
+    arguments = [
+        "train",
+        "object_manipulation",
+        *given,
+        "--num-envs",
+        4,
+        "--rollout-steps",
+        10,
+        "--out",
+        tmp_path / "run",
+        *TINY,
+    ]
     assert main([str(argument) for argument in arguments]) == 2
     assert "3 joints and 6 moves, the dataset's has 2 and 4" in capsys.readouterr().err
     run("pretrain", "object_manipulation", *given, "--num-epochs", 4, "--batch-size", 256, "--out", tmp_path / "low")
@@ -87,22 +153,35 @@ def test_the_low_level_of_another_arm(tmp_path, capsys):
 
 
 def test_questions_about_a_corridor(tmp_path):
-    """Imported, checked, learned from offline, evaluated; questions are the laboratory's choice among those that are embedded."""
+    """Imported, checked, learned from offline, evaluated; questions are the laboratory's choice among those that are
+    embedded."""
     shipped = json.loads(questions.SHIPPED.read_text())["objects"]
     names = list(shipped)[:4]
     film_corridor(tmp_path / "film", names)
-    chosen = {name: shipped[name] | {"use": "train" if number % 2 == 0 else "test"} for number, name in enumerate(names)}
+    chosen = {
+        name: shipped[name] | {"use": "train" if number % 2 == 0 else "test"} for number, name in enumerate(names)
+    }
     (tmp_path / "questions.json").write_text(json.dumps({"objects": chosen}))
     run("data", "import", tmp_path / "film", tmp_path / "film" / "drives.csv", "--out", tmp_path / "corridor.npz")
     run("data", "check", tmp_path / "corridor.npz")
-    given = ["--env.dataset", tmp_path / "corridor.npz", "--env.questions", tmp_path / "questions.json", "--env.episode-length", 20]
+    given = [
+        "--env.dataset",
+        tmp_path / "corridor.npz",
+        "--env.questions",
+        tmp_path / "questions.json",
+        "--env.episode-length",
+        20,
+    ]
     run("train", "embodied_qa", *given, "--out", tmp_path / "run", *TINY)
     run("evaluate", tmp_path / "run", "--starts", 2)
 
 
-@pytest.mark.parametrize(("task", "words"), [("embodied_qa", "tells no detections"), ("object_manipulation", "tells no poses")])
+@pytest.mark.parametrize(
+    ("task", "words"), [("embodied_qa", "tells no detections"), ("object_manipulation", "tells no poses")]
+)
 def test_a_dataset_for_another_task(tmp_path, capsys, task, words):
-    """Drives without poses or detections: the error names what is missing, before anything is compiled, without a traceback."""
+    """Drives without poses or detections: the error names what is missing, before anything is compiled, without a
+    traceback."""
     film_corridor(tmp_path / "film", [])
     table = (tmp_path / "film" / "drives.csv").read_text().splitlines()
     (tmp_path / "bare.csv").write_text("\n".join(",".join(line.split(",")[:5]) for line in table))

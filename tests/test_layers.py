@@ -6,7 +6,12 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent.parent / "infogoal_jax"
 LAYERS = (
     {"errors", "config", "registry", "hyperparameters", "goals", "pairs", "networks", "replay", "angles"},
-    {"learners", "relabelling", "agents", "exploration", "data"}, {"stand_ins", "envs"}, {"presets"}, {"train"}, {"report", "bridges"}, {"cli"},
+    {"learners", "relabelling", "agents", "exploration", "data"},
+    {"stand_ins", "envs"},
+    {"presets"},
+    {"train"},
+    {"report", "bridges"},
+    {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {"data": {"goals", "errors"}, "envs": {"goals", "errors", "replay", "registry", "angles"}}
@@ -38,13 +43,21 @@ def files() -> dict[Path, str]:
 
 
 def test_no_layer_imports_from_above():
-    upwards = {f"{path.relative_to(PACKAGE)} imports {other}" for path, own in files().items() for other in imported_by(path)
-               if layer_of(other) > layer_of(own)}
+    upwards = {
+        f"{path.relative_to(PACKAGE)} imports {other}"
+        for path, own in files().items()
+        for other in imported_by(path)
+        if layer_of(other) > layer_of(own)
+    }
     assert not upwards
 
 
 def test_data_and_environments_know_nothing_of_learning():
     learning = LAYERS[0] | {"learners", "relabelling", "agents", "exploration"}
-    known = {f"{path.relative_to(PACKAGE)} imports {other}" for path, own in files().items() if own in NOT_OF_LEARNING
-             for other in imported_by(path) & learning - NOT_OF_LEARNING[own]}
+    known = {
+        f"{path.relative_to(PACKAGE)} imports {other}"
+        for path, own in files().items()
+        if own in NOT_OF_LEARNING
+        for other in imported_by(path) & learning - NOT_OF_LEARNING[own]
+    }
     assert not known

@@ -1,4 +1,5 @@
-"""The low level of HRAC: hindsight stays within an episode, targets can be reached, shipped weights reach them, and files are checked."""
+"""The low level of HRAC: hindsight stays within an episode, targets can be reached, shipped weights reach them, and
+files are checked."""
 
 import dataclasses
 import json
@@ -32,7 +33,8 @@ each_task = pytest.mark.parametrize("task", PRESETS)
 
 @pytest.fixture(scope="module")
 def rows() -> Trajectories:
-    """Four rows of 30 transitions, several episodes in each. A record is (episode, step, 0) in m: no two are within a tolerance."""
+    """Four rows of 30 transitions, several episodes in each. A record is (episode, step, 0) in m: no two are within a
+    tolerance."""
     generator = np.random.default_rng(0)
     record, valid = np.zeros((4, 31, 3), np.float32), np.zeros((4, 30), bool)
     episode = 0
@@ -47,7 +49,9 @@ def rows() -> Trajectories:
             column += length + 1
     never = np.zeros_like(valid)
     goal = record[:, :-1] + [0.0, 0.0, 100.0]
-    return jax.tree.map(jnp.asarray, Trajectories(record, record, np.zeros((4, 30, 4), np.float32), goal, valid, never, never, ~never))
+    return jax.tree.map(
+        jnp.asarray, Trajectories(record, record, np.zeros((4, 30, 4), np.float32), goal, valid, never, never, ~never)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +95,9 @@ def test_a_relabelled_reward_is_that_of_the_new_target(rows):
     assert 0.75 < replaced.mean() < 0.85
     np.testing.assert_array_equal(target[~replaced], batch.goal[~replaced])
     reward = TargetSpace(TASKS["fetch_reach"]).reward(batch.records[:, 0], target)
-    arrived = replaced & (later[:, 1] == rows.record[row, step, 1] + 1)  # Only the step that leads to the very next record reaches it.
+    arrived = replaced & (
+        later[:, 1] == rows.record[row, step, 1] + 1
+    )  # Only the step that leads to the very next record reaches it.
     np.testing.assert_array_equal(reward, jnp.where(arrived, 0.0, -1.0))
     assert arrived.any() and (replaced & ~arrived).any()
 
@@ -104,7 +110,7 @@ def test_every_subgoal_means_a_target_within_reach(task):
     inside = np.arange(500) < 250
     margin = np.where(inside, 0.0, 0.1)[:, None]
     position = generator.uniform(low - margin, high + margin)
-    state = np.concatenate([generator.normal(position, 0.1), position], 1)[:, -space.size:]
+    state = np.concatenate([generator.normal(position, 0.1), position], 1)[:, -space.size :]
     observation = jnp.concatenate([jnp.asarray(state, jnp.float32), jnp.ones((500, 4))], -1)
     subgoal = jnp.asarray(generator.uniform(-1.5, 1.5, (500, space.size)), jnp.float32)
     target = space.from_subgoal(observation, subgoal, FARTHEST)
@@ -151,7 +157,7 @@ def test_targets_move_as_a_high_level_moves_them(reaching):
     assert not changes[:16].any()  # The eighth that is measured.
     moving = changes.any(1)
     assert 0.3 < moving[16:].mean() < 0.7
-    assert changes.sum() == changes[:, HELD - 1::HELD].sum()  # Only where one is due.
+    assert changes.sum() == changes[:, HELD - 1 :: HELD].sum()  # Only where one is due.
     low, high = TargetSpace(TASKS["fetch_reach"]).bounds
     aimed, grip = np.asarray(rows.goal)[moving][:, ::HELD], np.asarray(rows.record)[moving][:, :-1:HELD]
     assert (aimed >= low - 1e-6).all() and (aimed <= high + 1e-6).all()
@@ -172,7 +178,10 @@ def test_shipped_files_say_what_made_them(task):
     assert header["command"].startswith(f"infogoal pretrain {task}")
     assert header["config"]["hyper"] == dataclasses.asdict(preset(task).hyper)
     curve = np.genfromtxt(low_level_file.shipped(task).with_suffix(".csv"), delimiter=",", names=True)
-    assert set(curve["seed"]) == {report["seed"] for report in header["seeds"]} and curve["epoch"].max() == header["epochs"]
+    assert (
+        set(curve["seed"]) == {report["seed"] for report in header["seeds"]}
+        and curve["epoch"].max() == header["epochs"]
+    )
     assert low_level_file.shipped(task).stat().st_size < 700_000
     observation = jnp.zeros((5, len(policy.mean)))
     assert policy.act(observation, jnp.zeros((5, TargetSpace(TASKS[task]).size))).shape == (5, 4)
@@ -184,7 +193,9 @@ def test_a_low_level_that_cannot_be_used_is_refused(tmp_path):
         low_level_file.load(str(shipped), "fetch_reach")
     with pytest.raises(UserError, match="no such file; give one that `infogoal pretrain fetch_push`"):
         low_level_file.load(str(tmp_path / "nothing"), "fetch_push")
-    with pytest.raises(UserError, match="no low level is shipped for fetch_slide.*fetch_pick_and_place, fetch_push, fetch_reach$"):
+    with pytest.raises(
+        UserError, match="no low level is shipped for fetch_slide.*fetch_pick_and_place, fetch_push, fetch_reach$"
+    ):
         low_level_file.load("", "fetch_slide")
     damaged = tmp_path / "damaged"
     damaged.write_bytes(shipped.read_bytes()[:-1])
@@ -207,7 +218,9 @@ def test_a_low_level_survives_its_file(tmp_path):
 def test_no_key_of_the_joints_is_used_twice():
     """Of parameters, updates, and the episodes that measure: the first updates too."""
     key = jax.random.key(0)
-    found = [joints.key_of(key, INITIAL, 0)] + [joints.key_of(key, purpose, number) for purpose in (UPDATE, COLLECT, EVALUATE) for number in range(5)]
+    found = [joints.key_of(key, INITIAL, 0)] + [
+        joints.key_of(key, purpose, number) for purpose in (UPDATE, COLLECT, EVALUATE) for number in range(5)
+    ]
     assert len({tuple(jax.random.key_data(each).tolist()) for each in found}) == len(found)
 
 
@@ -215,13 +228,19 @@ def test_the_low_level_of_the_joints_is_trained_and_written_as_any_other(tmp_pat
     """Several seeds in one program, a curve, the best of them in a file that HRAC loads."""
     env = hand_made_frames.manipulation()
     monkeypatch.setattr(object_manipulation, "make", lambda config: env)
-    config = preset("object_manipulation", num_envs=200, num_epochs=4, updates_per_epoch=5, network=LowLevelConfig((32, 32)))
+    config = preset(
+        "object_manipulation", num_envs=200, num_epochs=4, updates_per_epoch=5, network=LowLevelConfig((32, 32))
+    )
     result = host.pretrain(config, [0, 1], tmp_path, evaluation_episodes=400)
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
-    assert [(line["seed"], line["epoch"]) for line in lines] == [(seed, epoch) for epoch in range(1, 5) for seed in (0, 1)]
+    assert [(line["seed"], line["epoch"]) for line in lines] == [
+        (seed, epoch) for epoch in range(1, 5) for seed in (0, 1)
+    ]
     header, policy = low_level_file.load_joint_level(str(tmp_path), 3, 6)
     assert header["seeds"] == result.seeds and header["evaluation_episodes"] == 400 and policy.hidden == (32, 32)
-    assert header["kept"] == max(result.seeds, key=lambda report: report["success_rate"])["seed"] and not header["stopped"]
+    assert (
+        header["kept"] == max(result.seeds, key=lambda report: report["success_rate"])["seed"] and not header["stopped"]
+    )
     assert (header["joints"], header["moves"], header["data"]) == (3, 6, env.source)
 
 

@@ -1,4 +1,5 @@
-"""What `infogoal methods` says is what training does: one set of refusals, told from names, true of the environments themselves."""
+"""What `infogoal methods` says is what training does: one set of refusals, told from names, true of the environments
+themselves."""
 
 import dataclasses
 import json
@@ -26,11 +27,17 @@ from infogoal_jax.train.combinations import check_combination, reasons_against, 
 PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
 
 
-@pytest.mark.parametrize(("env", "config"), [
-    (hand_made.environment, hand_made.config), (hand_made_frames.manipulation, hand_made_frames.manipulation_config),
-    (hand_made_frames.qa, hand_made_frames.qa_config), (hand_made_points.points, hand_made_points.config),
-    (hand_made_points.steered, hand_made_points.config),
-], ids=["object_search", "object_manipulation", "embodied_qa", "fetch", "fetch steered"])
+@pytest.mark.parametrize(
+    ("env", "config"),
+    [
+        (hand_made.environment, hand_made.config),
+        (hand_made_frames.manipulation, hand_made_frames.manipulation_config),
+        (hand_made_frames.qa, hand_made_frames.qa_config),
+        (hand_made_points.points, hand_made_points.config),
+        (hand_made_points.steered, hand_made_points.config),
+    ],
+    ids=["object_search", "object_manipulation", "embodied_qa", "fetch", "fetch steered"],
+)
 def test_traits_known_by_name_are_those_of_the_environment(env, config):
     declared = config("none").env
     assert combinations.TRAITS[type(declared)](declared) == traits_seen(env())
@@ -43,8 +50,11 @@ def test_every_task_is_judged_before_it_is_loaded():
 def test_the_table_has_a_tick_where_training_starts_and_a_reason_where_it_refuses():
     """The cells as they are printed, against what training is asked."""
     columns = methods.combination_table(presets.TASKS).columns
-    cells = {(task, name): cell for task, column in zip(presets.TASKS, columns[3:], strict=True)
-             for name, cell in zip(presets.METHODS, column.cells, strict=True)}
+    cells = {
+        (task, name): cell
+        for task, column in zip(presets.TASKS, columns[3:], strict=True)
+        for name, cell in zip(presets.METHODS, column.cells, strict=True)
+    }
     assert list(cells) == PAIRS
     for (task, name), cell in cells.items():
         config = presets.load(task, name)
@@ -59,35 +69,55 @@ def test_the_table_has_a_tick_where_training_starts_and_a_reason_where_it_refuse
 def test_methods_that_bring_a_learner_or_a_relabelling_go_together_with_every_task():
     """The rows of the paper's Table I."""
     refused = {(task, name) for task, name in PAIRS if methods.against(task, name)}
-    assert {name for _, name in refused} <= {name for name, parts in presets.METHODS.items() if parts.explorer != "none"}
+    assert {name for _, name in refused} <= {
+        name for name, parts in presets.METHODS.items() if parts.explorer != "none"
+    }
 
 
 @pytest.mark.parametrize("explorer", [name for name in exploration.registry if name != "none"])
 def test_a_bonus_goes_together_with_object_search_alone(explorer):
     possible = {task for task in presets.TASKS if not reasons_against(presets.load(task, "none", explorer=explorer))}
     assert possible == {"object_search"}
-    reasons = {task: " ".join(refusal.reason for refusal in methods.against(task, "none", explorer=explorer)) for task in presets.TASKS}
-    assert "recorded" in reasons["embodied_qa"] and "finite" in reasons["fetch_push"] and "continuous" in reasons["fetch_push"]
+    reasons = {
+        task: " ".join(refusal.reason for refusal in methods.against(task, "none", explorer=explorer))
+        for task in presets.TASKS
+    }
+    assert (
+        "recorded" in reasons["embodied_qa"]
+        and "finite" in reasons["fetch_push"]
+        and "continuous" in reasons["fetch_push"]
+    )
     by_moves = presets.load("object_manipulation", "none", agent="dqn", explorer=explorer)
     assert "no finite set" in reasons_against(by_moves)[0].reason
 
 
 def test_agents_of_each_task():
     moves, drives = {"dqn", "cql"}, {"hrac"}
-    taken = {task: {name for name in agents.registry if name in methods.agents_of(task)} & (moves | drives) for task in presets.TASKS}
+    taken = {
+        task: {name for name in agents.registry if name in methods.agents_of(task)} & (moves | drives)
+        for task in presets.TASKS
+    }
     assert taken == dict.fromkeys(presets.FETCH_TASKS, drives) | {
-        "object_search": moves, "object_manipulation": moves | drives, "embodied_qa": moves,
+        "object_search": moves,
+        "object_manipulation": moves | drives,
+        "embodied_qa": moves,
     }
 
 
-@pytest.mark.parametrize(("task", "changes", "field"), [
-    ("object_search", {"training_corruption": 0.4}, "training_corruption"), ("embodied_qa", {"training_corruption": 0.4}, "training_corruption"),
-    ("fetch_reach", {"training_corruption": 0.4}, None), ("object_manipulation", {"training_corruption": 0.4}, None),
-    ("fetch_push", {"agent": "dqn"}, "agent"), ("embodied_qa", {"agent": "hrac"}, "agent"),
-    ("object_search", {"stop_encoder_gradient": True}, "stop_encoder_gradient"),
-    ("object_search", {"method": "her", "stop_encoder_gradient": True}, "stop_encoder_gradient"),
-    ("object_search", {"method": "infogoal", "stop_encoder_gradient": True}, None),
-])
+@pytest.mark.parametrize(
+    ("task", "changes", "field"),
+    [
+        ("object_search", {"training_corruption": 0.4}, "training_corruption"),
+        ("embodied_qa", {"training_corruption": 0.4}, "training_corruption"),
+        ("fetch_reach", {"training_corruption": 0.4}, None),
+        ("object_manipulation", {"training_corruption": 0.4}, None),
+        ("fetch_push", {"agent": "dqn"}, "agent"),
+        ("embodied_qa", {"agent": "hrac"}, "agent"),
+        ("object_search", {"stop_encoder_gradient": True}, "stop_encoder_gradient"),
+        ("object_search", {"method": "her", "stop_encoder_gradient": True}, "stop_encoder_gradient"),
+        ("object_search", {"method": "infogoal", "stop_encoder_gradient": True}, None),
+    ],
+)
 def test_refusals_by_name(task, changes, field):
     config = presets.load(task, **({"method": "none"} | changes))
     assert [refusal.field for refusal in reasons_against(config)] == ([] if field is None else [field])
@@ -137,8 +167,12 @@ def test_one_combination_in_words(capsys):
     assert "does not work" in printed and "agent = 'dqn'" in printed and "give hrac" in printed
     assert main("methods object_search none --agent cql".split()) == 0
     assert "meant for recorded moves" in capsys.readouterr().out
-    for arguments, words in (("fetch_pusch", "Did you mean 'fetch_push'"), ("fetch_push hers", "Did you mean 'her'"),
-                             ("fetch_push her --agent hrak", "Did you mean 'hrac'"), ("fetch_push --agent dqn", "TASK METHOD")):
+    for arguments, words in (
+        ("fetch_pusch", "Did you mean 'fetch_push'"),
+        ("fetch_push hers", "Did you mean 'her'"),
+        ("fetch_push her --agent hrak", "Did you mean 'hrac'"),
+        ("fetch_push --agent dqn", "TASK METHOD"),
+    ):
         assert main(["methods", *arguments.split()]) == 2
         assert words in capsys.readouterr().err
 
@@ -153,6 +187,7 @@ def test_training_is_refused_before_anything_is_loaded(capsys, monkeypatch, tmp_
 
 def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     """As docs/own_learner.md registers one: it can be loaded, read back and named."""
+
     @dataclasses.dataclass(frozen=True)
     class MineConfig(none.NoneConfig):
         """A configuration of its own says which learner it is of."""
@@ -164,11 +199,20 @@ def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     assert "mine" in train_flags(config)
 
 
-@pytest.mark.parametrize(("own", "asked", "same"), [
-    ("her", "her", True), ("none", "her", False), ("none", "sse_db", False), ("infogoal", "none", False), ("her", "none", True), ("vae", "vae", True),
-])
+@pytest.mark.parametrize(
+    ("own", "asked", "same"),
+    [
+        ("her", "her", True),
+        ("none", "her", False),
+        ("none", "sse_db", False),
+        ("infogoal", "none", False),
+        ("her", "none", True),
+        ("vae", "vae", True),
+    ],
+)
 def test_a_run_goes_on_with_its_own_method_only(own, asked, same):
-    """A relabelling or an explorer that the run was not made with is no detail; one that was added to a learner is left alone."""
+    """A relabelling or an explorer that the run was not made with is no detail; one that was added to a learner is left
+    alone."""
     assert is_of_method(presets.load("object_search", own), asked) == same
 
 

@@ -25,12 +25,21 @@ def test_no_outputs_are_stored(written):
 
 
 def test_runs_without_error_or_warning_and_draws_its_figures(written, monkeypatch, tmp_path):
-    for name in ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR"):  # The user's own Jupyter is left alone.
+    for name in (
+        "IPYTHONDIR",
+        "JUPYTER_CONFIG_DIR",
+        "JUPYTER_DATA_DIR",
+        "JUPYTER_RUNTIME_DIR",
+    ):  # The user's own Jupyter is left alone.
         monkeypatch.setenv(name, str(tmp_path / name))
     monkeypatch.setenv("INFOGOAL_TOY", "1")
-    notebook = nbclient.NotebookClient(written, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    notebook = nbclient.NotebookClient(
+        written, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     outputs = {cell.id: cell.outputs for cell in notebook.cells if cell.cell_type == "code"}
-    printed = "".join(output.text for of_cell in outputs.values() for output in of_cell if output.output_type == "stream")
+    printed = "".join(
+        output.text for of_cell in outputs.values() for output in of_cell if output.output_type == "stream"
+    )
     assert "stand-in" in printed and "Warning" not in printed
     for name in DRAWS:
         images = [output.data["image/png"] for output in outputs[name] if "image/png" in output.get("data", {})]

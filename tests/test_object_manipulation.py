@@ -1,4 +1,5 @@
-"""Object manipulation: poses, aliases, goals that never count as each other, moves, and the low level's target states."""
+"""Object manipulation: poses, aliases, goals that never count as each other, moves, and the low level's target
+states."""
 
 import dataclasses
 
@@ -55,12 +56,15 @@ def test_reached_is_the_angle_between_poses(env, data):
     goals = np.asarray(env.goals.evaluated)
     target = Rotation.from_matrix(data.rotation[np.asarray(env.goals.rows)[goals]])
     angle = np.stack([(each.inv() * rotation).magnitude() for each in target], axis=1)
-    np.testing.assert_array_equal(env.reached(jnp.arange(len(data.frames))[:, None], goals[None]), angle < np.deg2rad(10))
+    np.testing.assert_array_equal(
+        env.reached(jnp.arange(len(data.frames))[:, None], goals[None]), angle < np.deg2rad(10)
+    )
     np.testing.assert_array_equal(np.asarray(env.distance).T == 0, angle < np.deg2rad(10))
 
 
 def test_no_goal_counts_as_another(env, data):
-    """Goals of all uses lie more than 20 degrees apart, test and validation goals within 90 degrees of a training goal."""
+    """Goals of all uses lie more than 20 degrees apart, test and validation goals within 90 degrees of a training
+    goal."""
     goals = np.asarray(env.goals.evaluated)
     rotation = data.rotation[np.asarray(env.goals.rows)]
     apart = geodesic(rotation[goals][:, None], rotation[goals][None]) + 10 * np.eye(len(goals))
@@ -86,7 +90,9 @@ def test_moves_turn_one_joint(env, data):
 
 def test_random_policy_and_shortest_path(env):
     """The oracle reaches every goal on a shortest path."""
-    scores = jax.jit(lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 20))(env)
+    scores = jax.jit(
+        lambda env: evaluate(env, {"o_{group}": shortest_path_policy(env), "r_{group}": random_policy(env)}, 20)
+    )(env)
     assert scores["o_test/success_rate"] == 1.0 and scores["o_test/spl"] == 1.0
     assert scores["r_test/success_rate"] < scores["o_test/success_rate"]
 
@@ -98,16 +104,19 @@ def test_other_seeds_choose_other_goals(env):
     assert not np.array_equal(other.goals.evaluated, env.goals.evaluated)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"rotation": None}, "tells no poses"),
-    ({"action": "contradiction"}, "lead"),
-])
+@pytest.mark.parametrize(
+    ("change", "message"), [({"rotation": None}, "tells no poses"), ({"action": "contradiction"}, "lead")]
+)
 def test_datasets_that_cannot_be_used(data, change, message):
     """The error says what the dataset lacks."""
     if "action" in change:
         change = {"action": np.zeros_like(data.action)}
     with pytest.raises(UserError, match=message):
-        lay_out(dataclasses.replace(data, **change), hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4)))
+        lay_out(
+            dataclasses.replace(data, **change),
+            hand_made_frames.backgrounds(),
+            ObjectManipulationConfig(num_goals=(3, 1, 4)),
+        )
 
 
 def test_too_many_goals(data):
@@ -119,9 +128,15 @@ def test_too_many_goals(data):
 def test_views_of_one_state(data):
     """Where several images show a state, a step arrives at any of them, and moves are those of the state."""
     twice = dataclasses.replace(
-        data, frames=np.concatenate([data.frames, 255 - data.frames]), state=np.concatenate([data.state, data.state]),
-        rotation=np.concatenate([data.rotation] * 2), joints=np.concatenate([data.joints] * 2))
-    env = lay_out(twice, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12))
+        data,
+        frames=np.concatenate([data.frames, 255 - data.frames]),
+        state=np.concatenate([data.state, data.state]),
+        rotation=np.concatenate([data.rotation] * 2),
+        joints=np.concatenate([data.joints] * 2),
+    )
+    env = lay_out(
+        twice, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(3, 1, 4), episode_length=12)
+    )
     starts = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 200))
     after = jax.vmap(env.step)(starts, jnp.zeros(200, jnp.int32))
     count = len(data.frames)
@@ -137,24 +152,40 @@ def test_trains_by_dqn_with_and_without_relabelling(env):
         train = make_train(hand_made_frames.manipulation_config(relabelling=relabelling), env)
         result = jax.jit(train)(jax.random.key(0))
         assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
-        assert {"test_goal/success_rate", "corrupted_test_goal/success_rate", "corrupted_train_goal/spl"} <= set(result.metrics)
+        assert {"test_goal/success_rate", "corrupted_test_goal/success_rate", "corrupted_train_goal/spl"} <= set(
+            result.metrics
+        )
 
 
 @pytest.mark.parametrize("relabelling", ["none", "her"])
 def test_agents_see_the_codes_of_their_goals(env, relabelling):
-    """Whatever goal a transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller than the goal space."""
+    """Whatever goal a transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller
+    than the goal space."""
     train = make_train(hand_made_frames.manipulation_config("none", relabelling=relabelling), env)
     parts, hyper = train.parts, train.config.hyper
     state = jax.jit(train.initial)(jax.random.key(0), hyper, env)
-    count, goals = parts.config.batch_size, env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals)
+    count, goals = (
+        parts.config.batch_size,
+        env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals),
+    )
     assert env.goals.num_goals > count
     goal = jax.random.choice(jax.random.key(1), goals, (count,))
     observation = env.observe_frame(jnp.zeros(count, jnp.int32))
     batch = Transitions(
-        observation=observation, next_observation=observation, action=jnp.zeros(count, jnp.int32), goal=goal,
-        records=jnp.zeros((count, 1), jnp.int32), mask=jnp.ones((count, 1)), terminated=jnp.zeros(count, bool))
-    made = jax.jit(lambda params: agent_batch(parts, env, hyper, params, params, batch, jnp.zeros(count), None, jax.random.key(2)))(state.params)
-    expected = jax.jit(lambda params: parts.learner.encode(params, env.goals.inputs_of(goal)).mean)(state.params["goal"])
+        observation=observation,
+        next_observation=observation,
+        action=jnp.zeros(count, jnp.int32),
+        goal=goal,
+        records=jnp.zeros((count, 1), jnp.int32),
+        mask=jnp.ones((count, 1)),
+        terminated=jnp.zeros(count, bool),
+    )
+    made = jax.jit(
+        lambda params: agent_batch(parts, env, hyper, params, params, batch, jnp.zeros(count), None, jax.random.key(2))
+    )(state.params)
+    expected = jax.jit(lambda params: parts.learner.encode(params, env.goals.inputs_of(goal)).mean)(
+        state.params["goal"]
+    )
     np.testing.assert_allclose(made.code, expected, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(made.target_code, expected, rtol=1e-5, atol=1e-5)
 
@@ -177,12 +208,15 @@ def test_subgoals_of_joints():
     assert (jnp.abs(target) <= np.pi).all()
 
 
-@pytest.mark.parametrize(("task", "changes", "message"), [
-    ("fetch_reach", {"agent": "dqn"}, "agent = 'dqn'.*give hrac"),
-    ("object_search", {"agent": "hrac"}, "agent = 'hrac'.*no target states"),
-    ("object_search", {"agent": "cqll"}, "agent = 'cqll'.*Did you mean 'cql'"),
-    ("object_search", {"relabelling": "hers"}, "relabelling = 'hers'.*Did you mean 'her'"),
-])
+@pytest.mark.parametrize(
+    ("task", "changes", "message"),
+    [
+        ("fetch_reach", {"agent": "dqn"}, "agent = 'dqn'.*give hrac"),
+        ("object_search", {"agent": "hrac"}, "agent = 'hrac'.*no target states"),
+        ("object_search", {"agent": "cqll"}, "agent = 'cqll'.*Did you mean 'cql'"),
+        ("object_search", {"relabelling": "hers"}, "relabelling = 'hers'.*Did you mean 'her'"),
+    ],
+)
 def test_parts_that_do_not_go_together(task, changes, message):
     """Refused by name, before anything is compiled."""
     with pytest.raises(UserError, match=message):

@@ -54,7 +54,9 @@ def test_termination_and_truncation_are_never_confused(env):
 def test_achieved_goals_agree_with_what_is_reached(env):
     for node in range(env.num_observations):
         goals = [int(goal) for goal in env.goals_of(jnp.asarray(node)) if goal >= 0]
-        assert goals == [goal for goal in range(env.goals.num_goals) if bool(env.reached(jnp.asarray(node), jnp.asarray(goal)))]
+        assert goals == [
+            goal for goal in range(env.goals.num_goals) if bool(env.reached(jnp.asarray(node), jnp.asarray(goal)))
+        ]
 
 
 def test_oracle_takes_shortest_paths_and_random_does_not(env):
@@ -62,7 +64,9 @@ def test_oracle_takes_shortest_paths_and_random_does_not(env):
     for group in ("train", "test"):
         assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"{group}_goal/spl"] == 1
         assert metrics[f"{group}_goal_random/spl"] < 0.7
-    np.testing.assert_array_equal(metrics["first_reached"].reshape(-1), jax.vmap(env.shortest_path)(goal_starts(env, 10)))
+    np.testing.assert_array_equal(
+        metrics["first_reached"].reshape(-1), jax.vmap(env.shortest_path)(goal_starts(env, 10))
+    )
 
 
 def test_a_failed_goal_counts_as_reached_after_the_end(env):

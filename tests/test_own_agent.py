@@ -13,7 +13,13 @@ from infogoal_jax import agents, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.train.evaluation import evaluate, random_policy
 
-SMALL = {"num_epochs": 12, "epochs_per_evaluation": 12, "updates_per_epoch": 100, "batch_size": 64, "evaluation_starts": 20}
+SMALL = {
+    "num_epochs": 12,
+    "epochs_per_evaluation": 12,
+    "updates_per_epoch": 100,
+    "batch_size": 64,
+    "evaluation_starts": 20,
+}
 QUANTILES = 8
 
 
@@ -25,7 +31,8 @@ def block() -> str:
 
 @pytest.fixture(scope="module")
 def script(block) -> dict:
-    """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
+    """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else
+    changed."""
     with run(block, "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**SMALL)) as names:
         yield names
 
@@ -57,9 +64,20 @@ def test_its_loss_finds_the_quantiles_of_the_reward(script):
     def step(carry, key):
         params, moments = carry
         batch = AgentBatch(
-            observation=None, next_observation=None, features=features, code=code, action=jnp.zeros(size, jnp.int32), next_features=features,
-            next_code=code, target_features=features, target_code=code, reward=jax.random.uniform(key, (size,)), discount=jnp.zeros(size),
-            action_mask=mask, next_action_mask=mask)
+            observation=None,
+            next_observation=None,
+            features=features,
+            code=code,
+            action=jnp.zeros(size, jnp.int32),
+            next_features=features,
+            next_code=code,
+            target_features=features,
+            target_code=code,
+            reward=jax.random.uniform(key, (size,)),
+            discount=jnp.zeros(size),
+            action_mask=mask,
+            next_action_mask=mask,
+        )
         gradient, metrics = jax.grad(agent.loss, has_aux=True)(params, params, batch, state, hyper, key)
         change, moments = optimizer.update(gradient, moments)
         return (optax.apply_updates(params, change), moments), metrics

@@ -19,7 +19,8 @@ def block() -> str:
 
 @pytest.fixture(scope="module")
 def script(block) -> dict:
-    """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else changed."""
+    """The names that the block leaves behind, run on the hand-made rooms instead of a house, with nothing else
+    changed."""
     with run(block, "mine", learners.registry, prepare=in_hand_made_rooms(**SMALL)) as names:
         yield names
 
@@ -35,10 +36,13 @@ def test_its_loss_is_reported_under_its_name_and_falls(script):
 
 
 def test_goals_of_one_room_come_to_lie_together(script):
-    """Goals in view together are pulled together; the floor keeps the rooms apart. Under the agent's loss alone they lie about equally far."""
+    """Goals in view together are pulled together; the floor keeps the rooms apart. Under the agent's loss alone they
+    lie about equally far."""
     result, train, config = script["result"], script["train"], script["config"]
     assert presets.names_of(config)["learner"] == train.parts.name == "mine"
-    codes = np.asarray(script["make"](script["MineConfig"]()).encode(result.params["goal"], train.env.goals.inputs).mean)
+    codes = np.asarray(
+        script["make"](script["MineConfig"]()).encode(result.params["goal"], train.env.goals.inputs).mean
+    )
     room = np.asarray(train.env.goals.regions)
     distance = np.linalg.norm(codes[:, None] - codes[None], axis=-1)
     same = room[:, None] == room[None]

@@ -50,7 +50,11 @@ def test_it_keeps_the_contract(script):
     assert isinstance(env, Environment) and env.discrete and env.recorded is None and not env.has_target_states
     state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 50))
     assert not np.any(env.reached(env.achieved(state), state.goal)) and np.all(env.goals.train_mask[state.goal])
-    assert env.action_mask(env.observe(state)).shape == (50, 4) and env.action_mask(env.observe(state)).all() and env.decides(state).all()
+    assert (
+        env.action_mask(env.observe(state)).shape == (50, 4)
+        and env.action_mask(env.observe(state)).all()
+        and env.decides(state).all()
+    )
 
 
 def test_the_door_is_the_only_way(script):
@@ -60,7 +64,12 @@ def test_the_door_is_the_only_way(script):
     for _ in range(64):
         near |= near[:, np.asarray(env.next_cell)].any(-1)
     assert near.all()
-    crossings = [(cell, following) for cell, row in enumerate(np.asarray(env.next_cell)) for following in row if cell // 32 != following // 32]
+    crossings = [
+        (cell, following)
+        for cell, row in enumerate(np.asarray(env.next_cell))
+        for following in row
+        if cell // 32 != following // 32
+    ]
     assert sorted(map(tuple, np.asarray(crossings).tolist())) == [(25, 33), (33, 25)]
 
 
@@ -71,4 +80,8 @@ def test_all_actions_can_be_taken_after_vectors_too(script):
     class SeenAsVectors(script["WalledSquare"]):
         observe = lambda self, state: jnp.zeros(3)  # noqa: E731
 
-    assert SeenAsVectors(env.next_cell, env.goals, env.episode_length).action_mask(jnp.zeros((5, 2, 3))).shape == (5, 2, 4)
+    assert SeenAsVectors(env.next_cell, env.goals, env.episode_length).action_mask(jnp.zeros((5, 2, 3))).shape == (
+        5,
+        2,
+        4,
+    )

@@ -61,9 +61,13 @@ def test_negatives_are_known_and_dissimilar_or_carry_no_weight():
 
 
 def test_anchor_without_dissimilar_goals_carries_no_weight():
-    _, weight = pairs.sample_negatives(jax.random.key(0), jnp.zeros((5, 5), bool), jnp.ones(5, bool), jnp.arange(5)[:, None])
+    _, weight = pairs.sample_negatives(
+        jax.random.key(0), jnp.zeros((5, 5), bool), jnp.ones(5, bool), jnp.arange(5)[:, None]
+    )
     assert not weight.any()
-    _, weight = pairs.sample_negatives(jax.random.key(0), pairs.initial_dissimilarity(5), jnp.zeros(5, bool), jnp.arange(5)[:, None])
+    _, weight = pairs.sample_negatives(
+        jax.random.key(0), pairs.initial_dissimilarity(5), jnp.zeros(5, bool), jnp.arange(5)[:, None]
+    )
     assert not weight.any()
 
 

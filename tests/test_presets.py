@@ -21,7 +21,9 @@ def trials_of(run: study_numbers.StudyRun) -> list[tune.Trial]:
     """The trials of a search or final, in order; success by evaluation and seed."""
     found, values = run.about["result"], run.evaluations.values
     return [
-        tune.Trial(int(number), own, values[f"trial_{number}/success_rate"].T.tolist(), [], found["diverged"].get(number, []))
+        tune.Trial(
+            int(number), own, values[f"trial_{number}/success_rate"].T.tolist(), [], found["diverged"].get(number, [])
+        )
         for number, own in found["values"].items()
     ]
 
@@ -36,7 +38,9 @@ def test_on_fetch_reach_a_preset_is_what_won_the_final(method):
     """Of the preset of that time and the three best of the search, on eight seeds that did not choose them."""
     searched, final = SEARCHES[f"fetch_reach/{method}"], SEARCHES[f"fetch_reach/{method}/final"]
     ran = trials_of(final)
-    assert [(trial.number, trial.values) for trial in ran] == [(trial.number, trial.values) for trial in tune.finalists(trials_of(searched), 4)]
+    assert [(trial.number, trial.values) for trial in ran] == [
+        (trial.number, trial.values) for trial in tune.finalists(trials_of(searched), 4)
+    ]
     assert len(final.evaluations.seeds) == 8 and not set(searched.evaluations.seeds) & set(final.evaluations.seeds)
     assert max(ran, key=lambda trial: trial.order).values == best_of(final)
     assert values_of(presets.load("fetch_reach", method).hyper).items() >= best_of(final).items()
@@ -57,6 +61,9 @@ def test_a_relabelling_alone_is_the_method_of_its_name(name):
 
 
 def test_a_combination_without_a_name_takes_what_its_learner_has():
-    combined, alone = presets.load("object_search", "infogoal", relabelling="her"), presets.load("object_search", "infogoal")
+    combined, alone = (
+        presets.load("object_search", "infogoal", relabelling="her"),
+        presets.load("object_search", "infogoal"),
+    )
     assert combined.hyper == alone.hyper and combined.num_epochs == alone.num_epochs
     assert dataclasses.replace(combined, relabelling=alone.relabelling) == alone

@@ -1,4 +1,5 @@
-"""Questions about objects: the shipped ones with their embeddings, their use as goals, and what a user's file may have wrong."""
+"""Questions about objects: the shipped ones with their embeddings, their use as goals, and what a user's file may have
+wrong."""
 
 import collections
 import json
@@ -15,11 +16,19 @@ from infogoal_jax.stand_ins import shelf_objects
 
 def entry(name: str, use: str = "test", room: str = "left", **changes) -> dict:
     """An object as in a file of questions, with five questions of its own."""
-    return {"room": room, "use": use, "questions": [f"What is {name} good for, reason {number}?" for number in range(5)]} | changes
+    return {
+        "room": room,
+        "use": use,
+        "questions": [f"What is {name} good for, reason {number}?" for number in range(5)],
+    } | changes
 
 
 def good() -> dict:
-    return {"cup": entry("cup", "test", "right"), "book": entry("book", "train", "left"), "lamp": entry("lamp", "test", "right")}
+    return {
+        "cup": entry("cup", "test", "right"),
+        "book": entry("book", "train", "left"),
+        "lamp": entry("lamp", "test", "right"),
+    }
 
 
 def written(folder: Path, content: object) -> Path:
@@ -59,9 +68,13 @@ def test_every_shipped_text_has_an_embedding_of_the_official_weights(shipped):
 def test_questions_are_nearest_to_the_name_of_their_object(shipped):
     embeddings = text.load(questions.SHIPPED_EMBEDDINGS)
     names = text.embed_known(shipped.objects, embeddings)
-    cosine = np.stack([text.embed_known(asked, embeddings) @ names.T for asked in shipped.questions])  # [objects, questions, names]
+    cosine = np.stack(
+        [text.embed_known(asked, embeddings) @ names.T for asked in shipped.questions]
+    )  # [objects, questions, names]
     own = np.arange(len(names))
-    nearer = (cosine > cosine[own, :, own][..., None]).sum(-1)  # Names nearer to a question than that of its own object.
+    nearer = (cosine > cosine[own, :, own][..., None]).sum(
+        -1
+    )  # Names nearer to a question than that of its own object.
     assert (nearer == 0).mean() > 0.95
     assert nearer.max() <= 2
 
@@ -72,7 +85,10 @@ def test_goals_are_names_then_training_then_test_questions(tmp_path):
     goals = asked.goals()
     assert goals[:3] == [("cup", "cup", NO_USE, 0), ("book", "book", NO_USE, 1), ("lamp", "lamp", NO_USE, 0)]
     assert [(goal.object, goal.use, goal.room) for goal in goals[3:]] == [
-        ("book", 0, 1), *[("book", 1, 1)] * 4, *[("cup", 2, 0)] * 4, *[("lamp", 2, 0)] * 4,
+        ("book", 0, 1),
+        *[("book", 1, 1)] * 4,
+        *[("cup", 2, 0)] * 4,
+        *[("lamp", 2, 0)] * 4,
     ]
     assert [goal.text for goal in goals[3:8]] == good()["book"]["questions"]
     assert [goal.text for goal in goals[8:12]] == good()["cup"]["questions"][:4]
@@ -86,13 +102,31 @@ ENTRY_MISTAKES = {
     "empty room": (entry("cup", room=" "), r"'cup'\]: room = ' '"),
     "unknown use": (entry("cup", use="validation"), r"'cup'\]: use = 'validation': it must be one of train, test"),
     "use is a list": (entry("cup", use=["test"]), r"'cup'\]: use = \['test'\]"),
-    "questions are one text": (entry("cup", questions="What?"), r"'cup'\]: questions = 'What\?': it must be a list of 5"),
+    "questions are one text": (
+        entry("cup", questions="What?"),
+        r"'cup'\]: questions = 'What\?': it must be a list of 5",
+    ),
     "four questions": (entry("cup", questions=entry("cup")["questions"][:4]), r"'cup'\]: questions.*list of 5"),
-    "a number as question": (entry("cup", questions=[*entry("cup")["questions"][:4], 7]), r"'cup'\]: questions\[4\] = 7.*must be a text"),
-    "empty question": (entry("cup", questions=[*entry("cup")["questions"][:4], " _ "]), r"'cup'\]: questions\[4\].*not empty"),
-    "question twice": (entry("cup", questions=["What?", *entry("cup")["questions"][:3], "what?  "]), r"questions\[4\].*'cup'\]: questions\[0\]"),
-    "question of another": (entry("book"), r"'book'\]: questions\[0\].*given before, by objects\['cup'\]: questions\[0\]"),
-    "name as question": (entry("cup", questions=["Lamp", *entry("cup")["questions"][:4]]), r"'cup'\]: questions\[0\].*by objects\['lamp'\]"),
+    "a number as question": (
+        entry("cup", questions=[*entry("cup")["questions"][:4], 7]),
+        r"'cup'\]: questions\[4\] = 7.*must be a text",
+    ),
+    "empty question": (
+        entry("cup", questions=[*entry("cup")["questions"][:4], " _ "]),
+        r"'cup'\]: questions\[4\].*not empty",
+    ),
+    "question twice": (
+        entry("cup", questions=["What?", *entry("cup")["questions"][:3], "what?  "]),
+        r"questions\[4\].*'cup'\]: questions\[0\]",
+    ),
+    "question of another": (
+        entry("book"),
+        r"'book'\]: questions\[0\].*given before, by objects\['cup'\]: questions\[0\]",
+    ),
+    "name as question": (
+        entry("cup", questions=["Lamp", *entry("cup")["questions"][:4]]),
+        r"'cup'\]: questions\[0\].*by objects\['lamp'\]",
+    ),
 }
 
 
@@ -106,9 +140,15 @@ def test_a_mistake_in_an_object_is_named(tmp_path, mistake):
 FILE_MISTAKES = {
     "not JSON": ("cup: what is it?", "not valid JSON"),
     "name twice": ('{"objects": {"cup": {}, "cup": {}}}', "given twice: cup"),
-    "name in two spellings": ({"objects": good() | {"Cup": entry("mug")}}, r"objects\['Cup'\].*given before, by objects\['cup'\]"),
-    "empty name": ({"objects": good() | {"": entry("nothing")}}, r"objects\[''\].*the name must be a text and not empty"),
-    "a list": ([], "wants {\"objects\""),
+    "name in two spellings": (
+        {"objects": good() | {"Cup": entry("mug")}},
+        r"objects\['Cup'\].*given before, by objects\['cup'\]",
+    ),
+    "empty name": (
+        {"objects": good() | {"": entry("nothing")}},
+        r"objects\[''\].*the name must be a text and not empty",
+    ),
+    "a list": ([], 'wants {"objects"'),
     "other key": ({"objects": good(), "rooms": []}, "and nothing else"),
     "no objects": ({"objects": {}}, "at least one object"),
     "no training object": ({"objects": good() | {"book": entry("book")}}, "no object has use 'train'"),

@@ -26,13 +26,16 @@ def images(*batch: int) -> np.ndarray:
 
 
 def offset_of(moved: np.ndarray, image: np.ndarray, shift: int) -> tuple[int, int]:
-    """By how much an image was moved down and to the right, searched for among all shifts in the image padded by hand."""
+    """By how much an image was moved down and to the right, searched for among all shifts in the image padded by
+    hand."""
     height, width, channels = image.shape
     padded = np.zeros((height + 2 * shift, width + 2 * shift, channels), np.uint8)
-    padded[shift:shift + height, shift:shift + width] = image
+    padded[shift : shift + height, shift : shift + width] = image
     found = [
-        (shift - down, shift - right) for down in range(2 * shift + 1) for right in range(2 * shift + 1)
-        if np.array_equal(moved, padded[down:down + height, right:right + width])
+        (shift - down, shift - right)
+        for down in range(2 * shift + 1)
+        for right in range(2 * shift + 1)
+        if np.array_equal(moved, padded[down : down + height, right : right + width])
     ]
     assert len(found) == 1
     return found[0]
@@ -58,7 +61,9 @@ def test_shifts_are_uniform_along_both_axes():
 
 def test_no_shift_is_the_identity():
     before = images(4)
-    np.testing.assert_array_equal(rad.make(rad.RADConfig(shift=0)).augment(jax.random.key(0), jnp.asarray(before)), before)
+    np.testing.assert_array_equal(
+        rad.make(rad.RADConfig(shift=0)).augment(jax.random.key(0), jnp.asarray(before)), before
+    )
 
 
 def test_vectors_are_scaled_as_a_whole_within_bounds():
@@ -69,7 +74,11 @@ def test_vectors_are_scaled_as_a_whole_within_bounds():
     np.testing.assert_allclose(factors, np.broadcast_to(factors[..., :1], factors.shape), rtol=1e-5)
     factors = factors[..., 0]
     assert factors.min() > 0.6 - 1e-5 and factors.max() < 1.2 + 1e-5
-    assert factors.min() < 0.62 and factors.max() > 1.18 and abs(factors.mean() - 0.9) < 5 * 0.6 / np.sqrt(12 * factors.size)  # The whole range.
+    assert (
+        factors.min() < 0.62
+        and factors.max() > 1.18
+        and abs(factors.mean() - 0.9) < 5 * 0.6 / np.sqrt(12 * factors.size)
+    )  # The whole range.
     assert len(np.unique(factors)) > 900  # Each by a draw of its own.
 
 
@@ -83,7 +92,9 @@ def test_same_key_same_draw_and_another_key_another(inputs):
 def test_nothing_but_the_inputs_differs_from_the_plain_learner():
     learner, plain = rad.make(rad.RADConfig(hidden=(32,))), none.make(none.NoneConfig(hidden=(32,)))
     inputs = jnp.asarray(images(5)[:, :8])
-    (params, _), (of_plain, _) = (one.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters()) for one in (learner, plain))
+    (params, _), (of_plain, _) = (
+        one.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters()) for one in (learner, plain)
+    )
     jax.tree.map(np.testing.assert_array_equal, params, of_plain)
     code = learner.encode(params, inputs)
     np.testing.assert_array_equal(code.mean, plain.encode(params, inputs).mean)
@@ -103,30 +114,44 @@ def test_updates_see_varied_goals_and_acting_sees_them_as_collecting_does(corrup
         assert acting is None
         seen, varied = env.goals.inputs, updating(key, env.goals.inputs)
     pairs = zip(np.asarray(varied), np.asarray(seen), strict=True)
-    moved = [any(np.array_equal(one, cut) for cut in cuts(image, 4)) and not np.array_equal(one, image) for one, image in pairs]
+    moved = [
+        any(np.array_equal(one, cut) for cut in cuts(image, 4)) and not np.array_equal(one, image)
+        for one, image in pairs
+    ]
     assert np.mean(moved) > 0.9  # One of 81 shifts is none.
 
 
 def cuts(image: np.ndarray, shift: int):
     """Every shift of an image over zeros."""
     padded = np.pad(image, ((shift, shift), (shift, shift), (0, 0)))
-    return (padded[y:y + image.shape[0], x:x + image.shape[1]] for y in range(2 * shift + 1) for x in range(2 * shift + 1))
+    return (
+        padded[y : y + image.shape[0], x : x + image.shape[1]]
+        for y in range(2 * shift + 1)
+        for x in range(2 * shift + 1)
+    )
 
 
 def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
     env, learner = hand_made.environment(), rad.make(rad.RADConfig(hidden=(32,)))
     params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
-    view = training_view(SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True)
+    view = training_view(
+        SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True
+    )
     same_goal = jnp.zeros(10, jnp.int32)
     varied = encode_goals(learner, params, env.goals, 32, view, jax.random.key(1))(same_goal).mean
     plain = encode_goals(learner, params, env.goals, 32)(same_goal).mean
     assert len(np.unique(varied, axis=0)) == 10 and len(np.unique(plain, axis=0)) == 1
 
 
-@pytest.mark.parametrize(("field", "changes"), [
-    ("shift", {"shift": -1}), ("amplitude_low", {"amplitude_low": 0.0}), ("amplitude_high", {"amplitude_high": 0.5}),
-    ("latent_size", {"latent_size": 0}),
-])
+@pytest.mark.parametrize(
+    ("field", "changes"),
+    [
+        ("shift", {"shift": -1}),
+        ("amplitude_low", {"amplitude_low": 0.0}),
+        ("amplitude_high", {"amplitude_high": 0.5}),
+        ("latent_size", {"latent_size": 0}),
+    ],
+)
 def test_values_out_of_range_are_named(field, changes):
     with pytest.raises(UserError, match=field):
         rad.RADConfig(**changes).check(None)
@@ -139,7 +164,9 @@ def test_training_varies_goals_in_updates_alone(monkeypatch):
 
     def make(config):
         learner = rad.make(config)
-        return learner._replace(augment=lambda key, inputs: sizes.append(inputs.shape[0]) or learner.augment(key, inputs))
+        return learner._replace(
+            augment=lambda key, inputs: sizes.append(inputs.shape[0]) or learner.augment(key, inputs)
+        )
 
     monkeypatch.setitem(learners.registry, "rad", Entry(rad.RADConfig, make))
     train = make_train(hand_made.config("rad", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())

@@ -1,4 +1,5 @@
-"""Learners that reconstruct goals, VAE and DGRL: the bound is a bound, the code carries the goal, discrete codes are discrete and stay in use."""
+"""Learners that reconstruct goals, VAE and DGRL: the bound is a bound, the code carries the goal, discrete codes are
+discrete and stay in use."""
 
 import dataclasses
 import functools
@@ -16,7 +17,9 @@ from infogoal_jax.learners import dgrl, vae
 from infogoal_jax.train.program import make_train
 
 VECTORS = jax.random.normal(jax.random.key(10), (8, 16)) / 4.0  # Of length 1, about, as sentence embeddings are.
-IMAGES = jnp.kron(jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256), jnp.ones((1, 4, 4, 1), int)).astype(jnp.uint8)  # 16 x 16, of squares.
+IMAGES = jnp.kron(jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256), jnp.ones((1, 4, 4, 1), int)).astype(
+    jnp.uint8
+)  # 16 x 16, of squares.
 SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}
 
 
@@ -35,20 +38,28 @@ def loss_of(learner, inputs, params, state, key, goals=None):
 
 
 def trained(learner, inputs, updates, params=None, rate=3e-3, part=None):
-    """Parameters, state, and metrics {name: [updates]} after updates on goals drawn at random. params: to begin with; part: all that changes."""
+    """Parameters, state, and metrics {name: [updates]} after updates on goals drawn at random. params: to begin with;
+    part: all that changes."""
     start, state = begun(learner, inputs)
     params, optimizer = start if params is None else params, optax.adam(rate)
 
     def step(carry, key):
         params, state, optimizer_state = carry
         goals = jax.random.randint(key, (learner.sample_spec.num_goals,), 0, len(inputs))
-        gradient, (metrics, state) = jax.grad(lambda params: loss_of(learner, inputs, params, state, key, goals), has_aux=True)(params)
-        gradient = {name: leaf if part in (None, name) else jax.tree.map(jnp.zeros_like, leaf) for name, leaf in gradient.items()}
+        gradient, (metrics, state) = jax.grad(
+            lambda params: loss_of(learner, inputs, params, state, key, goals), has_aux=True
+        )(params)
+        gradient = {
+            name: leaf if part in (None, name) else jax.tree.map(jnp.zeros_like, leaf)
+            for name, leaf in gradient.items()
+        }
         change, optimizer_state = optimizer.update(gradient, optimizer_state)
         return (optax.apply_updates(params, change), state, optimizer_state), metrics
 
     carry = params, state, optimizer.init(params)
-    (params, state, _), metrics = jax.jit(lambda carry: jax.lax.scan(step, carry, jax.random.split(jax.random.key(1), updates)))(carry)
+    (params, state, _), metrics = jax.jit(
+        lambda carry: jax.lax.scan(step, carry, jax.random.split(jax.random.key(1), updates))
+    )(carry)
     return params, state, metrics
 
 
@@ -77,8 +88,9 @@ def test_decoder_gives_back_the_shape_of_the_input(shape):
 
 
 def test_elbo_is_a_bound_in_nats():
-    """It is the mean logarithm of the importance weights p(z) p(g | z) / q(z | g), so that the logarithm of their mean, log p(g), lies above it.
-    A mean over the input instead of a sum, a missing half, another variance or a KL the wrong way round are not."""
+    """It is the mean logarithm of the importance weights p(z) p(g | z) / q(z | g), so that the logarithm of their mean,
+    log p(g), lies above it. A mean over the input instead of a sum, a missing half, another variance or a KL the wrong
+    way round are not."""
     learner = vae.make(vae.VAEConfig(latent_size=2, hidden=(8,), vector_std=2.0))
     inputs = 3.0 * jax.random.normal(jax.random.key(0), (1, 5))
     params, state = begun(learner, inputs)
@@ -87,24 +99,32 @@ def test_elbo_is_a_bound_in_nats():
     code = learner.encode(params, inputs)
     draws = code.mean + code.std * jax.random.normal(jax.random.key(3), (20_000, 2))
     decoded = networks.GoalDecoder((8,), (5,)).apply(params["decoder"], draws)
-    log_likelihood = jax.scipy.stats.norm.logpdf(inputs, decoded, 2.0).sum(-1) + 5 * jnp.log(2.0 * jnp.sqrt(2 * jnp.pi))  # Less its constant.
+    log_likelihood = jax.scipy.stats.norm.logpdf(inputs, decoded, 2.0).sum(-1) + 5 * jnp.log(
+        2.0 * jnp.sqrt(2 * jnp.pi)
+    )  # Less its constant.
     log_prior = jax.scipy.stats.norm.logpdf(draws).sum(-1)
     log_weight = log_prior + log_likelihood - jax.scipy.stats.norm.logpdf(draws, code.mean, code.std).sum(-1)
-    assert abs(elbo - log_weight.mean()) < 0.1  # Of some 27 nats, 9 of which are the KL; the mean of the draws is known to 0.02.
+    assert (
+        abs(elbo - log_weight.mean()) < 0.1
+    )  # Of some 27 nats, 9 of which are the KL; the mean of the draws is known to 0.02.
     assert elbo < jax.nn.logsumexp(log_weight) - jnp.log(len(draws))
 
 
 def test_kl_is_zero_for_a_posterior_that_is_the_prior():
     learner = vae.make(vae.VAEConfig(**SMALL))
     params, state = begun(learner, VECTORS)
-    params = jax.tree.map(jnp.zeros_like, params)  # All means are 0 then; and softplus is 1 - MINIMUM_STD at its inverse.
+    params = jax.tree.map(
+        jnp.zeros_like, params
+    )  # All means are 0 then; and softplus is 1 - MINIMUM_STD at its inverse.
     raw = jnp.log(jnp.expm1(1.0 - networks.MINIMUM_STD))
     last = params["encoder"]["params"]["GoalLayers_0"]["MLP_0"]["Dense_2"]
-    last["bias"] = last["bias"].at[SMALL["latent_size"]:].set(raw)
+    last["bias"] = last["bias"].at[SMALL["latent_size"] :].set(raw)
     kl = loss_of(learner, VECTORS, params, state, jax.random.key(1))[1][0]["kl"]
     assert abs(kl) < 1e-6
     last["bias"] = last["bias"].at[:2].set(3.0)
-    np.testing.assert_allclose(loss_of(learner, VECTORS, params, state, jax.random.key(1))[1][0]["kl"], 2 * 3.0**2 / 2, rtol=1e-5)
+    np.testing.assert_allclose(
+        loss_of(learner, VECTORS, params, state, jax.random.key(1))[1][0]["kl"], 2 * 3.0**2 / 2, rtol=1e-5
+    )
 
 
 def constant_error(inputs, standardise=False):
@@ -122,14 +142,21 @@ def test_vae_learns_to_reconstruct_goals(inputs):
     means = vae.make(config).encode(params, inputs).mean
     error = vae.squared_error(params["decoder"], config.hidden, means, inputs, False).mean() / inputs[0].size
     assert error < 0.5 * constant_error(inputs)
-    others = vae.squared_error(params["decoder"], config.hidden, jnp.roll(means, 1, axis=0), inputs, False).mean() / inputs[0].size
+    others = (
+        vae.squared_error(params["decoder"], config.hidden, jnp.roll(means, 1, axis=0), inputs, False).mean()
+        / inputs[0].size
+    )
     assert others > constant_error(inputs)
 
 
 def test_a_large_beta_or_a_coarse_decoder_empties_the_code():
     """The latter is why vectors, whose numbers are small, have a standard deviation of their own."""
     kl = {
-        (beta, std): float(trained(vae.make(vae.VAEConfig(vae_beta=beta, vector_std=std, warm_up=0, **SMALL)), VECTORS, 400)[2]["kl"][-50:].mean())
+        (beta, std): float(
+            trained(vae.make(vae.VAEConfig(vae_beta=beta, vector_std=std, warm_up=0, **SMALL)), VECTORS, 400)[2]["kl"][
+                -50:
+            ].mean()
+        )
         for beta, std in ((1.0, 0.05), (30.0, 0.05), (1.0, 1.0))
     }
     assert kl[1.0, 0.05] > np.log(len(VECTORS))  # Enough to tell the goals apart.
@@ -148,7 +175,6 @@ def test_the_kl_s_weight_rises_over_the_warm_up():
         np.testing.assert_allclose(loss * size - surprise, 2.0 * share * metrics["kl"], rtol=1e-4)
 
 
-
 @pytest.mark.parametrize("standardise", [True, False])
 @pytest.mark.parametrize("method", ["vae", "dgrl"])
 def test_contrast_counts_for_nothing_where_images_are_standardised(method, standardise):
@@ -157,7 +183,9 @@ def test_contrast_counts_for_nothing_where_images_are_standardised(method, stand
     part, config = {"vae": (vae, vae.VAEConfig), "dgrl": (dgrl, dgrl.DGRLConfig)}[method]
     learner = part.make(config(standardise_images=standardise, **SMALL))
     params, state = begun(learner, IMAGES)
-    error_of = jax.jit(lambda images: loss_of(learner, images, params, state, jax.random.key(1))[1][0]["reconstruction_error"])
+    error_of = jax.jit(
+        lambda images: loss_of(learner, images, params, state, jax.random.key(1))[1][0]["reconstruction_error"]
+    )
     assert np.isclose(error_of(IMAGES), error_of(faint), rtol=0.02) == standardise
 
 
@@ -166,10 +194,16 @@ DISCRETE = dgrl.DGRLConfig(factors=4, codes=16, **SMALL)
 
 @pytest.fixture(scope="module")
 def discrete():
-    """A DGRL learner with parameters and state as they begin, but for a codebook unlike any segment, so that replacing a segment changes it."""
+    """A DGRL learner with parameters and state as they begin, but for a codebook unlike any segment, so that replacing
+    a segment changes it."""
     learner = dgrl.make(DISCRETE)
     params, state = begun(learner, VECTORS)
-    return learner, params | {"codebook": params["codebook"] + 0.1 * jax.random.normal(jax.random.key(1), params["codebook"].shape)}, state
+    return (
+        learner,
+        params
+        | {"codebook": params["codebook"] + 0.1 * jax.random.normal(jax.random.key(1), params["codebook"].shape)},
+        state,
+    )
 
 
 def test_codebook_starts_among_the_segments_of_goals():
@@ -207,13 +241,17 @@ def test_the_agents_gradient_passes_the_replacement_and_never_reaches_the_codebo
     learner, params, _ = discrete
     weights = jax.random.normal(jax.random.key(3), (len(VECTORS), 8))
     segments, vectors = jax.random.normal(jax.random.key(4), (2, 5, 2))
-    np.testing.assert_array_equal(jax.grad(lambda y: (weights[:5, :2] * dgrl.straight_through(y, vectors)).sum())(segments), weights[:5, :2])
+    np.testing.assert_array_equal(
+        jax.grad(lambda y: (weights[:5, :2] * dgrl.straight_through(y, vectors)).sum())(segments), weights[:5, :2]
+    )
 
     gradient = jax.grad(lambda params: (weights * learner.encode(params, VECTORS).mean).sum())(params)
     assert not gradient["codebook"].any()
     plain = networks.GoalLayers(DISCRETE.hidden, DISCRETE.latent_size)
     identity = jax.grad(lambda encoder: (weights * plain.apply(encoder, VECTORS)).sum())(params["encoder"])
-    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6), gradient["encoder"], identity)
+    jax.tree.map(
+        lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6), gradient["encoder"], identity
+    )
     assert any(leaf.any() for leaf in jax.tree.leaves(identity))
 
 
@@ -228,7 +266,9 @@ def test_each_distance_trains_its_own_side(discrete):
 
     to_segments, to_codebook = jax.jit(jax.jacobian(distances, argnums=(0, 1)))(segments, params["codebook"])
     assert not to_segments[0].any() and to_segments[1].any() and to_codebook[0].any() and not to_codebook[1].any()
-    whole = jax.jit(jax.grad(lambda params: loss_of(learner, VECTORS, params, state, jax.random.key(0)), has_aux=True))(params)[0]
+    whole = jax.jit(jax.grad(lambda params: loss_of(learner, VECTORS, params, state, jax.random.key(0)), has_aux=True))(
+        params
+    )[0]
     np.testing.assert_allclose(whole["codebook"], to_codebook[0], atol=1e-6)
 
 
@@ -245,20 +285,27 @@ def test_only_code_vectors_that_were_idle_for_long_are_revived(discrete):
 
 def test_use_is_counted():
     state = dgrl.DGRLState(jnp.zeros(3), jnp.array([0, 5, 7]), jnp.zeros((3, 2)))
-    state, _ = jax.lax.scan(lambda state, _: (dgrl.after_use(state, jnp.array([[0, 0], [0, 2]])), None), state, length=1000)
+    state, _ = jax.lax.scan(
+        lambda state, _: (dgrl.after_use(state, jnp.array([[0, 0], [0, 2]])), None), state, length=1000
+    )
     np.testing.assert_array_equal(state.idle, [0, 1005, 0])
     np.testing.assert_allclose(state.usage, [0.75, 0, 0.25], atol=1e-3)
-    np.testing.assert_allclose(dgrl.perplexity(state.usage), np.exp(-0.75 * np.log(0.75) - 0.25 * np.log(0.25)), rtol=1e-3)
+    np.testing.assert_allclose(
+        dgrl.perplexity(state.usage), np.exp(-0.75 * np.log(0.75) - 0.25 * np.log(0.25)), rtol=1e-3
+    )
     assert dgrl.perplexity(jnp.full(8, 0.01)) == pytest.approx(8, rel=1e-4)
 
 
 def test_lost_code_vectors_come_back():
-    """All code vectors but one begin far from every segment, and the segments stay where they are. Without revival, so do the code vectors."""
+    """All code vectors but one begin far from every segment, and the segments stay where they are. Without revival, so
+    do the code vectors."""
     used, distance = {}, {}
     for revival in (1.0, 0.0):
         learner = dgrl.make(dataclasses.replace(DISCRETE, revival=revival))
         params, _ = begun(learner, VECTORS)
-        lost = params | {"codebook": params["codebook"].at[1:].add(1.0)}  # Segments have a standard deviation of less than 0.1.
+        lost = params | {
+            "codebook": params["codebook"].at[1:].add(1.0)
+        }  # Segments have a standard deviation of less than 0.1.
         metrics = trained(learner, VECTORS, 1000, lost, part="codebook")[2]
         used[revival], distance[revival] = int(metrics["codes_used"][-1]), float(metrics["codebook_loss"][-50:].mean())
     assert used[0.0] == 1 and used[1.0] >= 12
@@ -274,7 +321,9 @@ def test_discrete_codes_learn_to_reconstruct_goals():
 
 @pytest.mark.parametrize("method", [pytest.param("vae", marks=pytest.mark.long), "dgrl"])
 def test_trains_on_the_hand_made_task(method):
-    config = hand_made.config(method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3, batch_size=8, rollout_steps=20)
+    config = hand_made.config(
+        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3, batch_size=8, rollout_steps=20
+    )
     result = jax.jit(make_train(config, hand_made.environment(8)))(jax.random.key(0))
     for name, values in {**result.metrics, **result.epochs}.items():
         assert np.isfinite(values).all(), name

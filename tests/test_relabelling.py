@@ -1,4 +1,5 @@
-"""Relabelling in hindsight: goals are achieved later in the same episode, and rewards follow from them, whichever method chooses them."""
+"""Relabelling in hindsight: goals are achieved later in the same episode, and rewards follow from them, whichever
+method chooses them."""
 
 from collections import Counter
 from types import SimpleNamespace
@@ -22,8 +23,12 @@ from infogoal_jax.train import encoding, sampling, update
 
 DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
-ALWAYS = [("her", HERConfig(future_share=1.0)), ("her", HERConfig(future_share=1.0, strategy="prefix")), ("cher", CHERConfig(future_share=1.0)),
-          ("ghrl", GHRLConfig(share=1.0))]
+ALWAYS = [
+    ("her", HERConfig(future_share=1.0)),
+    ("her", HERConfig(future_share=1.0, strategy="prefix")),
+    ("cher", CHERConfig(future_share=1.0)),
+    ("ghrl", GHRLConfig(share=1.0)),
+]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +50,8 @@ def relabelled(rows: Trajectories, config, known=None, name: str = "her"):
 
 
 def test_goals_are_achieved_later_in_the_same_episode(rows):
-    """With a share of 1 every goal was achieved later, every such goal comes up, and where there is none the goal stays."""
+    """With a share of 1 every goal was achieved later, every such goal comes up, and where there is none the goal
+    stays."""
     row, step, goal = relabelled(rows, HERConfig(future_share=1.0))
     drawn: dict[tuple[int, int], set[int]] = {}
     for r, t, g in zip(row.tolist(), step.tolist(), goal.tolist(), strict=True):
@@ -67,9 +73,11 @@ def test_shares(rows):
 @pytest.mark.parametrize(("name", "config"), ALWAYS)
 @pytest.mark.parametrize("several", [1, 3])
 def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
-    """A relabelled transition ends, with reward 1, where its goal is first achieved; otherwise with its episode or after n steps."""
+    """A relabelled transition ends, with reward 1, where its goal is first achieved; otherwise with its episode or
+    after n steps."""
     rows = random_rows(several)
     row, step, goal = relabelled(rows, config, name=name)
+
     def reached(record, wanted):
         return (record == wanted[..., None]).any(-1)
 
@@ -90,12 +98,17 @@ def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
 
 @pytest.mark.parametrize("several", [1, 2])
 def test_prefixes_come_up_as_often_as_they_should(several):
-    """Each goal of an episode is equally likely, then each of its occurrences; only what lies before that occurrence is given the goal."""
+    """Each goal of an episode is equally likely, then each of its occurrences; only what lies before that occurrence is
+    given the goal."""
     rows, times = random_rows(several), 3000
     relabelling = relabellings.registry.entry("her").make(HERConfig(future_share=1.0, strategy="prefix"))
     places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
     row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
-    relabel = jax.jit(lambda rows: relabelling.relabel(jax.random.key(2), relabelling.prepare(context(rows)), row, step, jnp.zeros_like(row)))
+    relabel = jax.jit(
+        lambda rows: relabelling.relabel(
+            jax.random.key(2), relabelling.prepare(context(rows)), row, step, jnp.zeros_like(row)
+        )
+    )
     drawn = np.asarray(relabel(rows)).reshape(-1, times)
     rows = jax.tree.map(np.asarray, rows)
     for (r, t, first, last), goals in zip(places, drawn, strict=True):
@@ -108,18 +121,24 @@ def test_prefixes_come_up_as_often_as_they_should(several):
 
 
 def test_a_goal_that_stays_in_view_is_no_likelier_than_one_seen_once():
-    """What sets `prefix` apart: goal 1 is achieved at nine steps, goal 2 at the last; from the first step `future` draws goal 2 once in ten times."""
+    """What sets `prefix` apart: goal 1 is achieved at nine steps, goal 2 at the last; from the first step `future`
+    draws goal 2 once in ten times."""
     rows = rows_of(np.ones((1, 10)), np.array([[-1, *[1] * 9, 2]])[..., None])
     shares, start = {}, jnp.zeros(2000, jnp.int32)
     for strategy in ("future", "prefix"):
         relabelling = relabellings.registry.entry("her").make(HERConfig(future_share=1.0, strategy=strategy))
-        relabel = jax.jit(lambda rows, made=relabelling: made.relabel(jax.random.key(0), made.prepare(context(rows)), start, start, start))
+        relabel = jax.jit(
+            lambda rows, made=relabelling: made.relabel(
+                jax.random.key(0), made.prepare(context(rows)), start, start, start
+            )
+        )
         shares[strategy] = float((np.asarray(relabel(rows)) == 2).mean())
     np.testing.assert_allclose([shares["future"], shares["prefix"]], [0.1, 0.5], atol=0.05)
 
 
 def test_rows_too_long_for_the_prefixes_name_the_remedy():
-    """Steps, episodes and goals are sorted by one number of 31 bits; more do not fit, and nothing is sorted wrongly in silence."""
+    """Steps, episodes and goals are sorted by one number of 31 bits; more do not fit, and nothing is sorted wrongly in
+    silence."""
     rows = rows_of(np.ones((1, 600)), np.full((1, 601, 1), -1))
     relabelling = relabellings.registry.entry("her").make(HERConfig(strategy="prefix"))
     jax.eval_shape(lambda rows: relabelling.prepare(context(rows, num_goals=5000)), rows)
@@ -127,10 +146,16 @@ def test_rows_too_long_for_the_prefixes_name_the_remedy():
         relabelling.prepare(context(rows, num_goals=6000))
 
 
-@pytest.mark.parametrize("config", [
-    HERConfig(future_share=1.2), HERConfig(random_share=-0.1), HERConfig(future_share=0.8, random_share=0.3), CHERConfig(future_share=1.2),
-    GHRLConfig(random_share=0.6),
-])
+@pytest.mark.parametrize(
+    "config",
+    [
+        HERConfig(future_share=1.2),
+        HERConfig(random_share=-0.1),
+        HERConfig(future_share=0.8, random_share=0.3),
+        CHERConfig(future_share=1.2),
+        GHRLConfig(random_share=0.6),
+    ],
+)
 def test_shares_that_cannot_be(config):
     """Shares beyond 1, or below 0, name their field."""
     with pytest.raises(UserError, match=r"relabelling\.(future|random)_share"):
@@ -138,14 +163,23 @@ def test_shares_that_cannot_be(config):
 
 
 def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
-    """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them; the agent's draws stay."""
+    """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them;
+    the agent's draws stay."""
     env, drawn = hand_made.environment(), {}
-    plain, train = (make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(relabelled_share=share)), env) for share in (0.0, 1.0))
+    plain, train = (
+        make_train(hand_made.config("gcb", **ONE_UPDATE, learner=GCBConfig(relabelled_share=share)), env)
+        for share in (0.0, 1.0)
+    )
     hyper = train.config.hyper
-    state = jax.jit(lambda key: train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0])(jax.random.key(0))
+    state = jax.jit(lambda key: train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0])(
+        jax.random.key(0)
+    )
     for share, made in ((0.0, plain), (1.0, train)):
-        draw = jax.jit(lambda state, made=made: sampling.sample(
-            made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)))
+        draw = jax.jit(
+            lambda state, made=made: sampling.sample(
+                made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)
+            )
+        )
         drawn[share] = draw(state)
     plain, told = drawn[0.0], drawn[1.0].relabelled
     assert plain.relabelled is None
@@ -156,25 +190,36 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
 
     features = jnp.ones((len(told.goal), 4))
     codes = SimpleNamespace(features=features, next_features=2 * features, reward=None, discount=None)
-    learned = jax.jit(lambda params, drawn: update.steps_to_learn_from(train.parts, params, env, train.config.hyper, drawn, codes))
+    learned = jax.jit(
+        lambda params, drawn: update.steps_to_learn_from(train.parts, params, env, train.config.hyper, drawn, codes)
+    )
     goal, steps = learned(state.params, drawn[1.0])
     np.testing.assert_array_equal(goal, told.goal)
     taken = np.asarray(told.mask.sum(1))
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
     np.testing.assert_allclose(steps.discount, np.where(told.terminated, 0.0, 0.98**taken), rtol=1e-5)
-    seen = jax.jit(lambda params: encoding.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
+    seen = jax.jit(lambda params: encoding.encode_states(train.parts, params, env, 1)(told.next_observation))(
+        state.params
+    )
     np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(steps.features, features)
 
 
-@pytest.mark.parametrize(("method", "changes"), [
-    ("cher", {}), pytest.param("ghrl", {"relabelling": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
-    pytest.param("infogoal", {"relabelling": "her"}, marks=pytest.mark.long),
-])
+@pytest.mark.parametrize(
+    ("method", "changes"),
+    [
+        ("cher", {}),
+        pytest.param("ghrl", {"relabelling": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
+        pytest.param("infogoal", {"relabelling": "her"}, marks=pytest.mark.long),
+    ],
+)
 def test_training_goes_through(method, changes):
-    """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are reached."""
-    train = make_train(hand_made.config(method, num_epochs=1, epochs_per_evaluation=1, **changes), hand_made.environment())
+    """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are
+    reached."""
+    train = make_train(
+        hand_made.config(method, num_epochs=1, epochs_per_evaluation=1, **changes), hand_made.environment()
+    )
     result = jax.jit(train)(jax.random.key(0))
     for name, values in {**result.metrics, **result.epochs}.items():
         assert np.isfinite(values).all(), name

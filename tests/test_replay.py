@@ -12,7 +12,8 @@ from infogoal_jax.replay import Trajectories
 
 @pytest.fixture
 def rows() -> Trajectories:
-    """Six rows of 25 transitions; an observation is 1000 * episode + step, episodes numbered through all rows; some end by reaching the goal.
+    """Six rows of 25 transitions; an observation is 1000 * episode + step, episodes numbered through all rows; some end
+    by reaching the goal.
 
     Every third step of an episode is decided, also those that only a reset follows.
     """
@@ -33,14 +34,21 @@ def rows() -> Trajectories:
                     truncated[row, column + step - 1] = not reached and step == length
             column += length + 1
     goal, decided = observation[:, :-1] // 1000, observation[:, :-1] % 1000 % 3 == 0
-    return jax.tree.map(jnp.asarray, Trajectories(observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided))
+    return jax.tree.map(
+        jnp.asarray,
+        Trajectories(
+            observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided
+        ),
+    )
 
 
 def test_transitions_stay_within_their_episode_and_step_by_one(rows):
     batch = replay.sample_transitions(jax.random.key(0), rows, replay.running_count(rows.valid), 2000, 3)
     taken = batch.mask.sum(1).astype(int)
     assert (taken >= 1).all()
-    np.testing.assert_array_equal(batch.next_observation, batch.observation + taken)  # Same episode: only the step has grown.
+    np.testing.assert_array_equal(
+        batch.next_observation, batch.observation + taken
+    )  # Same episode: only the step has grown.
     np.testing.assert_array_equal(batch.goal, batch.observation // 1000)
     for step in range(3):
         inside = batch.mask[:, step] > 0
@@ -72,7 +80,9 @@ def test_first_steps_are_uniform_over_all_valid_transitions(rows):
 
 
 def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decisions(rows):
-    batch = replay.sample_transitions(jax.random.key(3), rows, replay.running_count(rows.valid & rows.decided), 20_000, 3)
+    batch = replay.sample_transitions(
+        jax.random.key(3), rows, replay.running_count(rows.valid & rows.decided), 20_000, 3
+    )
     decisions = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid & rows.decided)]
     count = np.array([(np.asarray(batch.observation) == start).sum() for start in decisions])
     assert count.sum() == 20_000 and (batch.observation % 1000 % 3 == 0).all()
@@ -85,7 +95,9 @@ def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decision
 @pytest.mark.parametrize("window", [0, 1, 5])
 def test_pairs_lie_within_the_window_of_one_episode(rows, window):
     achieved = rows.observation % 3 != 0
-    first, second = replay.sample_within_window(jax.random.key(0), rows, achieved, replay.running_count(achieved), 3000, window)
+    first, second = replay.sample_within_window(
+        jax.random.key(0), rows, achieved, replay.running_count(achieved), 3000, window
+    )
     np.testing.assert_array_equal(first // 1000, second // 1000)
     lag = np.asarray(second - first)
     assert abs(lag).max() <= window and (lag.min() < 0 < lag.max() or window == 0)

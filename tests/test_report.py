@@ -1,4 +1,5 @@
-"""What a run reports: intervals over seeds, tables that leave out and name diverged seeds, and figures that show something."""
+"""What a run reports: intervals over seeds, tables that leave out and name diverged seeds, and figures that show
+something."""
 
 import dataclasses
 import io
@@ -27,7 +28,13 @@ from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.program import make_train
 
 SEEDS = [3, 4, 5]
-EVERY_TASKS_FIGURES = {"learning_curves", "beta_and_accuracy", "representations", "success_by_length", "success_by_goal"}
+EVERY_TASKS_FIGURES = {
+    "learning_curves",
+    "beta_and_accuracy",
+    "representations",
+    "success_by_length",
+    "success_by_goal",
+}
 FIGURES = EVERY_TASKS_FIGURES | {"trajectories", "intrinsic_reward"}
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
 
@@ -118,7 +125,15 @@ def test_paired_difference_is_first_minus_second_and_forgets_what_seeds_share():
 def test_summary_names_data_seeds_and_times(sweep):
     text = printed(print_summary, sweep)
     scores = tables.read(sweep.folder, "evaluations").last()
-    for word in ("hand-made graph", "3 seeds", "compiling", "running", "beta", str(sweep.folder), mean_interval(scores["test_goal/spl"]).show()):
+    for word in (
+        "hand-made graph",
+        "3 seeds",
+        "compiling",
+        "running",
+        "beta",
+        str(sweep.folder),
+        mean_interval(scores["test_goal/spl"]).show(),
+    ):
         assert word in text
     assert "diverged" not in text
     from_disk = printed(print_run, sweep.folder)
@@ -126,7 +141,10 @@ def test_summary_names_data_seeds_and_times(sweep):
 
 
 def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
-    everything, left = tables.read(sweep.folder, "evaluations"), tables.read(diverged_run, "evaluations", tables.diverged_seeds(diverged_run))
+    everything, left = (
+        tables.read(sweep.folder, "evaluations"),
+        tables.read(diverged_run, "evaluations", tables.diverged_seeds(diverged_run)),
+    )
     assert tables.diverged_seeds(diverged_run) == {4: 3}
     assert left.seeds == [3, 5]
     name = "train_goal/episode_length"
@@ -139,7 +157,9 @@ def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
 
 
 def test_run_whose_seeds_all_diverged_still_reports(diverged_run, env):
-    rows = [json.loads(line) | {"agent/loss": math.inf} for line in (diverged_run / "epochs.jsonl").read_text().splitlines()]
+    rows = [
+        json.loads(line) | {"agent/loss": math.inf} for line in (diverged_run / "epochs.jsonl").read_text().splitlines()
+    ]
     (diverged_run / "epochs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     text = printed(print_run, diverged_run)
     assert "every seed diverged" in text and all(f"seed {seed} diverged at epoch 1" in text for seed in SEEDS)
@@ -149,7 +169,12 @@ def test_run_whose_seeds_all_diverged_still_reports(diverged_run, env):
 def test_evaluation_again_depends_on_its_seed_alone(sweep, env):
     quiet = Console(file=io.StringIO())
     first, again, other = (evaluate_run(sweep.folder, 4, seed, 0.5, env=env, console=quiet) for seed in (1, 1, 2))
-    assert {"train_goal/spl", "train_goal_mean_code/spl", "test_goal/success_rate", "test_goal_mean_code/episode_length"} <= first.keys()
+    assert {
+        "train_goal/spl",
+        "train_goal_mean_code/spl",
+        "test_goal/success_rate",
+        "test_goal_mean_code/episode_length",
+    } <= first.keys()
     assert all((first[name] == again[name]).all() for name in first)
     assert any((first[name] != other[name]).any() for name in first)
     written = json.loads((sweep.folder / "evaluation.json").read_text())
@@ -158,7 +183,11 @@ def test_evaluation_again_depends_on_its_seed_alone(sweep, env):
 
 
 def test_evaluation_refuses_what_makes_no_sense(sweep, env):
-    for starts, seed, epsilon, field in ((0, 1, 0.0, "starts"), (5, -1, 0.0, "start_seed"), (5, 1, 1.5, "test_epsilon")):
+    for starts, seed, epsilon, field in (
+        (0, 1, 0.0, "starts"),
+        (5, -1, 0.0, "start_seed"),
+        (5, 1, 1.5, "test_epsilon"),
+    ):
         with pytest.raises(UserError, match=field):
             evaluate_run(sweep.folder, starts, seed, epsilon, env=env)
     with pytest.raises(UserError, match="goals of object_search are not images"):
@@ -193,7 +222,10 @@ def test_walks_are_those_of_the_last_evaluation(sweep, env):
     subject = read_subject(sweep.folder, env)
     first_reached = subject.evaluations.last()["first_reached"][0]
     found = walks.walks_of_policy(subject)
-    steps = [[len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal] for of_goal in found.values()]
+    steps = [
+        [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
+        for of_goal in found.values()
+    ]
     np.testing.assert_array_equal(steps, first_reached)
 
 
@@ -210,7 +242,9 @@ def test_principal_components_find_the_plane_of_the_points():
     coordinates = np.random.default_rng(3).normal(size=(20, 2)) * [5, 1]
     centre, axes, shares = principal_components(3.0 + coordinates @ plane)
     np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-12)
-    np.testing.assert_allclose(((3.0 + coordinates @ plane) - centre) @ axes.T @ axes + centre, 3.0 + coordinates @ plane, atol=1e-12)
+    np.testing.assert_allclose(
+        ((3.0 + coordinates @ plane) - centre) @ axes.T @ axes + centre, 3.0 + coordinates @ plane, atol=1e-12
+    )
     assert shares.sum() == pytest.approx(1) and shares[0] > shares[1]
 
 
@@ -218,7 +252,9 @@ def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env
     config, subject = hand_made.config("none"), read_subject(sweep.folder, env)
     train = make_train(config, env)
     params = {"goal": train.parts.learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), config.hyper)[0]}
-    subject = dataclasses.replace(subject, run=dataclasses.replace(subject.run, config=config), train=train, params=params)
+    subject = dataclasses.replace(
+        subject, run=dataclasses.replace(subject.run, config=config), train=train, params=params
+    )
     assert beta_and_accuracy(subject) is None
     assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), {}) is None
     assert representations(subject) is not None
@@ -246,7 +282,13 @@ def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_
     text, scores = printed(print_run, reach_run.folder), tables.read(reach_run.folder, "evaluations").last()
     kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
     assert rows_of(text) == [[kind, code] for kind in kinds for code in ("sampled", "mean")]
-    for words in ("48 goals x 1 starts", "background of weight 0.4", "rendered goal images", "stand-in", "MuJoCo physics in JAX"):
+    for words in (
+        "48 goals x 1 starts",
+        "background of weight 0.4",
+        "rendered goal images",
+        "stand-in",
+        "MuJoCo physics in JAX",
+    ):
         assert words in text
     assert "SPL" not in text and mean_interval(scores["corrupted_test_goal_mean_code/episode_length"]).show(1) in text
 
@@ -259,7 +301,9 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
     config, env = hand_made_points.config("none"), points_subject.train.env
     train = make_train(config, env)
     params = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).params
-    subject = dataclasses.replace(points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params)
+    subject = dataclasses.replace(
+        points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params
+    )
     assert beta_and_accuracy(subject) is None
     assert image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"] is not None
 
@@ -304,7 +348,9 @@ def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
 def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
     env = points.train.env
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
-    clean, again, corrupted = image_goal_episodes.policy_episodes(points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED)
+    clean, again, corrupted = image_goal_episodes.policy_episodes(
+        points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED
+    )
     path = np.asarray(env.unwrapped.robot.achieved(clean.observations))
     assert path.shape == (4, env.episode_length + 1, 3)
     nearest = np.linalg.norm(path - np.asarray(env.unwrapped.positions)[goals][:, None], axis=-1).min(1)
@@ -317,7 +363,9 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
 @pytest.mark.long
 def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
     env = image_goal_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
-    clean, half, background = (image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0))
+    clean, half, background = (
+        image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
+    )
     np.testing.assert_array_equal(clean, np.asarray(env.goals.inputs)[[5, 3]])
     assert np.abs(half - (clean + background) / 2).max() <= 0.5
     assert all((np.asarray(env.test_backgrounds) == image).all((1, 2, 3)).any() for image in background)

@@ -55,13 +55,27 @@ def write_run(folder: Path, seeds: int = 2, epochs: int = 4) -> None:
     """A finished run of made-up numbers that was evaluated after every second epoch."""
     draw = np.random.default_rng(0)
     folder.mkdir(parents=True)
-    (folder / "config.json").write_text(json.dumps({"config": {"learner": {"name": "infogoal"}}, "seeds": list(range(seeds)), "data": "made up"}))
+    (folder / "config.json").write_text(
+        json.dumps({"config": {"learner": {"name": "infogoal"}}, "seeds": list(range(seeds)), "data": "made up"})
+    )
     (folder / "result.json").write_text(json.dumps({"machine": "a machine", "seconds": 2.5}))
     for epoch in range(1, epochs + 1):
-        files.append_rows(folder, "epochs", [{"seed": seed, "epoch": epoch, "infogoal/beta": draw.random(), "loss": 1.0} for seed in range(seeds)])
+        files.append_rows(
+            folder,
+            "epochs",
+            [{"seed": seed, "epoch": epoch, "infogoal/beta": draw.random(), "loss": 1.0} for seed in range(seeds)],
+        )
         if epoch % 2 == 0:
-            rows = [{"seed": seed, "epoch": epoch, "test_goal/success_rate": draw.random(), "env_steps": 100 * epoch,
-                     "first_reached": draw.integers(0, 102, (3, 5)).tolist()} for seed in range(seeds)]
+            rows = [
+                {
+                    "seed": seed,
+                    "epoch": epoch,
+                    "test_goal/success_rate": draw.random(),
+                    "env_steps": 100 * epoch,
+                    "first_reached": draw.integers(0, 102, (3, 5)).tolist(),
+                }
+                for seed in range(seeds)
+            ]
             files.append_rows(folder, "evaluations", rows)
 
 
@@ -76,7 +90,10 @@ def test_numbers_of_a_folder_survive_their_file(tmp_path):
     assert after.about["result"] == {"machine": "a machine", "seconds": 2.5} and after.evaluations.seeds == [0, 1]
     assert list(after.evaluations.epochs) == [2, 4] and set(after.evaluations.values) == set(before.evaluations.values)
     rows = files.read_table(tmp_path / "task" / "infogoal", "epochs")
-    assert np.allclose(after.evaluations.values["infogoal/beta"].T.ravel(), [row["infogoal/beta"] for row in rows if row["epoch"] in (2, 4)])
+    assert np.allclose(
+        after.evaluations.values["infogoal/beta"].T.ravel(),
+        [row["infogoal/beta"] for row in rows if row["epoch"] in (2, 4)],
+    )
     for name, value in before.evaluations.values.items():
         assert np.array_equal(after.evaluations.values[name], value.astype(np.float32)), name
     study_numbers.save(loaded, tmp_path / "again.npz")
@@ -93,21 +110,40 @@ def test_a_folder_adds_to_the_numbers_that_lie_in_it(tmp_path):
 def test_trials_of_a_search_are_kept(tmp_path):
     folder = tmp_path / "object_search" / "vae"
     folder.mkdir(parents=True)
-    (folder / "config.json").write_text(json.dumps({"config": {"num_epochs": 20}, "seeds": [1000, 1001], "data": "made up", "device": "a device"}))
-    (folder / "best.json").write_text(json.dumps({"trial": 3, "goals": "validation", "compile_seconds": 1.0, "run_seconds": 2.0}))
-    trials = [{"trial": number, "values": {"discount": 0.9 + number / 100}, "epochs": [10, 20], "success": [[0.0, 0.0], success], "diverged": []}
-              for number, success in ((0, [0.25, 0.5]), (3, [0.5, 1.0]))]
+    (folder / "config.json").write_text(
+        json.dumps({"config": {"num_epochs": 20}, "seeds": [1000, 1001], "data": "made up", "device": "a device"})
+    )
+    (folder / "best.json").write_text(
+        json.dumps({"trial": 3, "goals": "validation", "compile_seconds": 1.0, "run_seconds": 2.0})
+    )
+    trials = [
+        {
+            "trial": number,
+            "values": {"discount": 0.9 + number / 100},
+            "epochs": [10, 20],
+            "success": [[0.0, 0.0], success],
+            "diverged": [],
+        }
+        for number, success in ((0, [0.25, 0.5]), (3, [0.5, 1.0]))
+    ]
     (folder / "trials.jsonl").write_text("".join(json.dumps(trial) + "\n" for trial in trials))
     study_numbers.save(tuning_study.collect(tmp_path), tmp_path / study_numbers.FILE)
-    assert "| VAE | 0.38 | 0.75 | 3 | discount 0.93 | 20 of 20 |" in tuning_study.report(study_numbers.load(tmp_path / study_numbers.FILE))
+    assert "| VAE | 0.38 | 0.75 | 3 | discount 0.93 | 20 of 20 |" in tuning_study.report(
+        study_numbers.load(tmp_path / study_numbers.FILE)
+    )
 
 
 def write_trial(folder: Path, name: str, success: float, kl: str = "20", seeds: int = 2) -> None:
     """A trial's file with three evaluations of made-up numbers: seeds are 0.2 apart, evaluations 0.1."""
     folder.mkdir(exist_ok=True)
-    lines = [f"{name},preset,{seed},{updates},{success + 0.2 * seed + number / 10:.4g},{kl},a machine"
-             for number, updates in enumerate((1000, 2000, 3000)) for seed in range(seeds)]
-    (folder / f"{name}.csv").write_text("\n".join(["trial,lane,seed,updates,test_goal/success_rate,learner/kl,machine", *lines]) + "\n")
+    lines = [
+        f"{name},preset,{seed},{updates},{success + 0.2 * seed + number / 10:.4g},{kl},a machine"
+        for number, updates in enumerate((1000, 2000, 3000))
+        for seed in range(seeds)
+    ]
+    (folder / f"{name}.csv").write_text(
+        "\n".join(["trial,lane,seed,updates,test_goal/success_rate,learner/kl,machine", *lines]) + "\n"
+    )
 
 
 def test_a_trial_that_is_run_again_replaces_its_rows(tmp_path):
@@ -131,7 +167,10 @@ def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
     write_trial(tmp_path / "first", "three", 0.1, seeds=3)
     trial_numbers.merge(tmp_path / "first", tmp_path / trial_numbers.FILE, trials.QUEUE)
     text = trial_numbers.table(trial_numbers.read(tmp_path / trial_numbers.FILE), ["two", "three"], None)
-    assert "| `two` | preset | 2 | 1,000 to 3,000 |  |  | 0.30 |" in text and "| `three` | preset | 3 | 1,000 to 3,000 |  |  | 0.40 ± 0.50 |" in text
+    assert (
+        "| `two` | preset | 2 | 1,000 to 3,000 |  |  | 0.30 |" in text
+        and "| `three` | preset | 3 | 1,000 to 3,000 |  |  | 0.40 ± 0.50 |" in text
+    )
 
 
 @pytest.mark.parametrize("name", trials.QUEUE)

@@ -1,4 +1,5 @@
-"""A killed run goes on to the same bits; a checkpoint that is damaged or of another configuration is refused; nothing on disk is lost."""
+"""A killed run goes on to the same bits; a checkpoint that is damaged or of another configuration is refused; nothing
+on disk is lost."""
 
 import dataclasses
 import json
@@ -30,7 +31,8 @@ def env():
 
 
 def start(folder: Path) -> subprocess.Popen:
-    """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not the compiler."""
+    """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not
+    the compiler."""
     environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     command = [sys.executable, str(Path(__file__).parent / "killed_run.py"), str(folder), "resume"]
     return subprocess.Popen(command, env=environment, cwd=Path(__file__).parent, stdout=subprocess.DEVNULL)
@@ -57,7 +59,8 @@ def test_two_whole_runs_leave_the_same_bits(uninterrupted):
 
 
 def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
-    """Kill runs at random moments, going on after each; runs that finish are compared and followed by new ones, until `kills` were killed."""
+    """Kill runs at random moments, going on after each; runs that finish are compared and followed by new ones, until
+    `kills` were killed."""
     whole, seconds = uninterrupted
     killed, runs, process = 0, 0, None
     while killed < kills or process.returncode != 0:
@@ -71,7 +74,9 @@ def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
         else:
             assert process.returncode == 0 and same_run(folder / str(runs), whole)
             runs += 1
-            seconds = min(seconds, time.perf_counter() - started)  # The machine may be less busy than when the whole run was timed.
+            seconds = min(
+                seconds, time.perf_counter() - started
+            )  # The machine may be less busy than when the whole run was timed.
 
 
 def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp_path):
@@ -84,13 +89,21 @@ def test_killed_at_twenty_random_moments_it_ends_with_the_same_bits(uninterrupte
 
 
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
-    rows = [{"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)]
+    rows = [
+        {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
+    ]
     files.append_rows(tmp_path, "epochs", rows)
     with open(tmp_path / "epochs.jsonl", "a") as file:
         file.write('{"seed": 0, "epo')  # The line that the kill cut short.
     files.cut_back(tmp_path, 2)
     assert files.read_table(tmp_path, "epochs") == rows[:4]
-    assert (tmp_path / "epochs.csv").read_text().splitlines() == ["seed,epoch,x", "0,1,0.1", "1,1,0.1", "0,2,0.2", "1,2,0.2"]
+    assert (tmp_path / "epochs.csv").read_text().splitlines() == [
+        "seed,epoch,x",
+        "0,1,0.1",
+        "1,1,0.1",
+        "0,2,0.2",
+        "1,2,0.2",
+    ]
 
 
 @pytest.fixture
@@ -107,7 +120,9 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
     content = bytearray(path.read_bytes())
     if damage == "flipped":
         content[len(content) // 2] ^= 1
-    spoiled = {"cut": bytes(content[:-100]), "flipped": bytes(content), "empty": b"", "text": b"hello\nworld"}.get(damage)
+    spoiled = {"cut": bytes(content[:-100]), "flipped": bytes(content), "empty": b"", "text": b"hello\nworld"}.get(
+        damage
+    )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
     with pytest.raises(UserError, match="damaged|no checkpoint"):
         host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
@@ -130,7 +145,8 @@ def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
 
 
 def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrupted, copy_of_whole, env):
-    """Poison one seed's parameters in a checkpoint, go on for a chunk, and compare with going on from the sound checkpoint."""
+    """Poison one seed's parameters in a checkpoint, go on for a chunk, and compare with going on from the sound
+    checkpoint."""
     longer = dataclasses.replace(chunk_config(), num_epochs=14)
     sound = copy_of_whole / "sound"
     sound.mkdir()
@@ -167,7 +183,8 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
 
 
 def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):
-    """With a limit on file sizes as the disk that refuses; in a process of its own, since the limit cannot be taken back."""
+    """With a limit on file sizes as the disk that refuses; in a process of its own, since the limit cannot be taken
+    back."""
     (tmp_path / "checkpoint").write_bytes(b"old")
     code = f"""
 import resource, signal, sys
@@ -183,7 +200,9 @@ except UserError as error:
 """
     printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "could not be written" in printed and "--resume" in printed
-    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"] and (tmp_path / "checkpoint").read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"] and (
+        tmp_path / "checkpoint"
+    ).read_bytes() == b"old"
 
 
 def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):

@@ -1,6 +1,8 @@
-"""Every (task, method) of the presets still gives the numbers that it gave when this file's record was made: nothing is learned differently.
+"""Every (task, method) of the presets still gives the numbers that it gave when this file's record was made: nothing is
+learned differently.
 
-The record holds two short epochs of each. To see whether a change of the code leaves every bit as it was, on one machine:
+The record holds two short epochs of each. To see whether a change of the code leaves every bit as it was, on one
+machine:
 
     python tests/test_same_numbers.py record FILE [TASK ...]     # before the change
     python tests/test_same_numbers.py compare FILE [TASK ...]    # after it
@@ -36,7 +38,11 @@ def numbers(task: str, method: str) -> dict[str, list[float]]:
     train = make_train(small_config(task, method))
     result = jax.jit(train, compiler_options=compiler_options())(jax.random.key(0), None, train.env)
     values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
-    return {name: np.ravel(np.asarray(value, np.float64)).tolist() for name, value in sorted(values.items()) if np.ndim(value) <= 1}
+    return {
+        name: np.ravel(np.asarray(value, np.float64)).tolist()
+        for name, value in sorted(values.items())
+        if np.ndim(value) <= 1
+    }
 
 
 def summary(found: dict[str, list[float]]) -> dict:
@@ -47,7 +53,12 @@ def summary(found: dict[str, list[float]]) -> dict:
 
 def combinations() -> list[tuple[str, str]]:
     """Every task with every method that goes with it."""
-    return [(task, method) for task in presets.TASKS for method in presets.METHODS if not reasons_against(presets.load(task, method))]
+    return [
+        (task, method)
+        for task in presets.TASKS
+        for method in presets.METHODS
+        if not reasons_against(presets.load(task, method))
+    ]
 
 
 @pytest.mark.long

@@ -1,4 +1,5 @@
-"""The generated shelf: detections follow from boxes, flights cover it, the same seed gives the same shelf, and the task is not too easy."""
+"""The generated shelf: detections follow from boxes, flights cover it, the same seed gives the same shelf, and the task
+is not too easy."""
 
 import numpy as np
 import pytest
@@ -41,7 +42,8 @@ def centres() -> np.ndarray:
 
 
 def random_success(table: np.ndarray, goal: np.ndarray, steps: int) -> float:
-    """Chance that uniformly random moves reach `goal`, bool [S], within `steps`, from a uniform state outside it. Exact: no episodes are drawn."""
+    """Chance that uniformly random moves reach `goal`, bool [S], within `steps`, from a uniform state outside it.
+    Exact: no episodes are drawn."""
     exists = table != np.arange(len(table))[:, None]
     chance = goal.astype(float)
     for _ in range(steps):
@@ -51,7 +53,8 @@ def random_success(table: np.ndarray, goal: np.ndarray, steps: int) -> float:
 
 
 def test_an_object_is_detected_where_its_whole_box_is_in_the_view(whole):
-    """Of a level camera the view is a rectangle of 1.04 x 0.78 m around its position: half the field of view's tangent on either side."""
+    """Of a level camera the view is a rectangle of 1.04 x 0.78 m around its position: half the field of view's tangent
+    on either side."""
     places = shelf.furnish(np.random.default_rng([0, shelf.GENERATOR_VERSION]))
     assert tuple(places) == whole.objects
     half = np.tan(np.radians([55.0, 42.8]) / 2)

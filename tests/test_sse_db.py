@@ -1,4 +1,5 @@
-"""The dynamic bottleneck: its bonus knows moves that were made, is of the scale promised, and trains nothing that is not its own."""
+"""The dynamic bottleneck: its bonus knows moves that were made, is of the scale promised, and trains nothing that is
+not its own."""
 
 import dataclasses
 
@@ -42,13 +43,18 @@ def make_world(key: jax.Array) -> World:
 def rows_of(observation, action, valid) -> Trajectories:
     """Rows in which nothing matters but what was seen and done."""
     nothing = jnp.zeros(valid.shape, bool)
-    return Trajectories(observation, observation, action, jnp.zeros(valid.shape, jnp.int32), valid, nothing, nothing, nothing)
+    return Trajectories(
+        observation, observation, action, jnp.zeros(valid.shape, jnp.int32), valid, nothing, nothing, nothing
+    )
 
 
 def random_rows(key: jax.Array, num_rows: int = 6, steps: int = 15) -> Trajectories:
     keys = jax.random.split(key, 3)
-    return rows_of(jax.random.randint(keys[0], (num_rows, steps + 1), 0, STATES), jax.random.randint(keys[1], (num_rows, steps), 0, ACTIONS),
-                   jax.random.bernoulli(keys[2], 0.9, (num_rows, steps)))
+    return rows_of(
+        jax.random.randint(keys[0], (num_rows, steps + 1), 0, STATES),
+        jax.random.randint(keys[1], (num_rows, steps), 0, ACTIONS),
+        jax.random.bernoulli(keys[2], 0.9, (num_rows, steps)),
+    )
 
 
 def compute_bonus(explorer, params, state, world: World, rows: Trajectories, written=None):
@@ -79,10 +85,11 @@ def trained(explorer, params, state, world: World, share: jax.Array, key: jax.Ar
 
 
 def test_bonus_falls_with_familiarity():
-    """Early in training (docs/exploration.md says what becomes of it): made often, a move ends with less of a bonus than it began with, and than
-    moves that are never made.
+    """Early in training (docs/exploration.md says what becomes of it): made often, a move ends with less of a bonus
+    than it began with, and than moves that are never made.
 
-    Never made are an action, wherever it is possible, and half of the states with the other actions; on the mean of each of four worlds.
+    Never made are an action, wherever it is possible, and half of the states with the other actions; on the mean of
+    each of four worlds.
     """
     explorer = sse_db.make(SMALL)
     often = ((jnp.arange(STATES) < STATES // 2)[:, None] & (jnp.arange(ACTIONS) > 0)).astype(jnp.float32)
@@ -98,8 +105,10 @@ def test_bonus_falls_with_familiarity():
         for each in (params, after):
             table, surveyed = compute_bonus(explorer, each, state, world, rows)
             tables.append(table * surveyed.scale)  # In nats again: two scales could not be compared.
-        return [(table * moves).sum() / moves.sum() for table, moves in zip([tables[0]] + [tables[1]] * 3, (often, often, new_state, new_action),
-                                                                          strict=True)]
+        return [
+            (table * moves).sum() / moves.sum()
+            for table, moves in zip([tables[0]] + [tables[1]] * 3, (often, often, new_state, new_action), strict=True)
+        ]
 
     before, known, unknown, never = np.asarray(jax.jit(jax.vmap(bonuses))(jax.random.split(jax.random.key(0), 4)))
     assert (known < before / 2).all() and (known < unknown).all() and (known < never).all()
@@ -113,41 +122,66 @@ def test_next_state_is_learned_to_be_told():
     params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
     share = jnp.full((STATES, ACTIONS), 1 / (STATES * ACTIONS))
     metrics = jax.jit(lambda key: trained(explorer, params, state, world, share, key, 400)[1])(jax.random.key(3))
-    first, last = (jax.tree.map(lambda values, part=part: float(values[part].mean()), metrics) for part in (slice(10), slice(-10, None)))
+    first, last = (
+        jax.tree.map(lambda values, part=part: float(values[part].mean()), metrics)
+        for part in (slice(10), slice(-10, None))
+    )
     assert first["accuracy"] < 0.3 and last["accuracy"] > 0.4
-    assert last["prediction_loss"] < first["prediction_loss"] - 3 / size and last["contrastive_loss"] < first["contrastive_loss"] - 1
+    assert (
+        last["prediction_loss"] < first["prediction_loss"] - 3 / size
+        and last["contrastive_loss"] < first["contrastive_loss"] - 1
+    )
 
 
 def test_contrast_is_the_softmax_of_bilinear_scores():
-    """By hand: -log of exp(u W v+) over the sum over all next states of the batch; log B for predictions that tell nothing."""
-    score, predicted, followed = (jax.random.normal(jax.random.key(seed), shape) for seed, shape in enumerate([(6, 6), (5, 6), (5, 6)]))
-    by_hand = np.exp([[u @ np.asarray(score) @ v / np.sqrt(6) for v in np.asarray(followed)] for u in np.asarray(predicted)])
-    np.testing.assert_allclose(sse_db.contrast(score, predicted, followed), np.log(by_hand / by_hand.sum(1, keepdims=True)), rtol=1e-4, atol=1e-5)
+    """By hand: -log of exp(u W v+) over the sum over all next states of the batch; log B for predictions that tell
+    nothing."""
+    score, predicted, followed = (
+        jax.random.normal(jax.random.key(seed), shape) for seed, shape in enumerate([(6, 6), (5, 6), (5, 6)])
+    )
+    by_hand = np.exp(
+        [[u @ np.asarray(score) @ v / np.sqrt(6) for v in np.asarray(followed)] for u in np.asarray(predicted)]
+    )
+    np.testing.assert_allclose(
+        sse_db.contrast(score, predicted, followed),
+        np.log(by_hand / by_hand.sum(1, keepdims=True)),
+        rtol=1e-4,
+        atol=1e-5,
+    )
     nothing_told = sse_db.contrast(score, predicted, jnp.broadcast_to(followed[:1], followed.shape))
     np.testing.assert_allclose(-jnp.diagonal(nothing_told), np.log(5), rtol=1e-5)
 
 
 def test_loss_is_the_sum_of_its_parts_and_a_state_is_right_wherever_it_stands():
     """Weights apply to the parts they are named after; where all moves lead to one state, every choice is right."""
-    world, weights = make_world(jax.random.key(0)), {"kl_weight": 0.3, "prediction_weight": 0.02, "contrastive_weight": 5.0}
+    world, weights = (
+        make_world(jax.random.key(0)),
+        {"kl_weight": 0.3, "prediction_weight": 0.02, "contrastive_weight": 5.0},
+    )
     explorer = sse_db.make(dataclasses.replace(SMALL, **weights))
     params, state = explorer.init(jax.random.key(1), world.features[0], ACTIONS)
     moves, loss_of = world.moves(jnp.arange(STATES), jnp.arange(STATES) % ACTIONS), jax.jit(explorer.loss)
     loss, metrics, _ = loss_of(params, state, moves, jax.random.key(2))
-    parts = sum(weight * metrics[name] for name, weight in zip(("kl", "prediction_loss", "contrastive_loss"), weights.values(), strict=True))
+    parts = sum(
+        weight * metrics[name]
+        for name, weight in zip(("kl", "prediction_loss", "contrastive_loss"), weights.values(), strict=True)
+    )
     np.testing.assert_allclose(loss, parts, rtol=1e-5)
     same = moves.replace(next_features=jnp.broadcast_to(world.features[:1], moves.next_features.shape))
     assert loss_of(params, state, same, jax.random.key(2))[1]["accuracy"] == 1
 
 
 def test_gradient_reaches_the_state_and_never_the_next_state():
-    """The loss shapes the state encoder through the state that is left; the momentum code of the next is a target only."""
+    """The loss shapes the state encoder through the state that is left; the momentum code of the next is a target
+    only."""
     explorer, world = sse_db.make(SMALL), make_world(jax.random.key(0))
     params, state = explorer.init(jax.random.key(1), world.features[0], ACTIONS)
     moves = world.moves(jnp.arange(STATES), jnp.arange(STATES) % ACTIONS)
 
     def loss(params, features, following):
-        return explorer.loss(params, state, moves.replace(features=features, next_features=following), jax.random.key(2))[0]
+        return explorer.loss(
+            params, state, moves.replace(features=features, next_features=following), jax.random.key(2)
+        )[0]
 
     own, to_state, to_next = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(params, moves.features, moves.next_features)
     assert (jnp.abs(to_state).max(1) > 0).all() and not to_next.any()
@@ -176,10 +210,14 @@ def test_returns_of_the_bonus_have_deviation_one():
         params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
         bonus, after = compute_bonus(explorer, params, state, world, rows, written)
         assert bonus.shape == (STATES, ACTIONS) and (bonus >= 0).all()
-        np.testing.assert_allclose(np.std(returns_by_hand(np.asarray(bonus), rows, np.asarray(written))), 1.0, rtol=1e-4)
+        np.testing.assert_allclose(
+            np.std(returns_by_hand(np.asarray(bonus), rows, np.asarray(written))), 1.0, rtol=1e-4
+        )
         wider = jax.tree.map(lambda leaf: 3.0 * leaf, params)
         later, _ = compute_bonus(explorer, wider, after, world, rows, written)
-        np.testing.assert_allclose(np.std(returns_by_hand(np.asarray(later), rows, np.asarray(written))), 1.0, rtol=1e-4)
+        np.testing.assert_allclose(
+            np.std(returns_by_hand(np.asarray(later), rows, np.asarray(written))), 1.0, rtol=1e-4
+        )
         tables.append(bonus * after.scale)
     np.testing.assert_allclose(tables[1] ** 2, tables[0], rtol=1e-3, atol=1e-5)
 
@@ -191,10 +229,16 @@ def test_steps_that_were_not_taken_do_not_enter_the_scale():
     written = jnp.arange(6) < 4
     other = random_rows(jax.random.key(3))
     counted = rows.valid & written[:, None]
-    changed = rows.replace(action=jnp.where(counted, rows.action, other.action), valid=jnp.where(written[:, None], rows.valid, other.valid))
+    changed = rows.replace(
+        action=jnp.where(counted, rows.action, other.action), valid=jnp.where(written[:, None], rows.valid, other.valid)
+    )
     assert (changed.action != rows.action).any() and (changed.valid != rows.valid).any()
-    np.testing.assert_array_equal(*(compute_bonus(explorer, params, state, world, each, written)[0] for each in (rows, changed)))
-    assert not np.allclose(*(compute_bonus(explorer, params, state, world, rows, each)[0] for each in (written, jnp.ones(6, bool))))
+    np.testing.assert_array_equal(
+        *(compute_bonus(explorer, params, state, world, each, written)[0] for each in (rows, changed))
+    )
+    assert not np.allclose(
+        *(compute_bonus(explorer, params, state, world, rows, each)[0] for each in (written, jnp.ones(6, bool)))
+    )
 
 
 def test_nothing_collected_gives_no_endless_bonus():
@@ -206,19 +250,27 @@ def test_nothing_collected_gives_no_endless_bonus():
 
 @pytest.mark.parametrize("method", ["none", pytest.param("infogoal", marks=pytest.mark.long)])
 def test_a_run_with_the_explorer(method):
-    """Beside any learner: every number is finite, the explorer's have their names, and the scale is that of moves that were made."""
+    """Beside any learner: every number is finite, the explorer's have their names, and the scale is that of moves that
+    were made."""
     config = hand_made.config(
-        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1, explorer=SMALL)
+        method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1, explorer=SMALL
+    )
     result = jax.jit(make_train(config, hand_made.environment()))(jax.random.key(0))
     names = {name for name in result.epochs if name.startswith("explorer/")}
     assert names == {f"explorer/{name}" for name in ("kl", "prediction_loss", "contrastive_loss", "accuracy")}
-    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((result.epochs, result.params, result.state.explorer)))
+    assert all(
+        np.isfinite(leaf).all() for leaf in jax.tree.leaves((result.epochs, result.params, result.state.explorer))
+    )
     assert result.state.explorer.scale > sse_db.MINIMUM_RETURN
 
 
 def test_method_by_its_own_name_is_the_bare_agent_with_the_explorer():
     config = presets.load("object_search", "sse_db")
-    assert (presets.names_of(config)["learner"], presets.names_of(config)["explorer"], presets.name_of(config)) == ("none", "sse_db", "sse_db")
+    assert (presets.names_of(config)["learner"], presets.names_of(config)["explorer"], presets.name_of(config)) == (
+        "none",
+        "sse_db",
+        "sse_db",
+    )
     assert presets.name_of(presets.load("object_search", "infogoal", explorer="sse_db")) == "infogoal+sse_db"
 
 
@@ -228,8 +280,17 @@ def test_a_task_without_a_finite_set_of_observations_is_refused():
         load_environment(config)
 
 
-@pytest.mark.parametrize(("field", "value"), [("latent_size", 0), ("width", 0), ("projection_size", -1), ("kl_weight", -0.1),
-                                              ("prediction_weight", float("inf")), ("contrastive_weight", float("nan"))])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("latent_size", 0),
+        ("width", 0),
+        ("projection_size", -1),
+        ("kl_weight", -0.1),
+        ("prediction_weight", float("inf")),
+        ("contrastive_weight", float("nan")),
+    ],
+)
 def test_values_out_of_range_are_named(field, value):
     with pytest.raises(UserError, match=f"explorer.{field} = "):
         dataclasses.replace(SMALL, **{field: value}).check(None)

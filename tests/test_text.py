@@ -86,8 +86,14 @@ def test_an_unknown_text_is_an_error_with_suggestions_and_the_command_that_embed
     assert "'red cup' is known" not in message
     command = message.splitlines()[-1].removeprefix("to embed it: ")
     assert shlex.split(command) == [
-        "infogoal", "data", "embed", "red-bul", "Grandma's $5 vase", "--out", "my_embeddings.npz",
-    ]  # fmt: skip
+        "infogoal",
+        "data",
+        "embed",
+        "red-bul",
+        "Grandma's $5 vase",
+        "--out",
+        "my_embeddings.npz",
+    ]
 
 
 def test_one_text_in_place_of_a_list_is_an_error():

@@ -41,14 +41,18 @@ def test_floats_are_those_of_the_part_that_the_configuration_is_of():
     with pytest.raises(UserError, match=r"hyper.agent = 'NoHyperparameters'.*'cql' needs CQLHyperparameters"):
         make_train(other, hand_made.environment())
     train = make_train(hand_made.config("infogoal"), hand_made.environment())
-    with pytest.raises(UserError, match=r"hyper.learner = 'NoHyperparameters'.*'infogoal' needs InfoGoalHyperparameters"):
+    with pytest.raises(
+        UserError, match=r"hyper.learner = 'NoHyperparameters'.*'infogoal' needs InfoGoalHyperparameters"
+    ):
         train(jax.random.key(0), Hyperparameters(discount=0.9))
 
 
 def plain(tree):
     """A pytree of numpy arrays, typed keys as their data, so that bits can be compared."""
     is_key = jax.dtypes.prng_key
-    return jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree)
+    return jax.tree.map(
+        lambda leaf: np.asarray(jax.random.key_data(leaf) if jax.dtypes.issubdtype(leaf.dtype, is_key) else leaf), tree
+    )
 
 
 def assert_same_bits(first, second):
@@ -79,10 +83,14 @@ def test_hyperparameters_change_the_run_without_compiling_again(train, sweep, sw
 
 def test_a_seed_driven_to_nan_leaves_the_bits_of_the_others_alone(train, sweep, sweep_function):
     hyper = repeated(train.config.hyper, 3)
-    poisoned = sweep_function(jax.random.split(jax.random.key(0), 3), hyper.replace(learning_rate=hyper.learning_rate.at[1].set(jnp.nan)))
+    poisoned = sweep_function(
+        jax.random.split(jax.random.key(0), 3), hyper.replace(learning_rate=hyper.learning_rate.at[1].set(jnp.nan))
+    )
     assert np.isnan(poisoned.epochs["agent/loss"][1, -1])
     for seed in (0, 2):
-        assert_same_bits(*(jax.tree.map(lambda leaf, seed=seed: leaf[seed], plain(result)) for result in (sweep, poisoned)))
+        assert_same_bits(
+            *(jax.tree.map(lambda leaf, seed=seed: leaf[seed], plain(result)) for result in (sweep, poisoned))
+        )
 
 
 def test_vmapped_seeds_start_like_single_runs_bit_by_bit(train):
@@ -131,9 +139,19 @@ def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(t
 @pytest.mark.long
 @pytest.mark.parametrize("known_goals", ["train", "all", "visited"])
 def test_learns_the_hand_made_rooms(known_goals):
-    """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it nothing to know the others by."""
-    long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
-    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **long), hand_made.environment()))(jax.random.key(0))
+    """Bare DQN reaches the goals that it was trained on; InfoGoal the test goals beside them too. `train` gives it
+    nothing to know the others by."""
+    long = {
+        "num_epochs": 40,
+        "epochs_per_evaluation": 40,
+        "updates_per_epoch": 50,
+        "batch_size": 64,
+        "buffer_steps": 12_800,
+        "evaluation_starts": 10,
+    }
+    result = jax.jit(make_train(hand_made.config(known_goals=known_goals, **long), hand_made.environment()))(
+        jax.random.key(0)
+    )
     assert result.metrics["train_goal/success_rate"][-1] >= 0.85
     test_success = result.metrics["test_goal/success_rate"][-1]
     assert test_success >= 0.85 if known_goals != "train" else test_success < 0.85
@@ -144,7 +162,14 @@ def test_learns_the_hand_made_rooms(known_goals):
 @pytest.mark.long
 def test_bare_dqn_learns_its_training_goals_only():
     """On the mean of seeds that differ by some 0.07 from one another."""
-    long = {"num_epochs": 40, "epochs_per_evaluation": 40, "updates_per_epoch": 50, "batch_size": 64, "buffer_steps": 12_800, "evaluation_starts": 10}
+    long = {
+        "num_epochs": 40,
+        "epochs_per_evaluation": 40,
+        "updates_per_epoch": 50,
+        "batch_size": 64,
+        "buffer_steps": 12_800,
+        "evaluation_starts": 10,
+    }
     train = make_train(hand_made.config("none", **long), hand_made.environment())
     metrics = jax.jit(jax.vmap(train))(jax.random.split(jax.random.key(0), 16)).metrics
     assert metrics["train_goal/success_rate"][:, -1].mean() >= 0.85
@@ -161,8 +186,14 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
     @jax.jit
     def draw(buffer, key):
         experience = Experience(
-            buffer=buffer, decision_count=replay.running_count(buffer.valid), achieved=nowhere, achieved_count=replay.running_count(nowhere),
-            known=everything, usable=everything, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals), codes=None,
+            buffer=buffer,
+            decision_count=replay.running_count(buffer.valid),
+            achieved=nowhere,
+            achieved_count=replay.running_count(nowhere),
+            known=everything,
+            usable=everything,
+            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
+            codes=None,
         )
         return sample_pairs(train.parts.learner.sample_spec, env, experience, key)
 

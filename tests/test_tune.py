@@ -1,4 +1,5 @@
-"""Random search: fair to every method, blind to test goals, and each lane is the run that its values would make alone."""
+"""Random search: fair to every method, blind to test goals, and each lane is the run that its values would make
+alone."""
 
 import dataclasses
 import json
@@ -27,12 +28,24 @@ USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
 @pytest.fixture(scope="module")
 def env():
     """The hand-made task, with two of its test goals for validation."""
-    split = make_split({name: (f"room {hand_made.SPLIT.rooms[name]}", use) for name, use in zip(hand_made.SPLIT.objects, USES, strict=True)})
+    split = make_split(
+        {
+            name: (f"room {hand_made.SPLIT.rooms[name]}", use)
+            for name, use in zip(hand_made.SPLIT.objects, USES, strict=True)
+        }
+    )
     return lay_out(hand_made.scenes(), split, np.eye(8, 16, dtype=np.float32), 20)
 
 
 def small(method: str = "none", **changes):
-    sizes = {"num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 3, "batch_size": 16, "num_envs": 4, "rollout_steps": 20}
+    sizes = {
+        "num_epochs": 2,
+        "epochs_per_evaluation": 1,
+        "updates_per_epoch": 3,
+        "batch_size": 16,
+        "num_envs": 4,
+        "rollout_steps": 20,
+    }
     return hand_made.config(method, **(sizes | changes))
 
 
@@ -78,10 +91,14 @@ def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
 def test_what_is_left_on_disk_says_nothing_of_test_goals(result, env):
     found, left = result
     assert found.group == "validation" and [len(files) for files in left] == [3, 3]
-    assert [json.loads(files["best.json"])["epoch"] for files in left] == [1, 2]  # There after the first evaluation already.
+    assert [json.loads(files["best.json"])["epoch"] for files in left] == [
+        1,
+        2,
+    ]  # There after the first evaluation already.
     lines = [json.loads(line) for line in left[-1]["trials.jsonl"].splitlines()]
     assert [(line["trial"], line["preset"], line["seeds"], line["goals"]) for line in lines] == [
-        (0, True, [1000, 1001], "validation"), (1, False, [1000, 1001], "validation"),
+        (0, True, [1000, 1001], "validation"),
+        (1, False, [1000, 1001], "validation"),
     ]
     assert all(np.shape(line["success"]) == (2, 2) and line["score"] == np.mean(line["success"][-1]) for line in lines)
     assert "test" not in left[-1]["trials.jsonl"] + left[-1]["best.json"]
@@ -106,10 +123,15 @@ SPACE = {field: hyper for hyper in EVERY for field in search_space(hyper)}
 
 @pytest.mark.parametrize("field", list(SPACE))
 def test_draws_fill_the_range_evenly_on_its_scale(field):
-    """Half of them lie below the middle of the scale, and all within the range; a discount's middle is near its upper end."""
+    """Half of them lie below the middle of the scale, and all within the range; a discount's middle is near its upper
+    end."""
     found, space = search.draw(jax.random.key(3), SPACE[field], [field], 1000), search_space(SPACE[field])[field]
     values, (low, high, scale, _) = np.array([trial[field] for trial in found[1:]]), space
-    middle = {"linear": (low + high) / 2, "log": np.sqrt(low * high), "log of 1 - x": 1 - np.sqrt(abs((1 - low) * (1 - high)))}[scale]
+    middle = {
+        "linear": (low + high) / 2,
+        "log": np.sqrt(low * high),
+        "log of 1 - x": 1 - np.sqrt(abs((1 - low) * (1 - high))),
+    }[scale]
     assert low <= values.min() and values.max() <= high
     assert 0.4 < (values < middle).mean() < 0.6
     assert 0.15 < (values < space.at(0.25)).mean() < 0.35
@@ -129,10 +151,18 @@ def test_the_space_is_one_of_hyperparameters_that_can_be_had():
     assert "test_epsilon" not in SPACE
 
 
-@pytest.mark.parametrize(("method", "changes", "searched", "left_alone"), [
-    ("none", {"agent": "cql"}, {"agent.conservative_weight", "epsilon"}, {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"}),
-    ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
-])
+@pytest.mark.parametrize(
+    ("method", "changes", "searched", "left_alone"),
+    [
+        (
+            "none",
+            {"agent": "cql"},
+            {"agent.conservative_weight", "epsilon"},
+            {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"},
+        ),
+        ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
+    ],
+)
 def test_a_method_is_searched_in_what_it_depends_on(method, changes, searched, left_alone, env):
     matter = search.fields_that_matter(make_train(small(method, **changes), env))
     assert {"learning_rate", "discount", "target_rate"} | searched <= set(matter)
@@ -145,13 +175,19 @@ def test_methods_have_the_same_budget():
         assert len({tuple(getattr(config, name) for name in search.BUDGET) for config in budgets}) == 1
 
 
-@pytest.mark.parametrize(("trials", "seeds", "fields", "message"), [
-    (2, [1000], ["learning_rte"], "fields = 'learning_rte'.*Did you mean 'learning_rate'"),
-    (2, [1000], ["test_epsilon"], "fields = 'test_epsilon': is not searched"),
-    (2, [1000], ["discount", "discount"], "fields = .*once"),
-    (2, [1000], ["intrinsic_weight"], "fields = 'intrinsic_weight': changes nothing about none"),
-    (2, [0, 1], [], "first_seed = 0.*1000 or more"), (2, [], [], "seeds = 0"), (0, [1000], [], "trials = 0"), (2, [1000, 1000], [], "different"),
-])
+@pytest.mark.parametrize(
+    ("trials", "seeds", "fields", "message"),
+    [
+        (2, [1000], ["learning_rte"], "fields = 'learning_rte'.*Did you mean 'learning_rate'"),
+        (2, [1000], ["test_epsilon"], "fields = 'test_epsilon': is not searched"),
+        (2, [1000], ["discount", "discount"], "fields = .*once"),
+        (2, [1000], ["intrinsic_weight"], "fields = 'intrinsic_weight': changes nothing about none"),
+        (2, [0, 1], [], "first_seed = 0.*1000 or more"),
+        (2, [], [], "seeds = 0"),
+        (0, [1000], [], "trials = 0"),
+        (2, [1000, 1000], [], "different"),
+    ],
+)
 def test_mistakes_are_refused_before_anything_is_compiled(trials, seeds, fields, message, env, monkeypatch):
     monkeypatch.setattr(jax.stages.Lowered, "compile", lambda *arguments: pytest.fail("compiled"))
     with pytest.raises(UserError, match=message):
@@ -160,14 +196,34 @@ def test_mistakes_are_refused_before_anything_is_compiled(trials, seeds, fields,
 
 def made(config, successes, diverged=()) -> TuneResult:
     """A search of one field that came to these successes [trials][evaluations] of one seed."""
-    trials = [Trial(number, {"learning_rate": 1e-3 / (number + 1)}, [[value] for value in each], [[0.0]] * len(each), [1000] * (number in diverged))
-              for number, each in enumerate(successes)]
-    return TuneResult(config, "train", ("learning_rate",), [1000], list(range(1, len(successes[0]) + 1)), trials, 0.0, 0.0, {"data": "made up"})
+    trials = [
+        Trial(
+            number,
+            {"learning_rate": 1e-3 / (number + 1)},
+            [[value] for value in each],
+            [[0.0]] * len(each),
+            [1000] * (number in diverged),
+        )
+        for number, each in enumerate(successes)
+    ]
+    return TuneResult(
+        config,
+        "train",
+        ("learning_rate",),
+        [1000],
+        list(range(1, len(successes[0]) + 1)),
+        trials,
+        0.0,
+        0.0,
+        {"data": "made up"},
+    )
 
 
 def test_the_best_trial():
     config = small()
-    assert made(config, [[0.0, 0.5], [0.9, 0.4], [0.0, 0.7]]).best.number == 2  # The last evaluation counts, not the best.
+    assert (
+        made(config, [[0.0, 0.5], [0.9, 0.4], [0.0, 0.7]]).best.number == 2
+    )  # The last evaluation counts, not the best.
     assert made(config, [[0.0, 0.7], [0.0, 0.7]]).best.number == 0  # Among equals the preset,
     assert made(config, [[0.0, 0.7], [0.5, 0.7]]).best.number == 1  # unless another was good earlier.
     assert made(config, [[0.0, 0.2], [0.0, 0.7]], diverged=[1]).best.number == 0
@@ -175,12 +231,18 @@ def test_the_best_trial():
 
 def test_finalists_are_the_preset_and_the_best_others_of_different_values():
     found = made(small(), [[0.1], [0.3], [0.9], [0.5], [0.9]], diverged=[1])
-    trials = [dataclasses.replace(trial, values=found.trials[2].values) if trial.number == 4 else trial for trial in found.trials]
+    trials = [
+        dataclasses.replace(trial, values=found.trials[2].values) if trial.number == 4 else trial
+        for trial in found.trials
+    ]
     finalists = search.finalists(trials, 3)
     assert [trial.number for trial in finalists] == [0, 2, 3]  # 4 has the values of 2.
     assert all(trial.success == [] and trial.values == found.trials[trial.number].values for trial in finalists)
     assert [trial.number for trial in search.finalists(trials, 4)] == [0, 2, 3, 1]  # What diverged comes last.
-    for count, message in ((1, "trials = 1: a final has at least 2"), (5, "trials = 5: the search has 4 different settings")):
+    for count, message in (
+        (1, "trials = 1: a final has at least 2"),
+        (5, "trials = 5: the search has 4 different settings"),
+    ):
         with pytest.raises(UserError, match=message):
             search.finalists(trials, count)
 
@@ -188,17 +250,27 @@ def test_finalists_are_the_preset_and_the_best_others_of_different_values():
 def test_a_final_runs_trials_of_a_search_again(result, env):
     """With the seeds of the search each is what it was there, wherever it stands; with others it is not."""
     found, _ = result
-    finalists = [search.Trial(5, found.trials[1].values, [], [], []), search.Trial(0, found.trials[0].values, [], [], [])]
+    finalists = [
+        search.Trial(5, found.trials[1].values, [], [], []),
+        search.Trial(0, found.trials[0].values, [], [], []),
+    ]
     again = search.final(found.config, finalists, found.seeds, env=env)
-    assert [trial.number for trial in again.trials] == [5, 0] and again.fields == found.fields and again.epochs == found.epochs
-    np.testing.assert_allclose([trial.loss for trial in again.trials], [found.trials[number].loss for number in (1, 0)], rtol=1e-4)
+    assert (
+        [trial.number for trial in again.trials] == [5, 0]
+        and again.fields == found.fields
+        and again.epochs == found.epochs
+    )
+    np.testing.assert_allclose(
+        [trial.loss for trial in again.trials], [found.trials[number].loss for number in (1, 0)], rtol=1e-4
+    )
     others = search.final(found.config, finalists[:1], [1002], env=env)
     assert not np.isclose(others.trials[0].loss[-1][0], found.trials[1].loss[-1]).any()
 
 
 @pytest.fixture
 def searched(env, tmp_path, monkeypatch):
-    """A search of six trials on disk, in the folder `search`, and what `infogoal final` would run: (configuration, trials, seeds) a call."""
+    """A search of six trials on disk, in the folder `search`, and what `infogoal final` would run: (configuration,
+    trials, seeds) a call."""
     found, asked = made(small("vae"), [[0.0, 0.1], [0.0, 0.3], [0.0, 0.9], [0.0, 0.5], [0.0, 0.7], [0.0, 0.2]]), []
     found = dataclasses.replace(found, description=host.describe(found.config, env, found.seeds))
     tuning.save(found, tmp_path / "search")
@@ -217,43 +289,68 @@ def test_the_command_for_a_final(searched):
     """Configuration and trials are the search's, seeds are others."""
     found, asked = searched
     assert tuning.read(Path("search"))[1] == found.trials
-    assert main(["final", "search"]) == 130 and main(["final", "search", "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
+    assert (
+        main(["final", "search"]) == 130
+        and main(["final", "search", "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
+    )
     assert asked == [(found.config, [0, 2, 4, 3], list(range(1001, 1009))), (found.config, [0, 2], [1500])]
 
 
-@pytest.mark.parametrize(("flags", "message"), [
-    (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"), (["search", "--trials", "9"], "trials = 9"),
-    (["nowhere"], "search = 'nowhere': holds no trials.jsonl"), (["search", "--out", "search"], "out = 'search': is there already"),
-])
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"),
+        (["search", "--trials", "9"], "trials = 9"),
+        (["nowhere"], "search = 'nowhere': holds no trials.jsonl"),
+        (["search", "--out", "search"], "out = 'search': is there already"),
+    ],
+)
 def test_what_cannot_be_a_final(flags, message, searched, capsys):
     assert main(["final", *flags]) == 2 and not searched[1]
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize(("changes", "message"), [
-    (lambda lines: [], "is damaged"), (lambda lines: lines[1:], "is damaged (it should have the trials 0, 1, 2"),
-    (lambda lines: [line | {"values": None} for line in lines], "is damaged"), (lambda lines: [{"trial": 0}], "is damaged"),
-    (lambda lines: [lines[0] | {"values": {"discount": 0.9}}, *lines[1:]], "different fields"),
-    (lambda lines: [line | {"success": line["success"][:1]} for line in lines], "was stopped after 1 of 2 evaluations"),
-    (lambda lines: [line | {"success": []} for line in lines], "was stopped after 0 of 2 evaluations"),
-])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (lambda lines: [], "is damaged"),
+        (lambda lines: lines[1:], "is damaged (it should have the trials 0, 1, 2"),
+        (lambda lines: [line | {"values": None} for line in lines], "is damaged"),
+        (lambda lines: [{"trial": 0}], "is damaged"),
+        (lambda lines: [lines[0] | {"values": {"discount": 0.9}}, *lines[1:]], "different fields"),
+        (
+            lambda lines: [line | {"success": line["success"][:1]} for line in lines],
+            "was stopped after 1 of 2 evaluations",
+        ),
+        (lambda lines: [line | {"success": []} for line in lines], "was stopped after 0 of 2 evaluations"),
+    ],
+)
 def test_a_search_that_is_damaged_or_unfinished_has_no_final(changes, message, searched, capsys):
     path = Path("search/trials.jsonl")
-    path.write_text("".join(f"{json.dumps(line)}\n" for line in changes([json.loads(line) for line in path.read_text().splitlines()])))
+    path.write_text(
+        "".join(
+            f"{json.dumps(line)}\n" for line in changes([json.loads(line) for line in path.read_text().splitlines()])
+        )
+    )
     assert main(["final", "search"]) == 2 and not searched[1]
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize(("task", "method", "changes"), [
-    ("object_search", "her", {"num_epochs": 40, "stop_encoder_gradient": False}),
-    ("object_manipulation", "infogoal", {"agent": "dqn", "relabelling": "her"}),
-    ("embodied_qa", "none", {"relabelling": "none", "evaluation_starts": 3}),
-])
+@pytest.mark.parametrize(
+    ("task", "method", "changes"),
+    [
+        ("object_search", "her", {"num_epochs": 40, "stop_encoder_gradient": False}),
+        ("object_manipulation", "infogoal", {"agent": "dqn", "relabelling": "her"}),
+        ("embodied_qa", "none", {"relabelling": "none", "evaluation_starts": 3}),
+    ],
+)
 def test_the_flags_of_the_best_train_with_its_configuration(task, method, changes, tmp_path, monkeypatch):
     """`infogoal train` is given them, and would run what was best: other parts, switches and lists included."""
     config = presets.load(task, method, **changes)
     config = dataclasses.replace(
-        config, env=dataclasses.replace(config.env, episode_length=60), agent=dataclasses.replace(config.agent, hidden=(16, 8)),
+        config,
+        env=dataclasses.replace(config.env, episode_length=60),
+        agent=dataclasses.replace(config.agent, hidden=(16, 8)),
         learner=dataclasses.replace(config.learner, standardise_images=True),
     )
     found = made(config, [[0.0], [1.0]])
@@ -283,7 +380,11 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(search, "tune", interrupted)
-    flags = "--method her --num-epochs 40 --trials 2 --seeds 1 --first-seed 1005 --fields learning-rate discount --out search"
+    flags = (
+        "--method her --num-epochs 40 --trials 2 --seeds 1 --first-seed 1005 --fields learning-rate discount "
+        "--out "
+        "search"
+    )
     assert main(["tune", "object_search", *flags.split()]) == 130
     assert asked == [(40, "none", 2, [1005], ("learning_rate", "discount"))]
     assert json.loads((tmp_path / "search" / "best.json").read_text())["score"] == 0.5

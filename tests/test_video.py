@@ -1,4 +1,5 @@
-"""Videos and the drawing of Fetch scenes, files that are whole or not there; and the way back from a run to an episode."""
+"""Videos and the drawing of Fetch scenes, files that are whole or not there; and the way back from a run to an
+episode."""
 
 import itertools
 
@@ -56,10 +57,16 @@ def test_colours_are_not_swapped(tmp_path):
     assert np.abs(read(tmp_path / "red.mp4")[1].mean((0, 1)) - [200, 0, 0]).max() < 25
 
 
-@pytest.mark.parametrize(("name", "given", "message"), [
-    ("missing/a.mp4", frames(), "folder is not there"), ("a.avi", frames(), "mp4"), ("a.mp4", [], "at least one"),
-    ("a.mp4", [np.zeros((32, 48))], "uint8"), ("a.mp4", [*frames(2), np.zeros((48, 32, 3), np.uint8)], r"frames\[2\]"),
-])
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("missing/a.mp4", frames(), "folder is not there"),
+        ("a.avi", frames(), "mp4"),
+        ("a.mp4", [], "at least one"),
+        ("a.mp4", [np.zeros((32, 48))], "uint8"),
+        ("a.mp4", [*frames(2), np.zeros((48, 32, 3), np.uint8)], r"frames\[2\]"),
+    ],
+)
 def test_what_cannot_be_written_is_said_and_leaves_nothing_behind(tmp_path, name, given, message):
     with pytest.raises(UserError, match=message):
         write_video(tmp_path / name, given)
@@ -94,8 +101,10 @@ def surface_distance(shape, points: np.ndarray) -> np.ndarray:
 
 TURN = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
 SHAPES = [
-    Box(np.array([0.1, 0.2, 0.3]), TURN, np.array([0.3, 0.2, 0.1]), (1, 1, 1)), Cylinder(np.array([0.0, 0.1, 0.2]), TURN, 0.3, 0.2, (1, 1, 1)),
-    Capsule(np.array([-0.2, 0.0, 0.0]), np.array([0.3, 0.2, 0.3]), 0.15, (1, 1, 1)), Capsule(np.zeros(3), np.zeros(3), 0.3, (1, 1, 1)),
+    Box(np.array([0.1, 0.2, 0.3]), TURN, np.array([0.3, 0.2, 0.1]), (1, 1, 1)),
+    Cylinder(np.array([0.0, 0.1, 0.2]), TURN, 0.3, 0.2, (1, 1, 1)),
+    Capsule(np.array([-0.2, 0.0, 0.0]), np.array([0.3, 0.2, 0.3]), 0.15, (1, 1, 1)),
+    Capsule(np.zeros(3), np.zeros(3), 0.3, (1, 1, 1)),
 ]
 
 
@@ -107,7 +116,10 @@ def test_rays_meet_shapes_on_their_surface_from_outside(shape):
     hits = np.isfinite(distance)
     assert 100 < hits.sum() < len(rays) / 2
     assert surface_distance(shape, camera.position + distance[hits, None] * rays[hits]).max() < 1e-3
-    assert np.allclose(np.linalg.norm(normal[hits], axis=1), 1, atol=1e-3) and (rays[hits] * normal[hits]).sum(1).max() < 1e-3
+    assert (
+        np.allclose(np.linalg.norm(normal[hits], axis=1), 1, atol=1e-3)
+        and (rays[hits] * normal[hits]).sum(1).max() < 1e-3
+    )
     area = np.zeros((camera.height, camera.width), bool)
     area[camera.rectangle(shape)] = True
     assert area.ravel()[hits].all()
@@ -115,7 +127,10 @@ def test_rays_meet_shapes_on_their_surface_from_outside(shape):
 
 def test_of_two_shapes_the_nearer_one_is_seen_in_whatever_order():
     camera = Camera([0.0, -2.0, 0.5], [0.0, 0.0, 0.5], SIZE)
-    near, far = (Capsule(np.array([0, y, 0.5]), np.array([0, y, 0.5]), 0.2, colour) for y, colour in ((-0.5, (1, 0, 0)), (0.5, (0, 0, 1))))
+    near, far = (
+        Capsule(np.array([0, y, 0.5]), np.array([0, y, 0.5]), 0.2, colour)
+        for y, colour in ((-0.5, (1, 0, 0)), (0.5, (0, 0, 1)))
+    )
     pictures = [raycast.empty_picture(camera) for _ in range(2)]
     for picture, shapes in zip(pictures, ([near, far], [far, near]), strict=True):
         for shape in shapes:
@@ -128,7 +143,9 @@ def test_of_two_shapes_the_nearer_one_is_seen_in_whatever_order():
 @pytest.mark.parametrize("task", list(TASKS))
 def test_every_task_can_be_drawn_and_its_goal_is_seen_where_it_lies(task):
     env, state = start(task)
-    goal = jnp.asarray(env.workspace.mean(0) + np.array([0.1, -0.15, -0.15]), jnp.float32)  # Before the arm, as the camera sees it.
+    goal = jnp.asarray(
+        env.workspace.mean(0) + np.array([0.1, -0.15, -0.15]), jnp.float32
+    )  # Before the arm, as the camera sees it.
     state = state.replace(goal=goal)
     picture = draw_fetch(env, state, SIZE, caption=False)
     assert picture.shape == (*SIZE, 3) and picture.dtype == np.uint8
@@ -184,7 +201,9 @@ def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
 @pytest.mark.long
 def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run, tmp_path):
     subject = read_subject(reach_run.folder, reach_run.train.env)
-    outcomes = image_goal_episodes.policy_video(subject, tmp_path / "policy.mp4", episodes=2, seed=3, corruption=0.8, size=SIZE)
+    outcomes = image_goal_episodes.policy_video(
+        subject, tmp_path / "policy.mp4", episodes=2, seed=3, corruption=0.8, size=SIZE
+    )
     found = read(tmp_path / "policy.mp4")
     assert len(outcomes) == 2 and 2 * (2 + 25) <= len(found) <= 2 * (11 + 25)
     test = np.flatnonzero(np.asarray(reach_run.train.env.goals.test_mask))
@@ -198,7 +217,11 @@ def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run,
 @pytest.mark.long
 def test_a_video_of_a_run_refuses_what_it_cannot_draw(reach_run, tmp_path):
     subject = read_subject(reach_run.folder, reach_run.train.env)
-    for changes, message in (({"episodes": 0}, "episodes = 0"), ({"corruption": -0.1}, "corruption = -0.1"), ({"seed": -1}, "seed = -1")):
+    for changes, message in (
+        ({"episodes": 0}, "episodes = 0"),
+        ({"corruption": -0.1}, "corruption = -0.1"),
+        ({"seed": -1}, "seed = -1"),
+    ):
         with pytest.raises(UserError, match=message):
             image_goal_episodes.policy_video(subject, tmp_path / "a.mp4", **changes)
 

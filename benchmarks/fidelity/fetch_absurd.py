@@ -1,9 +1,10 @@
-"""Absurd actions: constant extremes, alternating extremes and random ones, by the million. Nothing that is not a number may leave its environment.
+"""Absurd actions: constant extremes, alternating extremes and random ones, by the million. Nothing that is not a number
+may leave its environment.
 
     python benchmarks/fidelity/fetch_absurd.py [--tasks ...] [--steps 10000000] [--batch 16384] [--faithful]
 
-Prints for each task and pattern the environment steps taken, the diverged episodes (ended, counted and started anew), and whether any observation,
-record or reward was not finite. Exit status 1 if one was.
+Prints for each task and pattern the environment steps taken, the diverged episodes (ended, counted and started anew),
+and whether any observation, record or reward was not finite. Exit status 1 if one was.
 """
 
 import argparse
@@ -41,8 +42,8 @@ PATTERNS = (constant, alternating, random)
 
 
 def make_chunk(env, batch: int):
-    """`chunk(states, key, first, pattern)`: `CHUNK` steps under the pattern of this number; the states after, diverged episodes, whether all stayed
-    finite."""
+    """`chunk(states, key, first, pattern)`: `CHUNK` steps under the pattern of this number; the states after, diverged
+    episodes, whether all stayed finite."""
 
     @jax.jit
     def chunk(states, key, first, pattern):
@@ -59,7 +60,9 @@ def make_chunk(env, batch: int):
             following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
             return following, (stepped.diverged.sum(), finite)
 
-        states, (diverged, finite) = jax.lax.scan(one, states, (jax.random.split(key, CHUNK), first + jnp.arange(CHUNK)))
+        states, (diverged, finite) = jax.lax.scan(
+            one, states, (jax.random.split(key, CHUNK), first + jnp.arange(CHUNK))
+        )
         return states, diverged.sum(), finite.all()
 
     return chunk

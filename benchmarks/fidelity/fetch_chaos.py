@@ -1,13 +1,16 @@
-"""How far the reference parts from itself: recorded episodes replayed on C MuJoCo with the object's start moved by a micrometre (or `--micrometres`).
+"""How far the reference parts from itself: recorded episodes replayed on C MuJoCo with the object's start moved by a
+micrometre (or `--micrometres`).
 
-What a micrometre changes is chaos, and no simulator can follow a recording closer than that; what 0.1 mm changes is how far the small differences of
-another simulator are amplified. `infogoal check-fetch` is read beside these numbers. Runs where the reference does:
+What a micrometre changes is chaos, and no simulator can follow a recording closer than that; what 0.1 mm changes is how
+far the small differences of another simulator are amplified. `infogoal check-fetch` is read beside these numbers. Runs
+where the reference does:
 
     python3.11 -m venv scratch && scratch/bin/pip install mujoco==3.3.7 gymnasium-robotics==1.4.2
-    scratch/bin/python benchmarks/fidelity/fetch_chaos.py tests/fixtures/fetch_gymnasium_v4.npz --kinds scripted held --out chaos.json
+    scratch/bin/python benchmarks/fidelity/fetch_chaos.py tests/fixtures/fetch_gymnasium_v4.npz --kinds scripted held
+    --out chaos.json
 
-Each episode is replayed once from its recorded start, which must give the recording again, and once from each of `--directions` places on a circle
-around it.
+Each episode is replayed once from its recorded start, which must give the recording again, and once from each of
+`--directions` places on a circle around it.
 """
 
 import argparse
@@ -25,7 +28,8 @@ from fetch_peer_mujoco import Peer
 KINDS = ("random", "held", "scripted")
 """Kinds of the episodes of a recording, in turn (record_fetch_reference.py)."""
 OFF_TABLE, ON_TABLE = 0.3, 0.42
-"""An object that ends lower than the first height (m) has fallen off the table, one that ends above the second stands on it or is held."""
+"""An object that ends lower than the first height (m) has fallen off the table, one that ends above the second stands
+on it or is held."""
 
 
 def installed_assets() -> Path:
@@ -54,15 +58,20 @@ def spread(ends: np.ndarray, center: np.ndarray) -> dict[str, float]:
 
 def fate(height: float) -> str:
     """What became of an object that ends at this height (m)."""
-    return "fell off" if height < OFF_TABLE else "stayed" if height > ON_TABLE else "was tipping over the edge at the end"
+    return (
+        "fell off" if height < OFF_TABLE else "stayed" if height > ON_TABLE else "was tipping over the edge at the end"
+    )
 
 
 def measure(peer: Peer, recorded: np.ndarray, actions: np.ndarray, offset: float, directions: int) -> dict:
-    """One episode: recorded observations [T + 1, 25], actions [T, 4], the object's start moved by `offset` m in each direction."""
+    """One episode: recorded observations [T + 1, 25], actions [T, 4], the object's start moved by `offset` m in each
+    direction."""
     place = recorded[0, 3:5].astype(float)
     angles = 2 * np.pi * np.arange(directions) / directions
     same = replay(peer, place, actions)
-    moved = np.stack([replay(peer, place + offset * np.array([np.cos(angle), np.sin(angle)]), actions) for angle in angles])
+    moved = np.stack(
+        [replay(peer, place + offset * np.array([np.cos(angle), np.sin(angle)]), actions) for angle in angles]
+    )
     positions = recorded[:, :6].reshape(-1, 2, 3)
     return {
         "recorded_end": positions[-1, 1].tolist(),
@@ -82,7 +91,9 @@ def main():
     parser.add_argument("--kinds", nargs="+", default=["scripted", "held"], choices=KINDS)
     parser.add_argument("--micrometres", type=float, default=1.0, help="how far the object's start is moved")
     parser.add_argument("--directions", type=int, default=16, help="replays an episode, their starts on a circle")
-    parser.add_argument("--assets", type=Path, help="folder of gymnasium_robotics/envs/assets/fetch; else that of the installed package")
+    parser.add_argument(
+        "--assets", type=Path, help="folder of gymnasium_robotics/envs/assets/fetch; else that of the installed package"
+    )
     parser.add_argument("--out", type=Path, help="json to write")
     arguments = parser.parse_args()
     with np.load(arguments.recording, allow_pickle=False) as recording:
@@ -92,27 +103,48 @@ def main():
     print(f"C MuJoCo {mujoco.__version__}, {arguments.task} of {arguments.recording}")
     print(f"{arguments.directions} starts of the object, {arguments.micrometres:g} um from the recorded one")
     print("mm from the replay of the recorded start; unmoved: that replay itself from the recording\n")
-    print("| episode | kind | unmoved | object's end: median | max | grip: max | recorded end (m) | object | same fate |")
+    print(
+        "| episode | kind | unmoved | object's end: median | max | grip: max | recorded end (m) | object | same fate |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     rows = []
     for episode in range(len(actions)):
         kind = KINDS[episode % len(KINDS)]
         if kind not in arguments.kinds:
             continue
-        row = {"episode": episode, "kind": kind, **measure(peer, observations[episode], actions[episode], offset, arguments.directions)}
+        row = {
+            "episode": episode,
+            "kind": kind,
+            **measure(peer, observations[episode], actions[episode], offset, arguments.directions),
+        }
         rows.append(row)
         end, thing = ", ".join(f"{value:.3f}" for value in row["recorded_end"]), row["object_end"]
-        print(f"| {episode} | {kind} | {row['unmoved_largest_mm']:.4f} | {thing['median_mm']:.3f} | {thing['largest_mm']:.3f} "
-              f"| {row['grip']['largest_mm']:.3f} | {end} | {row['fate']} | {row['same_fate']} of {arguments.directions} |", flush=True)
+        print(
+            f"| {episode} | {kind} | {row['unmoved_largest_mm']:.4f} | {thing['median_mm']:.3f} | "
+            f"{thing['largest_mm']:.3f} "
+            f"| {row['grip']['largest_mm']:.3f} | {end} | {row['fate']} | {row['same_fate']} of {arguments.directions} "
+            "|",
+            flush=True,
+        )
     print()
     for kind, became in dict.fromkeys((row["kind"], row["fate"]) for row in rows):
         chosen = [row["object_end"] for row in rows if (row["kind"], row["fate"]) == (kind, became)]
         medians, largest = ([end[name] for end in chosen] for name in ("median_mm", "largest_mm"))
-        print(f"{kind}, object {became}, {len(chosen)} episodes: medians {np.mean(medians):.3f} on average and {max(medians):.3f} at most; "
-              f"max {np.mean(largest):.3f} on average and {max(largest):.3f} at most; over 1 mm in {sum(value > 1 for value in largest)}")
+        print(
+            f"{kind}, object {became}, {len(chosen)} episodes: medians {np.mean(medians):.3f} on average and "
+            f"{max(medians):.3f} at most; "
+            f"max {np.mean(largest):.3f} on average and {max(largest):.3f} at most; over 1 mm in "
+            f"{sum(value > 1 for value in largest)}"
+        )
     if arguments.out:
-        measured = {"mujoco": mujoco.__version__, "task": arguments.task, "recording": str(arguments.recording),
-                    "micrometres": arguments.micrometres, "directions": arguments.directions, "episodes": rows}
+        measured = {
+            "mujoco": mujoco.__version__,
+            "task": arguments.task,
+            "recording": str(arguments.recording),
+            "micrometres": arguments.micrometres,
+            "directions": arguments.directions,
+            "episodes": rows,
+        }
         arguments.out.write_text(json.dumps(measured, indent=1) + "\n")
 
 

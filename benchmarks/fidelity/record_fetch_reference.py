@@ -1,4 +1,5 @@
-"""Records the reference Fetch environments, Gymnasium-Robotics v4 on C MuJoCo 3.3.7: resets and whole episodes, to compare ours with.
+"""Records the reference Fetch environments, Gymnasium-Robotics v4 on C MuJoCo 3.3.7: resets and whole episodes, to
+compare ours with.
 
 The reference's classes fail on the MuJoCo that this project needs, so they run in a scratch environment (about 400 MB):
 
@@ -6,9 +7,10 @@ The reference's classes fail on the MuJoCo that this project needs, so they run 
     scratch/bin/python benchmarks/fidelity/record_fetch_reference.py --resets tests/fixtures/fetch_resets.npz
     scratch/bin/python benchmarks/fidelity/record_fetch_reference.py --episodes fetch_episodes.npz --number 12
 
-Arrays of a task, float32 in metres, radians and (velocities) metres or radians per control step: `<task>/observation [E, T + 1, D]`,
-`achieved_goal [E, T + 1, 3]`, `desired_goal [E, 1, 3]`, `action [E, T, 4]`, `reward [E, T]`; resets have no time axis and no actions.
-Episode e plays random actions (e % 3 == 0), random actions held for five steps (1) or a script that does what the task asks for (2).
+Arrays of a task, float32 in metres, radians and (velocities) metres or radians per control step: `<task>/observation
+[E, T + 1, D]`, `achieved_goal [E, T + 1, 3]`, `desired_goal [E, 1, 3]`, `action [E, T, 4]`, `reward [E, T]`; resets
+have no time axis and no actions. Episode e plays random actions (e % 3 == 0), random actions held for five steps (1) or
+a script that does what the task asks for (2).
 """
 
 import argparse
@@ -65,7 +67,8 @@ def scripted_pick_and_place(gripper, observation, goal, step):
 
 
 def scripted_slide(gripper, observation, goal, step):
-    """Down behind the puck on the line to the goal, then one strike of the speed that friction eats up on the way there."""
+    """Down behind the puck on the line to the goal, then one strike of the speed that friction eats up on the way
+    there."""
     to_goal = goal[:2] - observation[3:5]
     distance = np.linalg.norm(to_goal)
     direction = np.append(to_goal / distance, 0.0)
@@ -112,20 +115,31 @@ def record_episode(env: gymnasium.Env, task: str, kind: str, seed: int) -> dict[
 
 def record_episodes(env: gymnasium.Env, task: str, number: int, first_seed: int) -> dict[str, np.ndarray]:
     """`number` episodes, kinds in turn; every array has a leading axis of episodes."""
-    episodes = [record_episode(env, task, KINDS[episode % len(KINDS)], first_seed + episode) for episode in range(number)]
+    episodes = [
+        record_episode(env, task, KINDS[episode % len(KINDS)], first_seed + episode) for episode in range(number)
+    ]
     return {name: np.stack([episode[name] for episode in episodes]) for name in episodes[0]}
 
 
 def record_resets(env: gymnasium.Env, number: int, first_seed: int) -> dict[str, np.ndarray]:
     """First states of `number` resets: `observation` [number, D], `achieved_goal` and `desired_goal` [number, 3]."""
     states = [env.reset(seed=first_seed + reset)[0] for reset in range(number)]
-    return {name: np.stack([state[name] for state in states]) for name in ("observation", "achieved_goal", "desired_goal")}
+    return {
+        name: np.stack([state[name] for state in states]) for name in ("observation", "achieved_goal", "desired_goal")
+    }
 
 
 def save(file: str, recordings: dict[str, dict[str, np.ndarray]]) -> None:
     """Write `{task: {name: array}}` as float32 arrays `<task>/<name>`, and where they come from as `source`."""
-    arrays = {f"{task}/{name}": array.astype(np.float32) for task, recording in recordings.items() for name, array in recording.items()}
-    versions = f"mujoco {mujoco.__version__}, gymnasium-robotics {gymnasium_robotics.__version__}, gymnasium {gymnasium.__version__}"
+    arrays = {
+        f"{task}/{name}": array.astype(np.float32)
+        for task, recording in recordings.items()
+        for name, array in recording.items()
+    }
+    versions = (
+        f"mujoco {mujoco.__version__}, gymnasium-robotics {gymnasium_robotics.__version__}, gymnasium "
+        f"{gymnasium.__version__}"
+    )
     np.savez_compressed(file, **arrays, source=f"{', '.join(ENV_IDS[task] for task in recordings)}; {versions}")
 
 
@@ -144,9 +158,15 @@ def main():
     gymnasium.register_envs(gymnasium_robotics)
     envs = {task: gymnasium.make(ENV_IDS[task]) for task in arguments.tasks}
     if arguments.resets:
-        save(arguments.resets, {task: record_resets(env, arguments.number or 1000, arguments.seed) for task, env in envs.items()})
+        save(
+            arguments.resets,
+            {task: record_resets(env, arguments.number or 1000, arguments.seed) for task, env in envs.items()},
+        )
     if arguments.episodes:
-        save(arguments.episodes, {task: record_episodes(env, task, arguments.number or 12, arguments.seed) for task, env in envs.items()})
+        save(
+            arguments.episodes,
+            {task: record_episodes(env, task, arguments.number or 12, arguments.seed) for task, env in envs.items()},
+        )
 
 
 if __name__ == "__main__":

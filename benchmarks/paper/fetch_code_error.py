@@ -1,9 +1,11 @@
-"""How far corruption moves the codes of goals, in metres: where the grid goal lies whose mean code is nearest to that of a corrupted training goal.
+"""How far corruption moves the codes of goals, in metres: where the grid goal lies whose mean code is nearest to that
+of a corrupted training goal.
 
     python benchmarks/paper/fetch_code_error.py RUN [RUN ...] [--weight 0.4]
 
-For each seed of a run: the mean distance between a training goal and that grid goal, over 20 test backgrounds for each goal, with the image clean,
-under uniform grey of the same weight (less contrast, no clutter), corrupted, and corrupted but given the clean image's mean and contrast back.
+For each seed of a run: the mean distance between a training goal and that grid goal, over 20 test backgrounds for each
+goal, with the image clean, under uniform grey of the same weight (less contrast, no clutter), corrupted, and corrupted
+but given the clean image's mean and contrast back.
 """
 
 import argparse
@@ -42,14 +44,18 @@ def errors(path: Path, weight: float) -> dict[str, np.ndarray]:
     backgrounds = draw_backgrounds(jax.random.key(0), env.test_backgrounds, goals.shape)
     corrupted = np.asarray(corrupt(clean, backgrounds, weight))
     images = {
-        "clean": clean, "grey": np.asarray(corrupt(clean, jnp.full_like(clean, GREY), weight)), "corrupted": corrupted,
+        "clean": clean,
+        "grey": np.asarray(corrupt(clean, jnp.full_like(clean, GREY), weight)),
+        "corrupted": corrupted,
         "corrupted, contrast restored": contrast_of(corrupted.astype(float), clean.astype(float)),
     }
     grid, positions = int(np.prod(env.unwrapped.grid_shape)), np.asarray(env.unwrapped.positions)
     found = {name: [] for name in images}
     for seed in range(len(run.seeds)):
         params = jax.tree.map(lambda leaf, seed=seed: jnp.asarray(leaf[seed]), read_params(run, train)["goal"])
-        table = np.asarray(jax.jit(lambda params, goals: encode_all(learner, params, goals).mean)(params, env.goals))[:grid]
+        table = np.asarray(jax.jit(lambda params, goals: encode_all(learner, params, goals).mean)(params, env.goals))[
+            :grid
+        ]
         for name, batch in images.items():
             codes = np.asarray(jax.jit(lambda params, batch: learner.encode(params, batch).mean)(params, batch))
             nearest = np.abs(codes[:, None] - table).mean(-1).argmin(1)

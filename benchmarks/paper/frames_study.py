@@ -1,11 +1,14 @@
-"""The study of object manipulation and embodied question answering: InfoGoal against the bare agent on three generated datasets, five seeds each.
+"""The study of object manipulation and embodied question answering: InfoGoal against the bare agent on three generated
+datasets, five seeds each.
 
-    python benchmarks/paper/frames_study.py --out FOLDER [--tasks object_manipulation embodied_qa] [--datasets 0 1 2] [--methods ...] [--seeds 5]
+    python benchmarks/paper/frames_study.py --out FOLDER [--tasks object_manipulation embodied_qa] [--datasets 0 1 2]
+    [--methods ...] [--seeds 5]
 
-Dataset N is generated from seed N, and so are its goals; none of them was used for tuning. Methods are those of `VARIANTS`: a learner, and where it
-says so another relabelling than the preset's. Every run stays in FOLDER/TASK/N/METHOD, with result.json for times and machine. What is there is not
-run again, so that runs may come from several machines. FOLDER/numbers.npz holds the numbers of all runs (study_numbers.py), FOLDER/study.md the
-table: last parameters, 5 starts for each goal, no random actions, the goal's code sampled at every step.
+Dataset N is generated from seed N, and so are its goals; none of them was used for tuning. Methods are those of
+`VARIANTS`: a learner, and where it says so another relabelling than the preset's. Every run stays in
+FOLDER/TASK/N/METHOD, with result.json for times and machine. What is there is not run again, so that runs may come from
+several machines. FOLDER/numbers.npz holds the numbers of all runs (study_numbers.py), FOLDER/study.md the table: last
+parameters, 5 starts for each goal, no random actions, the goal's code sampled at every step.
 """
 
 import argparse
@@ -23,13 +26,19 @@ from infogoal_jax.report.tables import Table
 VARIANTS = {
     "object_manipulation": {"none": ("HRAC", "none", None), "infogoal": ("InfoGoal", "infogoal", None)},
     "embodied_qa": {
-        "none": ("CQL", "none", None), "infogoal": ("InfoGoal", "infogoal", None), "none_unrelabelled": ("CQL without relabelling", "none", "none"),
+        "none": ("CQL", "none", None),
+        "infogoal": ("InfoGoal", "infogoal", None),
+        "none_unrelabelled": ("CQL without relabelling", "none", "none"),
     },
 }
-"""For each task: a method's name, its learner, and its relabelling (None: the preset's). The second is compared with the first."""
+"""For each task: a method's name, its learner, and its relabelling (None: the preset's). The second is compared with
+the first."""
 STARTS = 50  # For each goal, of the random policy and the shortest path.
 HALF_WAY = 30  # Epochs of embodied question answering, of 60.
-SHORT_TABLE = {"object_manipulation": ("train_goal", "test_goal", "corrupted_train_goal"), "embodied_qa": ("validation_goal", "test_goal")}
+SHORT_TABLE = {
+    "object_manipulation": ("train_goal", "test_goal", "corrupted_train_goal"),
+    "embodied_qa": ("validation_goal", "test_goal"),
+}
 """The kinds of goals in the README."""
 
 
@@ -47,7 +56,8 @@ def datasets(results: Study, task: str) -> list[str]:
 
 
 def scores(results: Study, task: str, kinds, choose: Callable[[Table], int]) -> list[tuple[str, str, dict]]:
-    """(dataset, kind of goals, {variant: success [seeds]}) of a task, of every dataset and those of the kinds that the task has."""
+    """(dataset, kind of goals, {variant: success [seeds]}) of a task, of every dataset and those of the kinds that the
+    task has."""
     found = []
     for dataset in datasets(results, task):
         runs = results.finished(f"{task}/{dataset}", VARIANTS[task])
@@ -67,13 +77,26 @@ def task_table(results: Study, task: str) -> str:
         paper = " / ".join(reported(task, kind, method) for method in ("none", "infogoal"))
         shown = ["" if value is None else f"{value:.2f}" for value in simple]
         rows.append([dataset, study.KINDS[kind], *shown, *study.cells(values, VARIANTS[task]), paper.strip(" /")])
-    columns = ["dataset", "goals", "random", "shortest path", *names, f"InfoGoal - {names[0]}", f"paper: {names[0]} / InfoGoal"]
+    columns = [
+        "dataset",
+        "goals",
+        "random",
+        "shortest path",
+        *names,
+        f"InfoGoal - {names[0]}",
+        f"paper: {names[0]} / InfoGoal",
+    ]
     return study.markdown(columns, rows)
 
 
 def half_way_table(results: Study) -> str:
     """CQL and InfoGoal on the shelf after half of the updates."""
-    found = scores(results, "embodied_qa", ("validation_goal", "test_goal"), lambda evaluations: list(evaluations.epochs).index(HALF_WAY))
+    found = scores(
+        results,
+        "embodied_qa",
+        ("validation_goal", "test_goal"),
+        lambda evaluations: list(evaluations.epochs).index(HALF_WAY),
+    )
     rows = [[dataset, study.KINDS[kind], *study.cells(values, ("none", "infogoal"))] for dataset, kind, values in found]
     return study.markdown(["shelf", "goals", "CQL", "InfoGoal", "InfoGoal - CQL"], rows)
 
@@ -85,19 +108,34 @@ def short_table(results: Study) -> str:
         for dataset, kind, values in scores(results, task, kinds, study.last):
             paper = [reported(task, kind, method) for method in ("none", "infogoal")]
             rows.append([task, dataset, study.KINDS[kind], *study.cells(values, ("none", "infogoal")), *paper])
-    columns = ["task", "dataset", "goals", "bare agent", "InfoGoal", "InfoGoal - bare agent", "paper: bare agent", "paper: InfoGoal"]
+    columns = [
+        "task",
+        "dataset",
+        "goals",
+        "bare agent",
+        "InfoGoal",
+        "InfoGoal - bare agent",
+        "paper: bare agent",
+        "paper: InfoGoal",
+    ]
     return study.markdown(columns, rows)
 
 
 def report(results: Study) -> str:
     """The study as Markdown: for each task its table, then what each run took."""
-    lines = ["Success rate of the last parameters; mean ± 95 % interval (Student t) over seeds, and of the paired difference. "
-             "All datasets are stand-ins.", ""]
+    lines = [
+        "Success rate of the last parameters; mean ± 95 % interval (Student t) over seeds, and of the paired "
+        "difference. "
+        "All datasets are stand-ins.",
+        "",
+    ]
     for task, variants in VARIANTS.items():
         lines += [f"### {task}", "", task_table(results, task), ""]
         for dataset in datasets(results, task):
             runs = results.finished(f"{task}/{dataset}", variants)
-            lines += [study.describe_run(run, f"{task} {dataset}, {variants[variant][0]}") for variant, run in runs.items()]
+            lines += [
+                study.describe_run(run, f"{task} {dataset}, {variants[variant][0]}") for variant, run in runs.items()
+            ]
         lines.append("")
     return "\n".join(lines)
 
@@ -123,7 +161,9 @@ def main():
             for variant in VARIANTS[task] if arguments.methods is None else arguments.methods:
                 study.train(configuration(task, variant, dataset), arguments.seeds, place / variant)
             config = configuration(task, "none", dataset).env
-            study.write_baselines(lambda task=task, config=config: envs.load(task, config), place / "baselines.json", STARTS)
+            study.write_baselines(
+                lambda task=task, config=config: envs.load(task, config), place / "baselines.json", STARTS
+            )
     study.finish(arguments.out, report)
 
 

@@ -1,11 +1,13 @@
-"""The study of the README: InfoGoal against bare DQN on three synthetic houses, five seeds each, beside a random policy and the shortest path.
+"""The study of the README: InfoGoal against bare DQN on three synthetic houses, five seeds each, beside a random policy
+and the shortest path.
 
     python benchmarks/paper/house_study.py --out FOLDER [--houses 0 1 2] [--seeds 5]
 
-House 0 is the default one; the others are built from their seeds. No house of this study was used for tuning. Every run stays in
-FOLDER/house_N/METHOD; what is there is not run again, so houses may come from several machines. FOLDER/numbers.npz holds the numbers of all runs
-(study_numbers.py), FOLDER/study.md the table and FOLDER/learning.png the curves. Scores are shown without random actions in evaluation (test epsilon
-0), and with the share of random actions that is best for the success on training goals, for each method and house.
+House 0 is the default one; the others are built from their seeds. No house of this study was used for tuning. Every run
+stays in FOLDER/house_N/METHOD; what is there is not run again, so houses may come from several machines.
+FOLDER/numbers.npz holds the numbers of all runs (study_numbers.py), FOLDER/study.md the table and FOLDER/learning.png
+the curves. Scores are shown without random actions in evaluation (test epsilon 0), and with the share of random actions
+that is best for the success on training goals, for each method and house.
 """
 
 import argparse
@@ -47,12 +49,14 @@ def house_config(method: str, house: int, folder: Path):
 
 
 def scores_by_epsilon(sweep: host.Sweep) -> dict[str, dict[str, list]]:
-    """Every score of the last parameters at every epsilon, as part of result.json: {"scores": {"{group}_goal/{score}": [seeds][epsilons]}}, and with
-    `_mean_code` for the mean code."""
+    """Every score of the last parameters at every epsilon, as part of result.json: {"scores": {"{group}_goal/{score}":
+    [seeds][epsilons]}}, and with `_mean_code` for the mean code."""
     train = sweep.train
 
     def one(params, epsilon, env):
-        policies = train.test_policies(params, train.config.hyper.replace(test_epsilon=epsilon), env, STARTS, seed=START_SEED)
+        policies = train.test_policies(
+            params, train.config.hyper.replace(test_epsilon=epsilon), env, STARTS, seed=START_SEED
+        )
         scores = evaluate(env, policies, STARTS, START_SEED)
         return {name: value for name, value in scores.items() if name != "first_reached"}
 
@@ -61,10 +65,15 @@ def scores_by_epsilon(sweep: host.Sweep) -> dict[str, dict[str, list]]:
     return {"scores": {name: value.tolist() for name, value in found.items()}}
 
 
-def house_rows(runs: dict[str, StudyRun], baselines: dict[str, float], house: str, groups: tuple[str, ...]) -> list[list[str]]:
+def house_rows(
+    runs: dict[str, StudyRun], baselines: dict[str, float], house: str, groups: tuple[str, ...]
+) -> list[list[str]]:
     """Rows of one house: each group of goals and score at test epsilon 0, then at the one chosen on training goals."""
     results = {method: run.about["result"] for method, run in runs.items()}
-    scores = {method: {name: np.asarray(value) for name, value in result["scores"].items()} for method, result in results.items()}
+    scores = {
+        method: {name: np.asarray(value) for name, value in result["scores"].items()}
+        for method, result in results.items()
+    }
     diverged = {int(seed) for result in results.values() for seed in result["diverged"]}
     kept = [place for place, seed in enumerate(runs["none"].evaluations.seeds) if seed not in diverged]
     chosen = {method: int(scores[method]["train_goal/success_rate"].mean(0).argmax()) for method in METHODS}
@@ -87,25 +96,51 @@ def houses(results: Study) -> dict[str, dict[str, StudyRun]]:
 
 def scores_table(results: Study, groups: tuple[str, ...]) -> str:
     """The table of all houses, of these groups of goals."""
-    columns = ["house", "goals", "score", "test epsilon (DQN, InfoGoal)", "random", "shortest path", "DQN", "InfoGoal", "InfoGoal - DQN"]
-    rows = [row for house, runs in houses(results).items() for row in house_rows(runs, results.baselines[house], house, groups)]
+    columns = [
+        "house",
+        "goals",
+        "score",
+        "test epsilon (DQN, InfoGoal)",
+        "random",
+        "shortest path",
+        "DQN",
+        "InfoGoal",
+        "InfoGoal - DQN",
+    ]
+    rows = [
+        row
+        for house, runs in houses(results).items()
+        for row in house_rows(runs, results.baselines[house], house, groups)
+    ]
     return study.markdown(columns, rows)
 
 
 def report(results: Study) -> str:
     """The study as Markdown: its table, and what the houses and runs were."""
-    paper = ", ".join(f"{METHODS[method]} {reported('object_search', 'test_goal', method)}" for method in ("infogoal", "none"))
+    paper = ", ".join(
+        f"{METHODS[method]} {reported('object_search', 'test_goal', method)}" for method in ("infogoal", "none")
+    )
     seeds = {len(run.evaluations.seeds) for run in results.runs.values()}
     lines = [
-        f"Mean ± 95 % interval (Student t) over {max(seeds)} seeds; in the last column of the paired difference. {STARTS} starts for each goal. "
-        f"The paper, on the real dataset: {paper} on test goals.", "", scores_table(results, ("train", "test")), "",
+        f"Mean ± 95 % interval (Student t) over {max(seeds)} seeds; in the last column of the paired difference. "
+        f"{STARTS} starts for each goal. "
+        f"The paper, on the real dataset: {paper} on test goals.",
+        "",
+        scores_table(results, ("train", "test")),
+        "",
     ]
     for house, runs in houses(results).items():
         epochs = ", ".join(f"{METHODS[method]} {run.evaluations.epochs[-1]} epochs" for method, run in runs.items())
-        lost = "".join(f"; {METHODS[method]} seeds {', '.join(map(str, run.about['result']['diverged']))} diverged and are left out"
-                       for method, run in runs.items() if run.about["result"]["diverged"])
+        lost = "".join(
+            f"; {METHODS[method]} seeds {', '.join(map(str, run.about['result']['diverged']))} diverged and are left "
+            "out"
+            for method, run in runs.items()
+            if run.about["result"]["diverged"]
+        )
         first = runs["none"].about
-        lines.append(f"- House {house.removeprefix('house_')}: {first['data']}; {epochs}; {first['result']['machine']}{lost}")
+        lines.append(
+            f"- House {house.removeprefix('house_')}: {first['data']}; {epochs}; {first['result']['machine']}{lost}"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -115,23 +150,39 @@ def tables(results: Study) -> dict[str, str]:
 
 
 def learning_figure(results: Study) -> Figure:
-    """Success on training (dashed) and test goals against environment steps, a panel a house: mean over seeds, 95 % band, every seed a thin line."""
+    """Success on training (dashed) and test goals against environment steps, a panel a house: mean over seeds, 95 %
+    band, every seed a thin line."""
     found = houses(results)
     figure = Figure(figsize=(4.2 * len(found), 3.8), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (house, runs) in zip(np.atleast_1d(figure.subplots(1, len(found), sharey=True)), found.items(), strict=True):
+    for axes, (house, runs) in zip(
+        np.atleast_1d(figure.subplots(1, len(found), sharey=True)), found.items(), strict=True
+    ):
         for (method, label), colour in zip(METHODS.items(), ("tab:orange", "tab:blue"), strict=True):
             values = runs[method].evaluations.values
             steps = values["env_steps"].mean(0) / 1e3
             draw_curve(axes, steps, values["test_goal/success_rate"], colour, f"{label}, test goals")
-            axes.plot(steps, values["train_goal/success_rate"].mean(0), color=colour, linestyle="--", label=f"{label}, training goals")
-        axes.axhline(results.baselines[house]["test_goal_random/success_rate"], color="grey", linestyle=":", label="random policy")
+            axes.plot(
+                steps,
+                values["train_goal/success_rate"].mean(0),
+                color=colour,
+                linestyle="--",
+                label=f"{label}, training goals",
+            )
+        axes.axhline(
+            results.baselines[house]["test_goal_random/success_rate"],
+            color="grey",
+            linestyle=":",
+            label="random policy",
+        )
         axes.set_title(f"synthetic {house.replace('_', ' ')} (a stand-in)")
         axes.set_xlabel("environment steps a seed (thousands)")
         finish_share_axis(axes, "success rate")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=5)
     seeds = max(len(run.evaluations.seeds) for run in results.runs.values())
-    figure.supxlabel(f"object search, test epsilon 0; {seeds} seeds, mean with 95 % interval, each seed a thin line", fontsize=8)
+    figure.supxlabel(
+        f"object search, test epsilon 0; {seeds} seeds, mean with 95 % interval, each seed a thin line", fontsize=8
+    )
     return figure
 
 
@@ -147,7 +198,9 @@ def main():
         for method in METHODS:
             study.train(house_config(method, house, arguments.out), arguments.seeds, place / method, scores_by_epsilon)
         config = house_config("none", house, arguments.out).env
-        study.write_baselines(lambda config=config: envs.load("object_search", config), place / "baselines.json", STARTS, START_SEED)
+        study.write_baselines(
+            lambda config=config: envs.load("object_search", config), place / "baselines.json", STARTS, START_SEED
+        )
     save(learning_figure(study.finish(arguments.out, report)), arguments.out / "learning.png")
 
 

@@ -1,4 +1,5 @@
-"""Table I of the paper (Zou and Suzuki, IEEE TNNLS): success rates of every method. All tables that show the paper's numbers take them from here."""
+"""Table I of the paper (Zou and Suzuki, IEEE TNNLS): success rates of every method. All tables that show the paper's
+numbers take them from here."""
 
 TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "fetch_pick_and_place", "embodied_qa")
 IMAGE_TASKS = TASKS[1:5]
@@ -49,7 +50,11 @@ CORRUPTED_TRAINING = {
 }
 """Corrupted training goals, in the order of `IMAGE_TASKS`."""
 
-TABLE = {"test_goal": (TASKS, TEST), "corrupted_test_goal": (IMAGE_TASKS, CORRUPTED_TEST), "corrupted_train_goal": (IMAGE_TASKS, CORRUPTED_TRAINING)}
+TABLE = {
+    "test_goal": (TASKS, TEST),
+    "corrupted_test_goal": (IMAGE_TASKS, CORRUPTED_TEST),
+    "corrupted_train_goal": (IMAGE_TASKS, CORRUPTED_TRAINING),
+}
 """By kind of goals, which are named as in our metrics. The paper reports nothing for training goals."""
 
 

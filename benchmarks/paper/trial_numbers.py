@@ -1,4 +1,5 @@
-"""What is kept of the trials: docs/results/trials/numbers.csv, one row for every evaluation of every lane and seed, and the tables made of it.
+"""What is kept of the trials: docs/results/trials/numbers.csv, one row for every evaluation of every lane and seed, and
+the tables made of it.
 
     trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
     KIND/success_rate                of each kind of goals
@@ -24,7 +25,14 @@ LAST = 3
 """Evaluations over which tables take the mean: a single one of few goals jumps by 0.05 and more."""
 FEWEST_SEEDS = 3
 """Seeds from which on an interval is shown: of two it is 12.7 times the standard error, wider than what is measured."""
-SUCCESS = ("train_goal", "validation_goal", "test_goal", "corrupted_train_goal", "corrupted_test_goal", "test_goal_mean_code")
+SUCCESS = (
+    "train_goal",
+    "validation_goal",
+    "test_goal",
+    "corrupted_train_goal",
+    "corrupted_test_goal",
+    "test_goal_mean_code",
+)
 
 Row = dict[str, str]
 
@@ -37,19 +45,29 @@ def read(path: Path) -> list[Row]:
 
 def write(rows: list[Row], path: Path) -> None:
     """Write these rows, with every column that holds something anywhere, the machine last."""
-    columns = [column for column in dict.fromkeys(column for row in rows for column in row) if any(row.get(column) for row in rows)]
+    columns = [
+        column
+        for column in dict.fromkeys(column for row in rows for column in row)
+        if any(row.get(column) for row in rows)
+    ]
     with open(path, "w", newline="") as file:
-        table = csv.DictWriter(file, sorted(columns, key="machine".__eq__), restval="", extrasaction="ignore", lineterminator="\n")
+        table = csv.DictWriter(
+            file, sorted(columns, key="machine".__eq__), restval="", extrasaction="ignore", lineterminator="\n"
+        )
         table.writeheader()
         table.writerows(rows)
 
 
 def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
-    """Put the trials of FOLDER/*.csv into the file, in place of what it holds of them. order: of all trials. Returns those that came in."""
+    """Put the trials of FOLDER/*.csv into the file, in place of what it holds of them. order: of all trials. Returns
+    those that came in."""
     new = {found.stem: read(found) for found in sorted(folder.glob("*.csv"))}
     places = {trial: place for place, trial in enumerate(order)}
     kept = [row for row in (read(path) if path.exists() else []) if row["trial"] not in new]
-    rows = sorted([*kept, *(row for found in new.values() for row in found)], key=lambda row: places.get(row["trial"], len(places)))
+    rows = sorted(
+        [*kept, *(row for found in new.values() for row in found)],
+        key=lambda row: places.get(row["trial"], len(places)),
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     write(rows, path)
     return list(new)
@@ -64,18 +82,28 @@ def seed_means(rows: list[Row], column: str) -> np.ndarray | None:
     """The mean of a column for each seed, or None where these rows have no such number."""
     if not all(row.get(column) for row in rows):
         return None
-    return np.array([np.mean([float(row[column]) for row in rows if row["seed"] == seed]) for seed in dict.fromkeys(row["seed"] for row in rows)])
+    return np.array(
+        [
+            np.mean([float(row[column]) for row in rows if row["seed"] == seed])
+            for seed in dict.fromkeys(row["seed"] for row in rows)
+        ]
+    )
 
 
 def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> str:
     """The mean over seeds, with the interval if it is asked for and there are seeds enough."""
     if values is None:
         return ""
-    return mean_interval(values).show(decimals) if interval and len(values) >= FEWEST_SEEDS else f"{values.mean():,.{decimals}f}"
+    return (
+        mean_interval(values).show(decimals)
+        if interval and len(values) >= FEWEST_SEEDS
+        else f"{values.mean():,.{decimals}f}"
+    )
 
 
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
-    """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has none."""
+    """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
+    none."""
     words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
     columns = ["trial", "lane", "seeds", "updates", *(words[kind] for kind in SUCCESS), "KL", "accuracy"]
     lines = []

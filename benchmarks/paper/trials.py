@@ -1,14 +1,17 @@
-"""Trials: short, cheap experiments that decide what a method needs, several settings of floats and several seeds side by side in one program.
+"""Trials: short, cheap experiments that decide what a method needs, several settings of floats and several seeds side
+by side in one program.
 
     python benchmarks/paper/trials.py --list
     python benchmarks/paper/trials.py --out FOLDER [--trials cube_her cube_infogoal_her_window_1 ...] [--minutes 9]
     python benchmarks/paper/trials.py --merge FOLDER
 
-`QUEUE` is the list of what is to be run, in order of what it would tell. A trial is a preset, what is changed in it, and *lanes*: settings of
-the float hyperparameters that are trained in the same compiled program. Every evaluation of every lane and seed is a row of FOLDER/TRIAL.csv,
-written as it comes, so that a run that is cut keeps what it found; --minutes stops the last one in time. A trial whose file lies in FOLDER is not run
-again. --merge puts the files of FOLDER into docs/results/trials/numbers.csv, in place of what was there of the same trials; `tables.py trials` then
-writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has come in that file.
+`QUEUE` is the list of what is to be run, in order of what it would tell. A trial is a preset, what is changed in it,
+and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation of
+every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
+--minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
+FOLDER into docs/results/trials/numbers.csv, in place of what was there of the same trials; `tables.py trials` then
+writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has
+come in that file.
 """
 
 import argparse
@@ -35,18 +38,29 @@ from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.program import make_train
 from infogoal_jax.train.tune import batched_hyper
 
-KINDS = ("train_goal", "validation_goal", "test_goal", "corrupted_train_goal", "corrupted_test_goal", "train_goal_mean_code", "test_goal_mean_code")
+KINDS = (
+    "train_goal",
+    "validation_goal",
+    "test_goal",
+    "corrupted_train_goal",
+    "corrupted_test_goal",
+    "train_goal_mean_code",
+    "test_goal_mean_code",
+)
 EPOCH_METRICS = ("beta", "accuracy", "kl")
 NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "trials" / trial_numbers.FILE
 TABLES = {
-    "cube": (("object_manipulation",), ("degrees", 1)), "fetch": (presets.FETCH_TASKS, ("m", 3)), "house": (("object_search",), None),
+    "cube": (("object_manipulation",), ("degrees", 1)),
+    "fetch": (presets.FETCH_TASKS, ("m", 3)),
+    "house": (("object_search",), None),
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
 
 
 class Trial(NamedTuple):
-    """task, method, relabelling: of the preset. settings: dotted fields that are changed in it. lanes: names and float hyperparameters of each.
+    """task, method, relabelling: of the preset. settings: dotted fields that are changed in it. lanes: names and float
+    hyperparameters of each.
 
     by_name: evaluate embodied question answering with the names of the objects in place of the questions about them.
     """
@@ -61,8 +75,15 @@ class Trial(NamedTuple):
 
 
 CUBE = {
-    "env.generator_seed": 100, "env.goal_seed": 100, "env.episode_length": 100, "rollout_steps": 100, "num_envs": 128, "updates_per_epoch": 1000,
-    "evaluation_starts": 2, "num_epochs": 60, "epochs_per_evaluation": 5,
+    "env.generator_seed": 100,
+    "env.goal_seed": 100,
+    "env.episode_length": 100,
+    "rollout_steps": 100,
+    "num_envs": 128,
+    "updates_per_epoch": 1000,
+    "evaluation_starts": 2,
+    "num_epochs": 60,
+    "epochs_per_evaluation": 5,
 }
 """The cube with episodes long enough for it: 60,000 updates."""
 
@@ -79,49 +100,101 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 UNCOMPRESSED = {"no compression": {"learner.beta_step": 0.0, "learner.beta_start": 0.0}}
 NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "learner.beta_threshold": 0.99}}
-SEARCHING = {f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "learner.beta": beta} for weight in (0.0, 0.1, 1.0)
-             for beta in (3e-5, 1e-3, 1e-2)}
+SEARCHING = {
+    f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "learner.beta": beta}
+    for weight in (0.0, 0.1, 1.0)
+    for beta in (3e-5, 1e-3, 1e-2)
+}
 NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
 
 
 def confirmation(dataset: int) -> dict[str, Any]:
     """The cube with 120,000 updates, on a dataset that results are shown on."""
-    return CUBE | {"env.generator_seed": dataset, "env.goal_seed": dataset, "num_epochs": 120, "epochs_per_evaluation": 10}
+    return CUBE | {
+        "env.generator_seed": dataset,
+        "env.goal_seed": dataset,
+        "num_epochs": 120,
+        "epochs_per_evaluation": 10,
+    }
 
 
 QUEUE = {
     "cube_her": Trial("object_manipulation", "her", None, CUBE, {"preset": {}}, seeds=4),
-    **{f"cube_infogoal_her_window_{window}": Trial("object_manipulation", "infogoal", "her", CUBE | {"learner.window": window},
-                                                   THRESHOLDS | UNCOMPRESSED | NO_REWARD) for window in (1, 0, 3)},
-    "cube_infogoal_her_small_subgoals": Trial("object_manipulation", "infogoal", "her", CUBE | {"learner.window": 1, "agent.subgoal_scale": 0.2618},
-                                              THRESHOLDS | UNCOMPRESSED),
+    **{
+        f"cube_infogoal_her_window_{window}": Trial(
+            "object_manipulation",
+            "infogoal",
+            "her",
+            CUBE | {"learner.window": window},
+            THRESHOLDS | UNCOMPRESSED | NO_REWARD,
+        )
+        for window in (1, 0, 3)
+    },
+    "cube_infogoal_her_small_subgoals": Trial(
+        "object_manipulation",
+        "infogoal",
+        "her",
+        CUBE | {"learner.window": 1, "agent.subgoal_scale": 0.2618},
+        THRESHOLDS | UNCOMPRESSED,
+    ),
     "pick_and_place_her": Trial("fetch_pick_and_place", "her", None, FETCH, {"preset": {}}, seeds=3),
     "pick_and_place_infogoal": Trial("fetch_pick_and_place", "infogoal", None, FETCH, THRESHOLDS, seeds=3),
     "pick_and_place_infogoal_her": Trial("fetch_pick_and_place", "infogoal", "her", FETCH, THRESHOLDS, seeds=3),
-    "pick_and_place_infogoal_her_window_1": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"learner.window": 1}, THRESHOLDS, seeds=3),
-    "pick_and_place_infogoal_her_corruption": Trial("fetch_pick_and_place", "infogoal", "her", FETCH | {"training_corruption": 0.4}, THRESHOLDS,
-                                                    seeds=3),
-    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to: the same without InfoGoal.
-    "pick_and_place_her_corruption": Trial("fetch_pick_and_place", "her", None, FETCH | {"training_corruption": 0.4}, {"preset": {}}, seeds=3),
+    "pick_and_place_infogoal_her_window_1": Trial(
+        "fetch_pick_and_place", "infogoal", "her", FETCH | {"learner.window": 1}, THRESHOLDS, seeds=3
+    ),
+    "pick_and_place_infogoal_her_corruption": Trial(
+        "fetch_pick_and_place", "infogoal", "her", FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3
+    ),
+    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to: the same without
+    # InfoGoal.
+    "pick_and_place_her_corruption": Trial(
+        "fetch_pick_and_place", "her", None, FETCH | {"training_corruption": 0.4}, {"preset": {}}, seeds=3
+    ),
     "reach_infogoal": Trial("fetch_reach", "infogoal", None, FETCH, THRESHOLDS, seeds=3),
     "reach_infogoal_her": Trial("fetch_reach", "infogoal", "her", FETCH, THRESHOLDS, seeds=3),
-    "reach_infogoal_corruption": Trial("fetch_reach", "infogoal", None, FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3),
-    # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer, before it can become the preset.
-    **{f"cube_{dataset}_her": Trial("object_manipulation", "her", None, confirmation(dataset), {"preset": {}}, seeds=5) for dataset in (0, 1, 2)},
-    **{f"cube_{dataset}_infogoal_her_window_1": Trial("object_manipulation", "infogoal", "her", confirmation(dataset) | {"learner.window": 1},
-                                                      {"threshold 0.999": THRESHOLDS["threshold 0.999"]}, seeds=5) for dataset in (0, 1, 2)},
-    # Test questions of the shelf: is the loss in the way from a question to its object, or in the policy? Commanding names leaves only the policy.
-    **{f"shelf_infogoal{ending}": Trial("embodied_qa", "infogoal", None, SHELF, THRESHOLDS | UNCOMPRESSED, seeds=3, by_name=by_name)
-       for ending, by_name in COMMANDS.items()},
-    **{f"shelf_cql{ending}": Trial("embodied_qa", "none", None, SHELF, {"preset": {}}, seeds=3, by_name=by_name)
-       for ending, by_name in COMMANDS.items()},
-    # InfoBot claims that its reward leads to where decisions are made. Its authors' beta of 0.01 is beside rewards of 10; the preset's is 3e-5.
+    "reach_infogoal_corruption": Trial(
+        "fetch_reach", "infogoal", None, FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3
+    ),
+    # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer, before it
+    # can become the preset.
+    **{
+        f"cube_{dataset}_her": Trial("object_manipulation", "her", None, confirmation(dataset), {"preset": {}}, seeds=5)
+        for dataset in (0, 1, 2)
+    },
+    **{
+        f"cube_{dataset}_infogoal_her_window_1": Trial(
+            "object_manipulation",
+            "infogoal",
+            "her",
+            confirmation(dataset) | {"learner.window": 1},
+            {"threshold 0.999": THRESHOLDS["threshold 0.999"]},
+            seeds=5,
+        )
+        for dataset in (0, 1, 2)
+    },
+    # Test questions of the shelf: is the loss in the way from a question to its object, or in the policy? Commanding
+    # names leaves only the policy.
+    **{
+        f"shelf_infogoal{ending}": Trial(
+            "embodied_qa", "infogoal", None, SHELF, THRESHOLDS | UNCOMPRESSED, seeds=3, by_name=by_name
+        )
+        for ending, by_name in COMMANDS.items()
+    },
+    **{
+        f"shelf_cql{ending}": Trial("embodied_qa", "none", None, SHELF, {"preset": {}}, seeds=3, by_name=by_name)
+        for ending, by_name in COMMANDS.items()
+    },
+    # InfoBot claims that its reward leads to where decisions are made. Its authors' beta of 0.01 is beside rewards of
+    # 10; the preset's is 3e-5.
     "house_infobot": Trial("object_search", "infobot", None, HOUSE, SEARCHING),
-    # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss help, and is it loss or bonus?
+    # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss
+    # help, and is it loss or bonus?
     "house_sse_db": Trial("object_search", "sse_db", None, HOUSE, {"preset": {}} | NO_EXPLORER | BONUSES),
 }
-"""What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are shown on others."""
+"""What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
+shown on others."""
 
 
 def configuration(trial: Trial, folder: Path) -> TrainConfig:
@@ -134,7 +207,8 @@ def configuration(trial: Trial, folder: Path) -> TrainConfig:
 
 
 def commanded_by_name(env):
-    """Embodied question answering in which questions of validation and test sound like the name of their object. (They take part in no training.)"""
+    """Embodied question answering in which questions of validation and test sound like the name of their object. (They
+    take part in no training.)"""
     asked = questions.load(questions.SHIPPED).goals()
     names = {goal.text: number for number, goal in enumerate(asked)}
     rows = jnp.asarray([names[goal.object] for goal in asked])
@@ -143,7 +217,8 @@ def commanded_by_name(env):
 
 
 def code_errors(train, params, goals: jax.Array) -> jax.Array:
-    """How far each of these goals [M] lies from the one whose mean code is nearest to a code drawn for it, in degrees or metres.
+    """How far each of these goals [M] lies from the one whose mean code is nearest to a code drawn for it, in degrees
+    or metres.
 
     That is the resolution of the code, to be held beside the tolerance of success: 10 degrees, 5 cm.
     """
@@ -168,9 +243,14 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     machine = describe_machine()
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
-    states = jax.jit(jax.vmap(train.initial, in_axes=(0, 0, None)), compiler_options=compiler_options())(keys, hyper, env)
-    chunk = jax.jit(jax.vmap(train.chunk, in_axes=(0, None, 0, None)), donate_argnums=0).lower(
-        states, jnp.arange(config.epochs_per_evaluation), hyper, env).compile(compiler_options())
+    states = jax.jit(jax.vmap(train.initial, in_axes=(0, 0, None)), compiler_options=compiler_options())(
+        keys, hyper, env
+    )
+    chunk = (
+        jax.jit(jax.vmap(train.chunk, in_axes=(0, None, 0, None)), donate_argnums=0)
+        .lower(states, jnp.arange(config.epochs_per_evaluation), hyper, env)
+        .compile(compiler_options())
+    )
     errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
     print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
     path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}
@@ -179,23 +259,40 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
         table = None
         for number in range(config.num_evaluations):
             before = time.time()
-            states, epochs, metrics = chunk(states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env)
-            metrics = {f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"]) for kind in KINDS if f"{kind}/success_rate" in metrics}
-            metrics |= {f"learner/{part}": np.asarray(epochs[f"{train.parts.name}/{part}"])[:, -1] for part in EPOCH_METRICS
-                        if f"{train.parts.name}/{part}" in epochs}
+            states, epochs, metrics = chunk(
+                states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env
+            )
+            metrics = {
+                f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"])
+                for kind in KINDS
+                if f"{kind}/success_rate" in metrics
+            }
+            metrics |= {
+                f"learner/{part}": np.asarray(epochs[f"{train.parts.name}/{part}"])[:, -1]
+                for part in EPOCH_METRICS
+                if f"{train.parts.name}/{part}" in epochs
+            }
             seconds = time.time() - before
             for group, goals in posed.items():
                 metrics[f"{group}/code_error"] = np.asarray(errors(states.params, goals)).mean(1)
             for lane, (label, seed) in enumerate(lanes):
-                row = {"trial": name, "lane": label, "seed": seed, "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch}
+                row = {
+                    "trial": name,
+                    "lane": label,
+                    "seed": seed,
+                    "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch,
+                }
                 row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()} | {"machine": machine}
                 table = table or csv.DictWriter(file, row)
                 if not file.tell():
                     table.writeheader()
                 table.writerow(row)
             file.flush()
-            shown = {kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(trial.lanes), -1).mean(1), 2).tolist() for kind in KINDS
-                     if f"{kind}/success_rate" in metrics}
+            shown = {
+                kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(trial.lanes), -1).mean(1), 2).tolist()
+                for kind in KINDS
+                if f"{kind}/success_rate" in metrics
+            }
             rate = len(lanes) * config.epochs_per_evaluation * config.updates_per_epoch / seconds
             print(f"{name} {row['updates']} updates, {rate:.0f}/s in all: {json.dumps(shown)}", flush=True)
             if time.time() + 1.2 * seconds > deadline:
@@ -211,7 +308,10 @@ def load(path: Path) -> list[Row]:
 def tables(rows: list[Row]) -> dict[str, str]:
     """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
     done = {row["trial"] for row in rows}
-    grouped = {name: [trial for trial in QUEUE if trial in done and QUEUE[trial].task in tasks] for name, (tasks, _) in TABLES.items()}
+    grouped = {
+        name: [trial for trial in QUEUE if trial in done and QUEUE[trial].task in tasks]
+        for name, (tasks, _) in TABLES.items()
+    }
     return {name: trial_numbers.table(rows, trials, TABLES[name][1]) for name, trials in grouped.items() if trials}
 
 
@@ -220,8 +320,15 @@ def list_queue() -> None:
     done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
         config = with_values(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
-        updates = f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates" if name in done else "to be run"
-        print(f"{name}: {trial.task}, {presets.name_of(config)}, {len(trial.lanes)} lane(s) of {trial.seeds} seeds; {updates}")
+        updates = (
+            f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates"
+            if name in done
+            else "to be run"
+        )
+        print(
+            f"{name}: {trial.task}, {presets.name_of(config)}, {len(trial.lanes)} lane(s) of {trial.seeds} seeds; "
+            f"{updates}"
+        )
 
 
 def main():
@@ -230,9 +337,13 @@ def main():
     parser.add_argument("--out", type=Path)
     parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
     parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
-    parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop")
+    parser.add_argument(
+        "--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop"
+    )
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
-    parser.add_argument("--set", nargs="*", default=[], metavar="FIELD=JSON", help="further fields, for a try at a small size")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="FIELD=JSON", help="further fields, for a try at a small size"
+    )
     arguments = parser.parse_args()
     if arguments.merge is not None:
         print(f"{NUMBERS.name}: {', '.join(trial_numbers.merge(arguments.merge, NUMBERS, QUEUE))}")

@@ -1,12 +1,16 @@
-"""How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result is reported on.
+"""How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result
+is reported on.
 
-    python benchmarks/paper/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...] [--trials 16] [--seeds 2] [--final]
+    python benchmarks/paper/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
+    [--trials 16] [--seeds 2] [--final]
 
-Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other objects are given the names of
-objects that the task does not have, and are the validation goals. Fetch is tuned on the validation goals of the shipped bank. FOLDER/TASK/METHOD is
-the folder of a search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several processes.
-With --final the preset and the three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/numbers.npz holds
-every trial of all that is there (study_numbers.py: a search is a run whose metrics are `trial_N/success_rate`), FOLDER/study.md the table.
+Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
+objects are given the names of objects that the task does not have, and are the validation goals. Fetch is tuned on the
+validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a search (docs/tuning.md); what is there is
+not run again, so that searches may come from several machines and several processes. With --final the preset and the
+three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/numbers.npz holds
+every trial of all that is there (study_numbers.py: a search is a run whose metrics are `trial_N/success_rate`),
+FOLDER/study.md the table.
 """
 
 import argparse
@@ -30,17 +34,24 @@ from infogoal_jax.stand_ins.house import build_house
 
 HOUSE = 100
 VALIDATION = {
-    "crystal_hot_sauce": "pringles_bbq", "paper_plate": "red_cup", "mahatma_rice": "bumblebee_albacore",
-    "honey_bunches_of_oats_with_almonds": "hunts_sauce", "softsoap_clear": "progresso_new_england_clam_chowder", "hersheys_bar": "red_bull",
-    "nature_valley_sweet_and_salty_nut_almond": "expo_marker_red", "advil_liqui_gels": "crest_complete_minty_fresh",
+    "crystal_hot_sauce": "pringles_bbq",
+    "paper_plate": "red_cup",
+    "mahatma_rice": "bumblebee_albacore",
+    "honey_bunches_of_oats_with_almonds": "hunts_sauce",
+    "softsoap_clear": "progresso_new_england_clam_chowder",
+    "hersheys_bar": "red_bull",
+    "nature_valley_sweet_and_salty_nut_almond": "expo_marker_red",
+    "advil_liqui_gels": "crest_complete_minty_fresh",
     "listerine_green": "softsoap_white",
 }
-"""Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split of the authors."""
+"""Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split
+of the authors."""
 
 EPOCHS = {"object_search": 100, "fetch_reach": 60}
 """Epochs of every trial; of another task those of the bare agent's preset."""
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "fixed_beta"]}
-"""What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are one number."""
+"""What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
+one number."""
 
 
 def tuning_house(folder: Path) -> list[str]:
@@ -68,19 +79,33 @@ def tuning_house(folder: Path) -> list[str]:
 
 
 def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
-    """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder to search again."""
+    """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder
+    to search again."""
     out = folder / task / method
     if (out / "best.json").exists():
         return
     data = tuning_house(folder) if task == "object_search" else []
-    command = ["tune", task, "--method", method, "--trials", str(trials), "--seeds", str(seeds), "--out", str(out), *data]
+    command = [
+        "tune",
+        task,
+        "--method",
+        method,
+        "--trials",
+        str(trials),
+        "--seeds",
+        str(seeds),
+        "--out",
+        str(out),
+        *data,
+    ]
     command += ["--num-epochs", str(EPOCHS[task]), "--epochs-per-evaluation", "20"] if task in EPOCHS else []
     command += ["--fields", *FIELDS[method]] if method in FIELDS else []
     subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
 def final(task: str, method: str, folder: Path) -> None:
-    """The final of a search that is there, into FOLDER/TASK/METHOD/final. One that was stopped stays as it is: delete its folder to run it again."""
+    """The final of a search that is there, into FOLDER/TASK/METHOD/final. One that was stopped stays as it is: delete
+    its folder to run it again."""
     out = folder / task / method / "final"
     if not (out / "best.json").exists():
         command = ["final", str(out.parent), "--out", str(out)]
@@ -92,24 +117,36 @@ def read_search(folder: Path) -> StudyRun:
     about, best = (json.loads((folder / name).read_text()) for name in ("config.json", "best.json"))
     trials = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
     success = {f"trial_{trial['trial']}/success_rate": np.asarray(trial["success"], float).T for trial in trials}
-    result = {"best": best["trial"], "goals": best["goals"], "values": {str(trial["trial"]): trial["values"] for trial in trials},
-              "diverged": {str(trial["trial"]): trial["diverged"] for trial in trials if trial["diverged"]},
-              "compile_seconds": best["compile_seconds"], "run_seconds": best["run_seconds"]}
+    result = {
+        "best": best["trial"],
+        "goals": best["goals"],
+        "values": {str(trial["trial"]): trial["values"] for trial in trials},
+        "diverged": {str(trial["trial"]): trial["diverged"] for trial in trials if trial["diverged"]},
+        "compile_seconds": best["compile_seconds"],
+        "run_seconds": best["run_seconds"],
+    }
     return StudyRun(about | {"result": result}, Table(about["seeds"], np.asarray(trials[0]["epochs"], int), success))
 
 
 def collect(folder: Path) -> Study:
     """The study in this folder: what its numbers.npz holds already, and every search and final below it."""
     known = study_numbers.load(folder / study_numbers.FILE).runs if (folder / study_numbers.FILE).exists() else {}
-    return Study(known | {str(path.parent.relative_to(folder)): read_search(path.parent) for path in sorted(folder.rglob("best.json"))})
+    return Study(
+        known
+        | {str(path.parent.relative_to(folder)): read_search(path.parent) for path in sorted(folder.rglob("best.json"))}
+    )
 
 
 def report(results: Study) -> str:
-    """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values, and how far they came."""
+    """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values,
+    and how far they came."""
     lines = []
     for task in presets.TASKS:
         found = results.finished(task, METHODS)
-        finals = {name.removesuffix("/final"): run for name, run in results.finished(task, [f"{method}/final" for method in METHODS]).items()}
+        finals = {
+            name.removesuffix("/final"): run
+            for name, run in results.finished(task, [f"{method}/final" for method in METHODS]).items()
+        }
         lines += [f"### {task}", "", *table(found, task)] if found else []
         lines += ["Finals, of the preset and the best of each search:", "", *table(finals, task)] if finals else []
     return "\n".join(lines)
@@ -131,7 +168,10 @@ def table(found: dict[str, StudyRun], task: str) -> list[str]:
         rows.append([study.title_of(method, task), *scores, str(result["best"]), values, epochs])
         seeds = ", ".join(map(str, run.evaluations.seeds))
         lanes = f"{len(result['values'])} trials, of which 0 is the preset, with the seeds {seeds}"
-        footer = f"Success on {result['goals']} goals at the last of these epochs; {lanes}; {run.about['device']}. {run.about['data']}"
+        footer = (
+            f"Success on {result['goals']} goals at the last of these epochs; {lanes}; {run.about['device']}. "
+            f"{run.about['data']}"
+        )
         footers.setdefault(footer, []).append(study.title_of(method, task))
     lines = [study.markdown(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows), ""]
     for footer, methods in footers.items():
@@ -147,7 +187,9 @@ def main():
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--trials", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--final", action="store_true", help="run the best of each search again, with more and other seeds")
+    parser.add_argument(
+        "--final", action="store_true", help="run the best of each search again, with more and other seeds"
+    )
     arguments = parser.parse_args()
     for task in arguments.tasks:
         for method in arguments.methods:

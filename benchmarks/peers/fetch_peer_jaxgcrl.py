@@ -1,11 +1,15 @@
-"""Speed of JaxGCRL's robot arms (brax on MJX): random actions, whole rollout under one jit, to set beside our Fetch tasks.
+"""Speed of JaxGCRL's robot arms (brax on MJX): random actions, whole rollout under one jit, to set beside our Fetch
+tasks.
 
     git clone https://github.com/MichalBortkiewicz/JaxGCRL jaxgcrl
-    python benchmarks/peers/fetch_peer_jaxgcrl.py --repository jaxgcrl [--tasks panda_reach panda_push_easy] [--batch 4096] [--steps 50]
+    python benchmarks/peers/fetch_peer_jaxgcrl.py --repository jaxgcrl [--tasks panda_reach panda_push_easy] [--batch
+    4096] [--steps 50]
 
-Only the environments' own modules and models are loaded, so that none of what JaxGCRL pins (an old JAX, wandb) has to be there. Meshes are
-left out of the models: they are for pictures only, static bodies apart no body's mass comes from them, and contacts are pairs of primitives.
-A control step is theirs: 25 substeps of 2 ms, 6 solver iterations. On a CPU set XLA_FLAGS=--xla_cpu_use_fusion_emitters=false.
+Only the environments' own modules and models are loaded, so that none of what JaxGCRL pins (an old JAX, wandb) has to
+be there. Meshes are left out of the models: they are for pictures only, static bodies apart no body's mass comes from
+them, and contacts are pairs of primitives.
+A control step is theirs: 25 substeps of 2 ms, 6 solver iterations. On a CPU set
+XLA_FLAGS=--xla_cpu_use_fusion_emitters=false.
 """
 
 import argparse
@@ -38,9 +42,11 @@ def without_meshes(model: Path) -> str:
 
 
 def make(repository: Path | str, task: str) -> tuple[Callable, Callable]:
-    """`reset(keys [B]) -> states` and `step(states, actions [B, A]) -> states`, both pure, of the checkout in `repository`.
+    """`reset(keys [B]) -> states` and `step(states, actions [B, A]) -> states`, both pure, of the checkout in
+    `repository`.
 
-    Actions lie in [-1, 1], A = `ACTION_SIZES[task]`; `states` is brax's State with `obs`, `reward` and `done`, each with a leading axis B.
+    Actions lie in [-1, 1], A = `ACTION_SIZES[task]`; `states` is brax's State with `obs`, `reward` and `done`, each
+    with a leading axis B.
     """
     environments = Path(repository).resolve() / "jaxgcrl" / "envs"
     if str(environments) not in sys.path:  # the package's own __init__ would import its agents
@@ -55,7 +61,8 @@ def make(repository: Path | str, task: str) -> tuple[Callable, Callable]:
 
 
 def measure(repository: Path | str, task: str, batch: int, steps: int) -> tuple[float, float]:
-    """Compile seconds, and control steps a second of a rollout with random actions (the second run of two: the first warms up)."""
+    """Compile seconds, and control steps a second of a rollout with random actions (the second run of two: the first
+    warms up)."""
     reset, step = make(repository, task)
 
     def rollout(states, key):

@@ -1,10 +1,13 @@
-"""Speed of the reference Fetch models on C MuJoCo: random actions in several processes, to set beside our own on an accelerator.
+"""Speed of the reference Fetch models on C MuJoCo: random actions in several processes, to set beside our own on an
+accelerator.
 
-    python benchmarks/peers/fetch_peer_mujoco.py --assets .../gymnasium_robotics/envs/assets/fetch [--tasks fetch_reach] [--processes 2]
+    python benchmarks/peers/fetch_peer_mujoco.py --assets .../gymnasium_robotics/envs/assets/fetch [--tasks fetch_reach]
+    [--processes 2]
 
-Gymnasium-Robotics' classes fail on the MuJoCo that this project needs, its model files load: unpack its wheel anywhere and give the path.
-A control step does what the reference's does (mocap body set, 20 substeps, fingers held shut in all but PickAndPlace, observation, reward)
-without its look-ups by name, so the rate is the peer's at its best. Episodes last 50 steps and resets are within the time measured.
+Gymnasium-Robotics' classes fail on the MuJoCo that this project needs, its model files load: unpack its wheel anywhere
+and give the path. A control step does what the reference's does (mocap body set, 20 substeps, fingers held shut in all
+but PickAndPlace, observation, reward) without its look-ups by name, so the rate is the peer's at its best. Episodes
+last 50 steps and resets are within the time measured.
 """
 
 import argparse
@@ -23,12 +26,17 @@ STEP_METRES = 0.05  # the largest displacement that an action asks for
 GRIPPER_ROTATION = np.array([1.0, 0.0, 1.0, 0.0])
 EXTRA_HEIGHT = {"fetch_reach": 0.2, "fetch_push": 0.0, "fetch_pick_and_place": 0.2, "fetch_slide": -0.02}
 BASE_X = {"fetch_reach": 0.4049, "fetch_push": 0.405, "fetch_pick_and_place": 0.405, "fetch_slide": 0.05}
-OBJECT_START = {"fetch_push": (1.25, 0.53, 0.4), "fetch_pick_and_place": (1.25, 0.53, 0.4), "fetch_slide": (1.7, 1.1, 0.41)}
+OBJECT_START = {
+    "fetch_push": (1.25, 0.53, 0.4),
+    "fetch_pick_and_place": (1.25, 0.53, 0.4),
+    "fetch_slide": (1.7, 1.1, 0.41),
+}
 OBJECT_RANGE = {"fetch_push": 0.15, "fetch_pick_and_place": 0.15, "fetch_slide": 0.1}
 
 
 class Peer:
-    """One reference environment: `reset(generator)` and `step(action [4])` return an observation [10] or [25] (step: and a reward)."""
+    """One reference environment: `reset(generator)` and `step(action [4])` return an observation [10] or [25] (step:
+    and a reward)."""
 
     def __init__(self, assets: Path, task: str):
         self.task, self.has_object = task, task in OBJECT_START
@@ -61,7 +69,8 @@ class Peer:
         self.goal = self.start_grip
 
     def reset(self, generator: np.random.Generator) -> np.ndarray:
-        """Start state, object and goal near the gripper (the goals of Push and Slide lie elsewhere in the reference: no matter for speed)."""
+        """Start state, object and goal near the gripper (the goals of Push and Slide lie elsewhere in the reference: no
+        matter for speed)."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = self.start
         if self.has_object:
@@ -132,7 +141,9 @@ def measure(assets: Path | str, task: str, seconds: float = 10.0, processes: int
     context = multiprocessing.get_context("spawn")
     with context.Manager() as manager, context.Pool(processes) as pool:
         ready = manager.Barrier(processes)
-        return sum(pool.starmap(rate, [(Path(assets), task, seconds, seed, ready) for seed in range(processes)], chunksize=1))
+        return sum(
+            pool.starmap(rate, [(Path(assets), task, seconds, seed, ready) for seed in range(processes)], chunksize=1)
+        )
 
 
 def main():

@@ -1,11 +1,13 @@
 """Speed of MJX's Warp backend on the very model that our Fetch physics simulates, to set beside it on one NVIDIA GPU.
 
     pip install warp-lang
-    python benchmarks/peers/fetch_peer_warp.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--iterations 100]
+    python benchmarks/peers/fetch_peer_warp.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768]
+    [--faithful] [--iterations 100]
 
-A control step sets the mocap body beside the gripper and takes as many physics steps as ours; resets are not timed, and fingers
-are not driven. Our own contacts are not geoms' of the model, so geoms
-that touch in the task are switched on here; Warp's solver is MuJoCo's Newton with MuJoCo's own limits on iterations, or with --iterations.
+A control step sets the mocap body beside the gripper and takes as many physics steps as ours; resets are not timed, and
+fingers are not driven. Our own contacts are not geoms' of the model, so geoms
+that touch in the task are switched on here; Warp's solver is MuJoCo's Newton with MuJoCo's own limits on iterations, or
+with --iterations.
 """
 
 import argparse
@@ -21,7 +23,9 @@ from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.report.machine import describe_machine
 
-CONTACTS = 24  # Of one robot: what Warp sets memory aside for. The cube on the table has four, held by both fingers twelve.
+CONTACTS = (
+    24  # Of one robot: what Warp sets memory aside for. The cube on the table has four, held by both fingers twelve.
+)
 ROWS = 160  # Constraint rows of one robot.
 STEP_METRES = 0.05
 
@@ -32,14 +36,23 @@ def touching(task: str, setting: model.Setting) -> mujoco.MjModel:
     kinds = {"ground": (1, 2), "hand": (2, 1), "object": (3, 3)}
     for geom in range(mj.ngeom):
         name = mj.geom(geom).name
-        kind = "ground" if name in ("table", "floor") else "object" if name == "object" else "hand" if name in (*model.FINGERS, "palm") else None
+        kind = (
+            "ground"
+            if name in ("table", "floor")
+            else "object"
+            if name == "object"
+            else "hand"
+            if name in (*model.FINGERS, "palm")
+            else None
+        )
         if kind is not None:
             mj.geom_contype[geom], mj.geom_conaffinity[geom] = kinds[kind]
     return mj
 
 
 def measure(task: str, setting: model.Setting, batch: int, steps: int, iterations: int | None) -> tuple[float, float]:
-    """Compile seconds, and control steps a second of `batch` robots with random actions (the better of two runs after a first one)."""
+    """Compile seconds, and control steps a second of `batch` robots with random actions (the better of two runs after a
+    first one)."""
     mj = touching(task, setting)
     if iterations is not None:
         mj.opt.iterations = iterations
@@ -51,7 +64,9 @@ def measure(task: str, setting: model.Setting, batch: int, steps: int, iteration
     def start(key):
         """Where an episode of ours starts, the bodies' places worked out."""
         motion = env.reset(key).motion
-        state = empty.replace(qpos=motion.position, qvel=motion.velocity, mocap_quat=jnp.asarray([[1.0, 0.0, 1.0, 0.0]]) / 2**0.5)
+        state = empty.replace(
+            qpos=motion.position, qvel=motion.velocity, mocap_quat=jnp.asarray([[1.0, 0.0, 1.0, 0.0]]) / 2**0.5
+        )
         return mjx.forward(warp_model, state)
 
     def control_step(state, action):
@@ -61,7 +76,9 @@ def measure(task: str, setting: model.Setting, batch: int, steps: int, iteration
 
     def rollout(states, key):
         def step(states, step_key):
-            return jax.vmap(control_step)(states, jax.random.uniform(step_key, (batch, 4), minval=-1.0, maxval=1.0)), None
+            return jax.vmap(control_step)(
+                states, jax.random.uniform(step_key, (batch, 4), minval=-1.0, maxval=1.0)
+            ), None
 
         return jax.lax.scan(step, states, jax.random.split(key, steps))[0].qpos
 
@@ -79,14 +96,19 @@ def measure(task: str, setting: model.Setting, batch: int, steps: int, iteration
 def main():
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=["fetch_reach", "fetch_push", "fetch_pick_and_place"])
+    parser.add_argument(
+        "--tasks", nargs="+", choices=TASKS, default=["fetch_reach", "fetch_push", "fetch_pick_and_place"]
+    )
     parser.add_argument("--batch", type=int, nargs="+", default=[8192])
     parser.add_argument("--steps", type=int, default=50)
     parser.add_argument("--faithful", action="store_true")
     parser.add_argument("--iterations", type=int, help="at most so many iterations of the solver")
     arguments = parser.parse_args()
     setting = model.FAITHFUL if arguments.faithful else model.FAST
-    print(f"MJX with Warp, {'faithful' if arguments.faithful else 'default'} setting, random actions; {describe_machine()}\n")
+    print(
+        f"MJX with Warp, {'faithful' if arguments.faithful else 'default'} setting, random actions; "
+        f"{describe_machine()}\n"
+    )
     print("| task | batch | env steps/s | physics steps/s | compile s |\n|---|---|---|---|---|")
     for task in arguments.tasks:
         for batch in arguments.batch:

@@ -1,4 +1,5 @@
-"""Stable-Baselines3's SAC with hindsight experience replay on a Fetch task of ours, through the Gymnasium bridge: success against steps.
+"""Stable-Baselines3's SAC with hindsight experience replay on a Fetch task of ours, through the Gymnasium bridge:
+success against steps.
 
 Stable-Baselines3 is no dependency of the project; it needs a scratch environment (CPU torch, about 1 GB):
 
@@ -19,12 +20,22 @@ from infogoal_jax.report.machine import describe_machine
 
 
 def learner(task: str, seed: int) -> SAC:
-    """SAC with four relabelled goals for each real one; sizes and rates as in RL Zoo's FetchReach. Without normalised observations nothing is learnt:
-    goals differ by centimetres only."""
+    """SAC with four relabelled goals for each real one; sizes and rates as in RL Zoo's FetchReach. Without normalised
+    observations nothing is learnt: goals differ by centimetres only."""
     env = VecNormalize(DummyVecEnv([lambda: bridge.make(task)]), norm_reward=False)
     return SAC(
-        "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
-        learning_rate=1e-3, buffer_size=100_000, learning_starts=1000, batch_size=256, gamma=0.95, tau=0.05, seed=seed, device="cpu",
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs={"n_sampled_goal": 4, "goal_selection_strategy": "future"},
+        learning_rate=1e-3,
+        buffer_size=100_000,
+        learning_starts=1000,
+        batch_size=256,
+        gamma=0.95,
+        tau=0.05,
+        seed=seed,
+        device="cpu",
         policy_kwargs={"net_arch": [64, 64]},
     )
 
@@ -63,7 +74,9 @@ def main():
         start = time.perf_counter()
         model.learn(arguments.every, reset_num_timesteps=False)
         seconds += time.perf_counter() - start
-        print(f"{steps:8d} {seconds:9.1f} {success_rate(model, test_env, arguments.episodes, 1_000_000):9.2f}", flush=True)
+        print(
+            f"{steps:8d} {seconds:9.1f} {success_rate(model, test_env, arguments.episodes, 1_000_000):9.2f}", flush=True
+        )
 
 
 if __name__ == "__main__":

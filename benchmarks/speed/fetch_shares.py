@@ -1,9 +1,11 @@
-"""What the goal images cost: the encoder's work, the gradient through it and the gather of images as shares of the fused step's time.
+"""What the goal images cost: the encoder's work, the gradient through it and the gather of images as shares of the
+fused step's time.
 
     python benchmarks/speed/fetch_shares.py [--task fetch_reach] [--seeds 5] [--updates 100] [--out FILE.json]
 
-One epoch of the preset is a rollout and `--updates` updates. Each part is compiled alone, run on the same arrays as in training, and timed over three
-runs after one that is not counted; parts of an update run as often as in an epoch, inside a scan as there.
+One epoch of the preset is a rollout and `--updates` updates. Each part is compiled alone, run on the same arrays as in
+training, and timed over three runs after one that is not counted; parts of an update run as often as in an epoch,
+inside a scan as there.
 """
 
 import argparse
@@ -57,8 +59,13 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
         achieved = (env.goals_of(filled.record) >= 0).any(-1)
         every = jnp.ones(env.goals.num_goals, bool)
         experience = Experience(
-            buffer=filled, decision_count=replay.running_count(filled.valid & filled.decided), achieved=achieved,
-            achieved_count=replay.running_count(achieved), known=every, usable=every, dissimilarity=state.dissimilarity,
+            buffer=filled,
+            decision_count=replay.running_count(filled.valid & filled.decided),
+            achieved=achieved,
+            achieved_count=replay.running_count(achieved),
+            known=every,
+            usable=every,
+            dissimilarity=state.dissimilarity,
             codes=encode_all(learner, state.params["goal"], env.goals),
         )
         return updates_of(train.parts, env, hyper, experience, state, jax.random.key(2), updates)[0].params
@@ -67,7 +74,9 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
         return env.goals.inputs[jax.random.randint(key, (images,), 0, env.goals.num_goals)]
 
     def gather(state, env):
-        return jax.lax.scan(lambda total, key: (total + chosen(key, env).sum(dtype=jnp.int32), None), jnp.int32(0), draws)[0]
+        return jax.lax.scan(
+            lambda total, key: (total + chosen(key, env).sum(dtype=jnp.int32), None), jnp.int32(0), draws
+        )[0]
 
     def encode(state, env, gradient: bool):
         def loss(params, key):
@@ -80,11 +89,16 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
 
         return jax.lax.scan(step, state.params["goal"], draws)[0]
 
-    over_seeds = {name: jax.vmap(function, in_axes=(0, None)) for name, function in {
-        "rollout": rollout, "images gathered": gather, "encoded": lambda state, env: encode(state, env, False),
-        "encoded, with gradient": lambda state, env: encode(state, env, True),
-        "all goals encoded, once": lambda state, env: encode_all(learner, state.params["goal"], env.goals),
-    }.items()}
+    over_seeds = {
+        name: jax.vmap(function, in_axes=(0, None))
+        for name, function in {
+            "rollout": rollout,
+            "images gathered": gather,
+            "encoded": lambda state, env: encode(state, env, False),
+            "encoded, with gradient": lambda state, env: encode(state, env, True),
+            "all goals encoded, once": lambda state, env: encode_all(learner, state.params["goal"], env.goals),
+        }.items()
+    }
     rows = jax.jit(over_seeds["rollout"])(states, env)
     found = {name: seconds(function, states, env)[0] for name, function in over_seeds.items()}
     found["updates"] = seconds(jax.vmap(updating, in_axes=(0, 0, None)), states, rows, env)[0]
@@ -102,8 +116,10 @@ def main():
     found = measure(arguments.task, arguments.seeds, arguments.updates)
     whole = found["rollout"] + found["updates"]  # The updates include everything else.
     shares = {
-        "gather": found["images gathered"], "encoder": found["encoded"] - found["images gathered"],
-        "gradient": found["encoded, with gradient"] - found["encoded"], "all goals, once an epoch": found["all goals encoded, once"],
+        "gather": found["images gathered"],
+        "encoder": found["encoded"] - found["images gathered"],
+        "gradient": found["encoded, with gradient"] - found["encoded"],
+        "all goals, once an epoch": found["all goals encoded, once"],
     }
     for name, value in found.items():
         print(f"{name:24s} {value * 1e3:9.1f} ms")
@@ -111,8 +127,18 @@ def main():
         print(f"share of an epoch, {name:24s} {value / whole:6.1%}")
     print(f"{arguments.task}, {arguments.seeds} seeds, {arguments.updates} updates; {describe_machine()}")
     if arguments.out:
-        arguments.out.write_text(json.dumps({"seconds": found, "shares": {name: value / whole for name, value in shares.items()},
-                                             "machine": describe_machine(), "task": arguments.task, "seeds": arguments.seeds}) + "\n")
+        arguments.out.write_text(
+            json.dumps(
+                {
+                    "seconds": found,
+                    "shares": {name: value / whole for name, value in shares.items()},
+                    "machine": describe_machine(),
+                    "task": arguments.task,
+                    "seeds": arguments.seeds,
+                }
+            )
+            + "\n"
+        )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
-"""Speed of the Fetch tasks: whole episodes of random actions under one jit, resets included, beside peers measured in the same run.
+"""Speed of the Fetch tasks: whole episodes of random actions under one jit, resets included, beside peers measured in
+the same run.
 
-    python benchmarks/speed/fetch_throughput.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful] [--parts]
-        [--jaxgcrl CHECKOUT]    JaxGCRL's panda_reach and panda_push_easy on the same device (peers/fetch_peer_jaxgcrl.py)
-        [--assets FOLDER]       the reference's models on C MuJoCo in two processes (peers/fetch_peer_mujoco.py)
+    python benchmarks/speed/fetch_throughput.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768]
+    [--faithful] [--parts]
+        [--jaxgcrl CHECKOUT]    JaxGCRL's panda_reach and panda_push_easy on the same device
+        (peers/fetch_peer_jaxgcrl.py) [--assets FOLDER]       the reference's models on C MuJoCo in two processes
+        (peers/fetch_peer_mujoco.py)
 
---parts says where the time of a physics step goes. Compile time and run time are told apart; the run is the better of two.
+--parts says where the time of a physics step goes. Compile time and run time are told apart; the run is the better of
+two.
 """
 
 import argparse
@@ -20,7 +24,12 @@ from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.report.machine import describe_machine
 
-PEER = {"fetch_reach": "panda_reach", "fetch_push": "panda_push_easy", "fetch_pick_and_place": "panda_push_easy", "fetch_slide": "panda_push_easy"}
+PEER = {
+    "fetch_reach": "panda_reach",
+    "fetch_push": "panda_push_easy",
+    "fetch_pick_and_place": "panda_push_easy",
+    "fetch_slide": "panda_push_easy",
+}
 
 
 def timed(function, *arguments) -> tuple[float, float]:
@@ -66,7 +75,9 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
             def once(_, motions):
                 leaves = jax.tree.leaves(jax.vmap(part)(motions, target, quaternion))
                 total = sum(jnp.abs(leaf).reshape(batch, -1).sum(-1) for leaf in leaves if leaf.dtype != bool)
-                return motions.replace(velocity=motions.velocity + 1e-20 * total[:, None])  # Each round needs the last: nothing is optimised away.
+                return motions.replace(
+                    velocity=motions.velocity + 1e-20 * total[:, None]
+                )  # Each round needs the last: nothing is optimised away.
 
             return jax.lax.fori_loop(0, repeats, once, motions)
 
@@ -85,7 +96,9 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
         "inertia and forces": looped(lambda motion, *_: dynamics(motion)[1]),
         "and constraint rows": looped(rows),
         "and solver, and kinematics: whole step": looped(
-            lambda motion, target, quaternion: physics.substep(motion, target, quaternion, jnp.zeros(2)).replace(frames=None)
+            lambda motion, target, quaternion: physics.substep(motion, target, quaternion, jnp.zeros(2)).replace(
+                frames=None
+            )
         ),
     }
 
@@ -93,7 +106,9 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
 def main():
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=["fetch_reach", "fetch_push", "fetch_pick_and_place"])
+    parser.add_argument(
+        "--tasks", nargs="+", choices=TASKS, default=["fetch_reach", "fetch_push", "fetch_pick_and_place"]
+    )
     parser.add_argument("--batch", type=int, nargs="+", default=[8192])
     parser.add_argument("--faithful", action="store_true")
     parser.add_argument("--parts", action="store_true")
@@ -102,14 +117,22 @@ def main():
     parser.add_argument("--seconds", type=float, default=10.0, help="for C MuJoCo")
     arguments = parser.parse_args()
     sys.path.append(str(Path(__file__).parents[1] / "peers"))  # Peers are imported only where they are asked for.
-    print(f"{'faithful' if arguments.faithful else 'default'} setting, random actions, episodes of 50 steps; {describe_machine()}\n")
-    print("| task | batch | env steps/s | physics steps/s | compile s | peer env steps/s | ratio |\n|---|---|---|---|---|---|---|")
+    print(
+        f"{'faithful' if arguments.faithful else 'default'} setting, random actions, episodes of 50 steps; "
+        f"{describe_machine()}\n"
+    )
+    print(
+        "| task | batch | env steps/s | physics steps/s | compile s | peer env steps/s | ratio "
+        "|\n|---|---|---|---|---|---|---|"
+    )
     peers = {}
     for task in arguments.tasks:
         if arguments.jaxgcrl and PEER[task] not in peers:
             from fetch_peer_jaxgcrl import measure as measure_jaxgcrl
 
-            peers[PEER[task]] = max(measure_jaxgcrl(arguments.jaxgcrl, PEER[task], batch, 20)[1] for batch in arguments.batch)
+            peers[PEER[task]] = max(
+                measure_jaxgcrl(arguments.jaxgcrl, PEER[task], batch, 20)[1] for batch in arguments.batch
+            )
         name, rate = PEER[task], peers.get(PEER[task])
         if arguments.assets:
             from fetch_peer_mujoco import measure as measure_mujoco
@@ -119,7 +142,11 @@ def main():
         for batch in arguments.batch:
             compile_seconds, ours = measure(env, batch)
             peer = f"{rate:,.0f} ({name}) | {ours / rate:.1f}" if rate else "|"
-            print(f"| {task} | {batch} | {ours:,.0f} | {env.physics.setting.substeps * ours:,.0f} | {compile_seconds:.1f} | {peer} |", flush=True)
+            print(
+                f"| {task} | {batch} | {ours:,.0f} | {env.physics.setting.substeps * ours:,.0f} | "
+                f"{compile_seconds:.1f} | {peer} |",
+                flush=True,
+            )
         if arguments.parts:
             for part, milliseconds in parts(env, arguments.batch[-1]).items():
                 print(f"|   {part} | {arguments.batch[-1]} | {milliseconds:.3f} ms a physics step |", flush=True)

@@ -1,4 +1,5 @@
-"""Speed of object search: environment steps alone, and fused training, for 1, 16 and 128 seeds side by side, compile time apart.
+"""Speed of object search: environment steps alone, and fused training, for 1, 16 and 128 seeds side by side, compile
+time apart.
 
     python benchmarks/speed/object_search.py [--seeds 1 16 128] [--epochs 3]
 
@@ -49,7 +50,8 @@ def env_rate(config, env, num_seeds: int, repeats: int) -> tuple[float, float]:
 
 
 def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, float, float]:
-    """Seconds of an epoch of all seeds (collecting and updating, no evaluation), compile seconds, and bytes of all seeds' states."""
+    """Seconds of an epoch of all seeds (collecting and updating, no evaluation), compile seconds, and bytes of all
+    seeds' states."""
     keys = jax.random.split(jax.random.key(0), num_seeds)
     states = jax.jit(jax.vmap(train.initial, in_axes=(0, None, None)))(keys, config.hyper, train.env)
 
@@ -62,7 +64,9 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
     for repeat in range(repeats):
         states, elapsed = timed(program, states, jnp.arange(1) + repeat + 1, config.hyper, train.env)
         seconds.append(elapsed)
-    size = sum(leaf.nbytes for leaf in jax.tree.leaves(states) if not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key))
+    size = sum(
+        leaf.nbytes for leaf in jax.tree.leaves(states) if not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    )
     return min(seconds), compile_seconds, size
 
 
@@ -76,16 +80,25 @@ def main():
     config = presets.load("object_search", arguments.method, epochs_per_evaluation=1, evaluation_starts=1)
     train = make_train(config)
     print(f"object_search, {arguments.method}; {train.env.source}\n{describe_machine()}\n")
-    print("| seeds | environment alone, steps/s | compile s | fused training, env steps/s | updates/s | compile s | one seed's time | state, MiB |")
+    print(
+        "| seeds | environment alone, steps/s | compile s | fused training, env steps/s | updates/s | compile s | one "
+        "seed's time | state, MiB |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     alone = None
     for num_seeds in arguments.seeds:
         steps_rate, env_compile = env_rate(config, train.env, num_seeds, arguments.repeats)
         seconds, train_compile, size = training_rate(config, train, num_seeds, arguments.repeats)
         alone = seconds if alone is None else alone
-        steps, updates = (num_seeds * count / seconds for count in (config.num_envs * config.rollout_steps, config.updates_per_epoch))
-        print(f"| {num_seeds} | {steps_rate:,.0f} | {env_compile:.1f} | {steps:,.0f} | {updates:,.0f} | {train_compile:.1f} "
-              f"| x {seconds / alone:.2f} | {size / 2**20:.0f} |", flush=True)
+        steps, updates = (
+            num_seeds * count / seconds for count in (config.num_envs * config.rollout_steps, config.updates_per_epoch)
+        )
+        print(
+            f"| {num_seeds} | {steps_rate:,.0f} | {env_compile:.1f} | {steps:,.0f} | {updates:,.0f} | "
+            f"{train_compile:.1f} "
+            f"| x {seconds / alone:.2f} | {size / 2**20:.0f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

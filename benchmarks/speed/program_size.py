@@ -1,8 +1,10 @@
-"""How large the training program of each task is, and how long it takes to build: traced, lowered and compiled, for one seed or several.
+"""How large the training program of each task is, and how long it takes to build: traced, lowered and compiled, for one
+seed or several.
 
     python benchmarks/speed/program_size.py [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
 
-Operations are equations of the jaxpr, those of inner functions counted wherever they are called. Nothing comes from a compilation cache.
+Operations are equations of the jaxpr, those of inner functions counted wherever they are called. Nothing comes from a
+compilation cache.
 """
 
 import argparse

@@ -3,9 +3,12 @@
 from infogoal_jax.agents import cql, dqn, hrac
 from infogoal_jax.registry import Entry, Registry
 
-registry = Registry("agent", {
-    "dqn": Entry(dqn.DQNConfig, dqn.make),
-    "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters),
-    "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
-})
+registry = Registry(
+    "agent",
+    {
+        "dqn": Entry(dqn.DQNConfig, dqn.make),
+        "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters),
+        "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
+    },
+)
 """`make(config, env)` makes an agent for an environment: it reads the number of actions, or the space of subgoals."""

@@ -1,4 +1,5 @@
-"""The contract of an agent: a record of pure functions over features of states and codes of goals. No agent knows which learner made the codes.
+"""The contract of an agent: a record of pure functions over features of states and codes of goals. No agent knows which
+learner made the codes.
 
 Shapes: B transitions, F features of a state, d numbers of a goal code, A actions, or numbers of an action.
 """
@@ -57,9 +58,11 @@ class Agent(NamedTuple):
     """A reinforcement-learning agent."""
 
     init: Callable[[jax.Array, jax.Array, jax.Array], tuple[Any, Any]]
-    """(key, features [F], code [d]) -> (params, state). The gradient trains the parameters; the state is everything else."""
+    """(key, features [F], code [d]) -> (params, state). The gradient trains the parameters; the state is everything
+    else."""
     act: Callable[..., jax.Array]
-    """(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration: Exploration) -> action int32 [B] or float32 [B, A]."""
+    """(params, features [B, F], code [B, d], action_mask bool [B, A], key, exploration: Exploration) -> action int32
+    [B] or float32 [B, A]."""
     value: Callable[..., jax.Array]
     """(params, features [B, F], code [B, d], action_mask bool [B, A]) -> float32 [B], value of the greedy action."""
     loss: Callable[..., tuple[jax.Array, dict[str, jax.Array]]]

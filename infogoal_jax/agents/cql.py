@@ -1,4 +1,5 @@
-"""Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN on recorded transitions with a penalty on actions that were not taken."""
+"""Conservative Q-learning for discrete actions (Kumar et al. 2020): DQN on recorded transitions with a penalty on
+actions that were not taken."""
 
 import dataclasses
 from typing import Annotated
@@ -29,7 +30,8 @@ class CQLHyperparameters:
 
 
 def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Array) -> jax.Array:
-    """log sum_a exp Q(s, g, a) - Q(s, g, a of the data) over the legal actions, float32 [B], at least 0 (CQL(H), Eq. 4).
+    """log sum_a exp Q(s, g, a) - Q(s, g, a of the data) over the legal actions, float32 [B], at least 0 (CQL(H), Eq.
+    4).
 
     values: float32 [B, A]; action_mask: bool [B, A]; actions: int32 [B].
     """

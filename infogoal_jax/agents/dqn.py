@@ -1,4 +1,5 @@
-"""DQN with a universal value function Q(s, g, a): double Q-learning, target network, n-step returns and action masks."""
+"""DQN with a universal value function Q(s, g, a): double Q-learning, target network, n-step returns and action
+masks."""
 
 import dataclasses
 
@@ -24,9 +25,18 @@ class DQNConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(all(width > 0 for width in self.hidden), "agent.hidden", self.hidden, "give widths greater than 0, for example 128 128")
-        require(0 < self.num_steps <= config.env.episode_length, "agent.num_steps", self.num_steps,
-                f"must lie between 1 and the episode length, {config.env.episode_length}")
+        require(
+            all(width > 0 for width in self.hidden),
+            "agent.hidden",
+            self.hidden,
+            "give widths greater than 0, for example 128 128",
+        )
+        require(
+            0 < self.num_steps <= config.env.episode_length,
+            "agent.num_steps",
+            self.num_steps,
+            f"must lie between 1 and the episode length, {config.env.episode_length}",
+        )
 
 
 def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
@@ -40,18 +50,21 @@ def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
 
 
 def double_q_target(reward, discount, next_values, target_values, next_action_mask) -> jax.Array:
-    """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4), float32 [B], without gradient: the trained network chooses what follows, the
-    target network says what it is worth.
+    """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4), float32 [B], without gradient: the trained network
+    chooses what follows, the target network says what it is worth.
 
-    reward, discount: float32 [B], of the transition and of what follows it; next_values, target_values: float32 [B, A] after the transition, by the
-    trained and by the target network; next_action_mask: bool [B, A].
+    reward, discount: float32 [B], of the transition and of what follows it; next_values, target_values: float32 [B, A]
+    after the transition, by the trained and by the target network; next_action_mask: bool [B, A].
     """
     chosen = greedy(next_values, next_action_mask)
     return jax.lax.stop_gradient(reward + discount * of_actions(target_values, chosen))
 
 
-def td_loss(values: jax.Array, actions: jax.Array, target: jax.Array, huber: bool) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Temporal-difference error of the values float32 [B, A] of these actions int32 [B] against their targets float32 [B]: (loss, metrics)."""
+def td_loss(
+    values: jax.Array, actions: jax.Array, target: jax.Array, huber: bool
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Temporal-difference error of the values float32 [B, A] of these actions int32 [B] against their targets float32
+    [B]: (loss, metrics)."""
     predicted = of_actions(values, actions)
     error = optax.huber_loss(predicted, target) if huber else optax.l2_loss(predicted, target)
     return error.mean(), {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean()}

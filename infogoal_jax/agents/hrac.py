@@ -1,7 +1,8 @@
 """The high level of HRAC (Zhang et al. 2020): TD3 that chooses a subgoal every k steps.
 
-A subgoal in [-1, 1] means a target state near the present one. A frozen low level, trained beforehand, drives the robot there (Sec. V-C of the
-paper). The adjacency network learns a distance that tells states within k steps of each other; the actor pays a penalty for subgoals beyond.
+A subgoal in [-1, 1] means a target state near the present one. A frozen low level, trained beforehand, drives the robot
+there (Sec. V-C of the paper). The adjacency network learns a distance that tells states within k steps of each other;
+the actor pays a penalty for subgoals beyond.
 """
 
 import dataclasses
@@ -18,8 +19,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 
 ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
-"""Distances of the adjacency network: adjacent states lie below the first, others above the second, and the penalty starts at the third (HRAC's own
-code)."""
+"""Distances of the adjacency network: adjacent states lie below the first, others above the second, and the penalty
+starts at the third (HRAC's own code)."""
 MOST_CELLS = 8192
 """The adjacency matrix grows with the square of the number of cells."""
 
@@ -47,13 +48,31 @@ class HRACConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(0 < self.interval <= config.env.episode_length, "agent.interval", self.interval,
-                f"must lie between 1 and the episode length, {config.env.episode_length}")
-        require(0 < self.subgoal_scale <= 1, "agent.subgoal_scale", self.subgoal_scale,
-                "give metres or radians, above 0 and at most 1, for example 0.15")
-        require(self.cell >= 0.02, "agent.cell", self.cell, "give at least 0.02 m or radians: the adjacency matrix grows with its sixth power")
+        require(
+            0 < self.interval <= config.env.episode_length,
+            "agent.interval",
+            self.interval,
+            f"must lie between 1 and the episode length, {config.env.episode_length}",
+        )
+        require(
+            0 < self.subgoal_scale <= 1,
+            "agent.subgoal_scale",
+            self.subgoal_scale,
+            "give metres or radians, above 0 and at most 1, for example 0.15",
+        )
+        require(
+            self.cell >= 0.02,
+            "agent.cell",
+            self.cell,
+            "give at least 0.02 m or radians: the adjacency matrix grows with its sixth power",
+        )
         for name in ("hidden", "adjacency_hidden"):
-            require(all(width > 0 for width in getattr(self, name)), f"agent.{name}", getattr(self, name), "give widths greater than 0")
+            require(
+                all(width > 0 for width in getattr(self, name)),
+                f"agent.{name}",
+                getattr(self, name),
+                "give widths greater than 0",
+            )
         for name in ("num_decisions", "adjacency_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 
@@ -90,10 +109,16 @@ def make(config: HRACConfig, env) -> Agent:
     actor, critic = td3.Actor(config.hidden, space.size), td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)
-    require(cells.count <= MOST_CELLS, "agent.cell", config.cell, f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones")
+    require(
+        cells.count <= MOST_CELLS,
+        "agent.cell",
+        config.cell,
+        f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones",
+    )
 
     def embed(params, states):
-        """psi_adj of the components of target states [..., S] (grip and object), each with its own network: [components, ..., size]."""
+        """psi_adj of the components of target states [..., S] (grip and object), each with its own network:
+        [components, ..., size]."""
         seen = space.network_input(space.parts(states), config.subgoal_scale)
         return jnp.stack([adjacency.apply(own, part) for own, part in zip(params["adjacency"], seen, strict=True)])
 
@@ -102,7 +127,8 @@ def make(config: HRACConfig, env) -> Agent:
         inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size)
         seen = space.network_input(space.parts(jnp.zeros(space.size)), config.subgoal_scale)
         params = {
-            "actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], inputs, action),
+            "actor": actor.init(keys[0], inputs),
+            "critic": critic.init(keys[1], inputs, action),
             "adjacency": [adjacency.init(own, part) for own, part in zip(keys[2:], seen, strict=True)],
         }
         return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
@@ -121,10 +147,16 @@ def make(config: HRACConfig, env) -> Agent:
         """Remove pairs of cells visited within k steps of each other from the matrix bool [components, C, C]."""
         places = cells.of(space.parts(space.of(rows.observation)))[..., None]
         episode = rows.episode()
-        return jnp.stack([pairs.remove_similar(matrix, place, episode, config.interval) for matrix, place in zip(apart, places, strict=True)])
+        return jnp.stack(
+            [
+                pairs.remove_similar(matrix, place, episode, config.interval)
+                for matrix, place in zip(apart, places, strict=True)
+            ]
+        )
 
     def learn_adjacency(params, batch: AgentBatch, apart):
-        """The adjacency loss of each state of the batch with the state k steps later, and with a state of another transition."""
+        """The adjacency loss of each state of the batch with the state k steps later, and with a state of another
+        transition."""
         state, following = space.of(batch.observation), space.of(batch.next_observation)
         first = jnp.concatenate([state, state])
         second = jnp.concatenate([following, jnp.roll(state, 1, axis=0)])
@@ -135,18 +167,23 @@ def make(config: HRACConfig, env) -> Agent:
         return adjacency_loss(length(embed(params, first) - embed(params, second)), adjacent, weight)
 
     def loss(params, target_params, batch: AgentBatch, apart, hyper, key):
-        """TD3 over k steps (with the discounts of the batch), the adjacency loss, and the actor's penalty for subgoals out of reach."""
+        """TD3 over k steps (with the discounts of the batch), the adjacency loss, and the actor's penalty for subgoals
+        out of reach."""
         frozen = jax.lax.stop_gradient(params)
         inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
         target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)
         following = td3.next_value(key, actor, critic, target_params, target_inputs, hyper.target_noise)
-        learned = td3.losses(actor, critic, params, inputs, batch.action, batch.reward + batch.discount * following, huber=True)
+        learned = td3.losses(
+            actor, critic, params, inputs, batch.action, batch.reward + batch.discount * following, huber=True
+        )
         asked = space.from_subgoal(batch.observation, learned.actions, config.subgoal_scale)
         distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
         penalty = adjacency_penalty(distance).mean()
         adjacency_error = learn_adjacency(params, batch, apart)
         metrics = learned.metrics | {
-            "adjacency_loss": adjacency_error, "adjacency_penalty": penalty, "subgoal_size": jnp.abs(learned.actions).mean(),
+            "adjacency_loss": adjacency_error,
+            "adjacency_penalty": penalty,
+            "subgoal_size": jnp.abs(learned.actions).mean(),
         }
         return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 

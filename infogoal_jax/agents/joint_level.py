@@ -29,6 +29,7 @@ def values_of(params: dict, hidden: tuple[int, ...], num_moves: int, joints: jax
 
 
 def network_input(joints: jax.Array, target: jax.Array) -> jax.Array:
-    """Input of the network, [..., 4 J]: sines and cosines of the joints, and the signed and absolute differences to the target in half turns."""
+    """Input of the network, [..., 4 J]: sines and cosines of the joints, and the signed and absolute differences to the
+    target in half turns."""
     left = wrapped(target - joints) / jnp.pi
     return jnp.concatenate([on_circles(joints), left, jnp.abs(left)], axis=-1)

@@ -1,4 +1,5 @@
-"""The low level of HRAC: a frozen actor, trained beforehand, that drives the robot to a target state (paper, Sec. V-C)."""
+"""The low level of HRAC: a frozen actor, trained beforehand, that drives the robot to a target state (paper, Sec.
+V-C)."""
 
 import dataclasses
 
@@ -39,7 +40,9 @@ class LowLevel:
 
     def act(self, observation: jax.Array, target: jax.Array) -> jax.Array:
         """The action [..., A] in [-1, 1] from this observation [..., D] towards the target state [..., S]."""
-        return td3.Actor(self.hidden, self.action_size).apply(self.actor, network_input(observation, target, self.mean, self.std))
+        return td3.Actor(self.hidden, self.action_size).apply(
+            self.actor, network_input(observation, target, self.mean, self.std)
+        )
 
 
 def network_input(observation: jax.Array, target: jax.Array, mean: jax.Array, std: jax.Array) -> jax.Array:

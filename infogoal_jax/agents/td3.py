@@ -1,7 +1,7 @@
 """TD3 (Fujimoto et al. 2018): a deterministic actor, twin critics and target policy smoothing.
 
-Both levels of HRAC use it: the high level in `agents/hrac.py`, and the low level while it is trained. As in HRAC's own code the actor is updated as
-often as the critics.
+Both levels of HRAC use it: the high level in `agents/hrac.py`, and the low level while it is trained. As in HRAC's own
+code the actor is updated as often as the critics.
 """
 
 from typing import NamedTuple
@@ -33,12 +33,15 @@ class TwinCritic(nn.Module):
     @nn.compact
     def __call__(self, inputs, action):
         together = jnp.concatenate([inputs, action], axis=-1)
-        twin = nn.vmap(networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2)
+        twin = nn.vmap(
+            networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
+        )
         return twin(self.hidden, 1)(together)[..., 0]
 
 
 def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
-    """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is uniform in [-1, 1] instead."""
+    """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is
+    uniform in [-1, 1] instead."""
     noise_key, choose_key, random_key = jax.random.split(key, 3)
     noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape), -1.0, 1.0)
     random = jax.random.uniform(random_key, action.shape, minval=-1.0)
@@ -46,12 +49,16 @@ def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: j
 
 
 def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float = 2.5) -> jax.Array:
-    """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at `largest` standard deviations."""
+    """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at `largest`
+    standard deviations."""
     return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape), -largest, largest), -1.0, 1.0)
 
 
-def next_value(key: jax.Array, actor: Actor, critic: TwinCritic, target_params: dict, inputs: jax.Array, noise: jax.Array) -> jax.Array:
-    """What follows a transition, float32 [B]: the smaller of both target critics' values of the target actor's action, with noise (Eq. 10, 14).
+def next_value(
+    key: jax.Array, actor: Actor, critic: TwinCritic, target_params: dict, inputs: jax.Array, noise: jax.Array
+) -> jax.Array:
+    """What follows a transition, float32 [B]: the smaller of both target critics' values of the target actor's action,
+    with noise (Eq. 10, 14).
 
     inputs: [B, D] after the transition.
     """
@@ -67,7 +74,8 @@ def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
 
 
 class Losses(NamedTuple):
-    """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost something beside it.
+    """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost
+    something beside it.
 
     metrics: mean temporal-difference error and value, scalars.
     """
@@ -78,8 +86,11 @@ class Losses(NamedTuple):
     metrics: dict[str, jax.Array]
 
 
-def losses(actor: Actor, critic: TwinCritic, params: dict, inputs: jax.Array, action: jax.Array, target: jax.Array, huber: bool) -> Losses:
-    """The losses of `params` {"actor", "critic", ...} for transitions that start at inputs [B, D] by action [B, A] and are worth target [B].
+def losses(
+    actor: Actor, critic: TwinCritic, params: dict, inputs: jax.Array, action: jax.Array, target: jax.Array, huber: bool
+) -> Losses:
+    """The losses of `params` {"actor", "critic", ...} for transitions that start at inputs [B, D] by action [B, A] and
+    are worth target [B].
 
     The actor's loss has no gradient for the critics, nor for what the inputs were made by.
     """

@@ -1,7 +1,9 @@
-"""The Fetch tasks as brax environments: brax's own `sac.train` and `ppo.train` run on `FetchBrax("fetch_reach")` unchanged, inside `brax_training()`.
+"""The Fetch tasks as brax environments: brax's own `sac.train` and `ppo.train` run on `FetchBrax("fetch_reach")`
+unchanged, inside `brax_training()`.
 
-The goal is appended to the observation. Every episode has a fresh goal and a fresh start: brax's `AutoResetWrapper` goes back to the state that it
-finds in `info["first_pipeline_state"]` and `info["first_obs"]`, and the environment draws these anew in every step.
+The goal is appended to the observation. Every episode has a fresh goal and a fresh start: brax's `AutoResetWrapper`
+goes back to the state that it finds in `info["first_pipeline_state"]` and `info["first_obs"]`, and the environment
+draws these anew in every step.
 """
 
 import contextlib
@@ -17,7 +19,9 @@ import mujoco
 import numpy as np
 
 with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # brax says that warp is not installed, and its jaxopt that it is no longer maintained.
+    warnings.simplefilter(
+        "ignore"
+    )  # brax says that warp is not installed, and its jaxopt that it is no longer maintained.
     from brax.base import Motion, System, Transform
     from brax.envs.base import Env, State
     from brax.io import html, mjcf
@@ -38,7 +42,8 @@ UPRIGHT = [1.0, 0.0, 0.0, 0.0]
 
 @flax.struct.dataclass
 class FetchPipelineState:
-    """The simulated state with brax's names: q, qd, and x, xd of the links, computed only when something (brax's viewer) asks for them."""
+    """The simulated state with brax's names: q, qd, and x, xd of the links, computed only when something (brax's
+    viewer) asks for them."""
 
     fetch: FetchState
     physics: Physics = flax.struct.field(pytree_node=False)
@@ -82,8 +87,15 @@ def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
             own = (thing.center.array, position[None, -4:], spin.array, velocity[None, -6:-3])
             parts = [jnp.concatenate(both) for both in zip(parts, own, strict=True)]
         # Bodies without a joint, such as the one that drives the gripper, stand where the model has them.
-        still = physics.mujoco_model.body_pos, physics.mujoco_model.body_quat, *np.zeros((2, physics.mujoco_model.nbody, 3))
-        pos, rot, ang, vel = (jnp.asarray(rest, jnp.float32).at[body_of_joint].set(part)[1:] for rest, part in zip(still, parts, strict=True))
+        still = (
+            physics.mujoco_model.body_pos,
+            physics.mujoco_model.body_quat,
+            *np.zeros((2, physics.mujoco_model.nbody, 3)),
+        )
+        pos, rot, ang, vel = (
+            jnp.asarray(rest, jnp.float32).at[body_of_joint].set(part)[1:]
+            for rest, part in zip(still, parts, strict=True)
+        )
         return Transform(pos=pos, rot=rot), Motion(ang=ang, vel=vel)
 
     for _ in range(state.q.ndim - 1):
@@ -94,9 +106,9 @@ def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
 class FetchBrax(Env):
     """A Fetch task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
 
-    reward: "sparse", 0 at the goal and -1 elsewhere, or "dense", minus the distance in m. `done`: the goal is reached, unless `config` has episodes
-    go on there; they are as long as the `episode_length` that brax's training is given, not as that of `config`. A step that diverges is taken back
-    and the episode goes on.
+    reward: "sparse", 0 at the goal and -1 elsewhere, or "dense", minus the distance in m. `done`: the goal is reached,
+    unless `config` has episodes go on there; they are as long as the `episode_length` that brax's training is given,
+    not as that of `config`. A step that diverges is taken back and the episode goes on.
     Metrics: `success`, `distance_per_step` (m) and `diverged`, of every step.
     """
 
@@ -110,8 +122,12 @@ class FetchBrax(Env):
         key, reset_key = jax.random.split(key)
         fetch = self.fetch.reset(reset_key)
         return State(
-            pipeline_state=self._pipeline(fetch), obs=self._observation(fetch), reward=jnp.zeros(()), done=jnp.zeros(()),
-            metrics={name: jnp.zeros(()) for name in ("success", "distance_per_step", "diverged")}, info={"key": jax.random.key_data(key)},
+            pipeline_state=self._pipeline(fetch),
+            obs=self._observation(fetch),
+            reward=jnp.zeros(()),
+            done=jnp.zeros(()),
+            metrics={name: jnp.zeros(()) for name in ("success", "distance_per_step", "diverged")},
+            info={"key": jax.random.key_data(key)},
         )
 
     def step(self, state: State, action: jax.Array) -> State:
@@ -126,10 +142,18 @@ class FetchBrax(Env):
         if "first_obs" in info:  # brax resets by itself: give it a new episode to start from.
             key, reset_key = jax.random.split(jax.random.wrap_key_data(info["key"]))
             fresh = self.fetch.reset(reset_key)
-            info |= {"key": jax.random.key_data(key), "first_pipeline_state": self._pipeline(fresh), "first_obs": self._observation(fresh)}
+            info |= {
+                "key": jax.random.key_data(key),
+                "first_pipeline_state": self._pipeline(fresh),
+                "first_obs": self._observation(fresh),
+            }
         return state.replace(
-            pipeline_state=self._pipeline(fetch), obs=self._observation(fetch), reward=reward, done=fetch.terminated.astype(jnp.float32),
-            metrics=state.metrics | metrics, info=info,
+            pipeline_state=self._pipeline(fetch),
+            obs=self._observation(fetch),
+            reward=reward,
+            done=fetch.terminated.astype(jnp.float32),
+            metrics=state.metrics | metrics,
+            info=info,
         )
 
     @property
@@ -156,7 +180,9 @@ class FetchBrax(Env):
     def sys(self) -> System:
         """The model as brax's viewer wants it. Its time step is that of the states, 40 ms."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # brax recommends MJX instead of its own physics, neither of which runs here.
+            warnings.simplefilter(
+                "ignore"
+            )  # brax recommends MJX instead of its own physics, neither of which runs here.
             return mjcf.load_model(self.fetch.physics.mujoco_model).tree_replace({"opt.timestep": model.CONTROL_STEP})
 
     def _pipeline(self, fetch: FetchState) -> FetchPipelineState:
@@ -168,7 +194,8 @@ class FetchBrax(Env):
 
 @contextlib.contextmanager
 def brax_training():
-    """Inside this block brax 0.14's training runs on jax 0.10 too, which took away a function that it calls (https://github.com/google/brax/issues/671)."""
+    """Inside this block brax 0.14's training runs on jax 0.10 too, which took away a function that it calls
+    (https://github.com/google/brax/issues/671)."""
     name = "device_put_replicated"
     before = vars(jax).get(name)
     setattr(jax, name, device_put_replicated)
@@ -181,20 +208,28 @@ def brax_training():
 
 
 def device_put_replicated(tree, devices):
-    """A copy of the tree's leaves on each device, along a new first axis: what jax's migration guide gives in place of the function of this name."""
-    along = jax.sharding.NamedSharding(jax.sharding.Mesh(np.array(devices), ("device",)), jax.sharding.PartitionSpec("device"))
+    """A copy of the tree's leaves on each device, along a new first axis: what jax's migration guide gives in place of
+    the function of this name."""
+    along = jax.sharding.NamedSharding(
+        jax.sharding.Mesh(np.array(devices), ("device",)), jax.sharding.PartitionSpec("device")
+    )
     return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([leaf] * len(devices)), along), tree)
 
 
 def render_html(env: Env, states: list[State], height: int = 480) -> str:
-    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. It loads brax's scripts from the
-    web when it is opened.
+    """A page with brax's viewer: the states of one environment one after the other, each for 40 ms, and their goals. It
+    loads brax's scripts from the web when it is opened.
 
     The arm's links are added to what MuJoCo's model has. Raises `UserError` for no states, or batches of them.
     """
     require(len(states) > 0, "states", "none", "give at least one")
     for number, state in enumerate(states):
-        require(state.obs.ndim == 1, f"states[{number}]", f"a batch of {state.obs.shape[:-1]}", "give the states of one environment")
+        require(
+            state.obs.ndim == 1,
+            f"states[{number}]",
+            f"a batch of {state.obs.shape[:-1]}",
+            "give the states of one environment",
+        )
     system = env.unwrapped.sys
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[state.pipeline_state for state in states])
     poses, goals = jax.device_get((stacked.x, stacked.fetch.goal))
@@ -203,14 +238,26 @@ def render_html(env: Env, states: list[State], height: int = 480) -> str:
         scene["geoms"].setdefault(link, []).extend(geoms)
     positions = np.concatenate([poses.pos, goals[:, None]], 1)
     rotations = np.concatenate([poses.rot, np.broadcast_to(np.array(UPRIGHT), (len(states), 1, 4))], 1)
-    scene["states"] = {"x": [{"pos": position.tolist(), "rot": rotation.tolist()} for position, rotation in zip(positions, rotations, strict=True)]}
+    scene["states"] = {
+        "x": [
+            {"pos": position.tolist(), "rot": rotation.tolist()}
+            for position, rotation in zip(positions, rotations, strict=True)
+        ]
+    }
     return html.render_from_json(json.dumps(scene), height, colab=False, base_url=None)
 
 
 def link_geoms(mj: mujoco.MjModel, names: list[str]) -> dict[str, list[dict]]:
     """What the viewer is to draw besides the model's own shapes: the arm's links, and the goal as one more link."""
 
-    def geom(kind: str, link: int, place: list[float], turn: list[float], colour: tuple[float, float, float], size: list[float]) -> list[dict]:
+    def geom(
+        kind: str,
+        link: int,
+        place: list[float],
+        turn: list[float],
+        colour: tuple[float, float, float],
+        size: list[float],
+    ) -> list[dict]:
         return [{"name": kind, "link_idx": link, "pos": place, "rot": turn, "rgba": [*colour, 1.0], "size": size}]
 
     geoms = {"goal": geom("Sphere", len(names), [0.0, 0.0, 0.0], UPRIGHT, GOAL, [GOAL_RADIUS, 0.0, 0.0])}
@@ -218,5 +265,12 @@ def link_geoms(mj: mujoco.MjModel, names: list[str]) -> dict[str, list[dict]]:
         way = mj.body(last).pos
         turn = np.zeros(4)
         mujoco.mju_quatZ2Vec(turn, way)
-        geoms[first] = geom("Capsule", names.index(first), (way / 2).tolist(), turn.tolist(), colour, [radius, float(np.linalg.norm(way)) / 2, 0.0])
+        geoms[first] = geom(
+            "Capsule",
+            names.index(first),
+            (way / 2).tolist(),
+            turn.tolist(),
+            colour,
+            [radius, float(np.linalg.norm(way)) / 2, 0.0],
+        )
     return geoms

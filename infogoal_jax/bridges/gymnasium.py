@@ -1,7 +1,8 @@
-"""The Fetch tasks as Gymnasium goal environments, with the spaces, rewards and infos of Gymnasium-Robotics' FetchReach-v4 and its like.
+"""The Fetch tasks as Gymnasium goal environments, with the spaces, rewards and infos of Gymnasium-Robotics'
+FetchReach-v4 and its like.
 
-`make` gives one environment on the CPU, `FetchVector` a batch on whatever device jax uses. Importing this module registers both:
-`gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
+`make` gives one environment on the CPU, `FetchVector` a batch on whatever device jax uses. Importing this module
+registers both: `gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
 """
 
 import contextlib
@@ -26,11 +27,13 @@ except ImportError as error:
 IDS = {name: "infogoal/" + "".join(word.capitalize() for word in name.split("_")) + "-v0" for name in TASKS}
 """The Gymnasium ids of the tasks: fetch_reach is infogoal/FetchReach-v0."""
 FARTHEST, LARGEST = 10.0, 50.0
-"""No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step is taken back."""
+"""No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step
+is taken back."""
 
 
 def load(task: str, config: FetchConfig | None) -> Fetch:
-    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that is no Fetch task."""
+    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that
+    is no Fetch task."""
     return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else config)
 
 
@@ -56,14 +59,21 @@ def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
 
 
 jitted_reset = jax.jit(reset)
-jitted_step = jax.jit(Fetch.step)  # The environment has no leaves: one program for each task and setting, however many environments there are.
+jitted_step = jax.jit(
+    Fetch.step
+)  # The environment has no leaves: one program for each task and setting, however many environments there are.
 
 
 def distance(achieved, desired) -> np.ndarray:
     """Metres between positions [..., 3]. Raises `UserError` for other shapes."""
     achieved, desired = np.asarray(achieved), np.asarray(desired)
     fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
-    require(fit, "achieved_goal", f"of shape {achieved.shape}, desired_goal of {desired.shape}", "give positions [..., 3] of one shape")
+    require(
+        fit,
+        "achieved_goal",
+        f"of shape {achieved.shape}, desired_goal of {desired.shape}",
+        "give positions [..., 3] of one shape",
+    )
     return np.linalg.norm(achieved - desired, axis=-1)
 
 
@@ -78,7 +88,8 @@ def key_of(generator: np.random.Generator) -> jax.Array:
 
 
 def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) -> tuple[np.ndarray, bool]:
-    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what cannot be one."""
+    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what
+    cannot be one."""
     unknown = set(options or {}) - {"goal"}
     require(not unknown, "options", sorted(unknown), 'only "goal" is known')
     if not options:
@@ -88,8 +99,12 @@ def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) 
     except (TypeError, ValueError) as error:
         raise UserError(f'options["goal"] = {options["goal"]!r}: give a position of 3 numbers, in m') from error
     env.check_goals(goal)
-    require(goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)), 'options["goal"]',
-            f"of shape {goal.shape}", f"give {list(shape)} or [3]")
+    require(
+        goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)),
+        'options["goal"]',
+        f"of shape {goal.shape}",
+        f"give {list(shape)} or [3]",
+    )
     return np.broadcast_to(goal, shape), True
 
 
@@ -104,20 +119,29 @@ def on_cpu() -> contextlib.AbstractContextManager:
 
 
 class FetchGymnasium(gymnasium.Env):
-    """One Fetch task. As in the reference an episode is truncated after its 50 steps and never terminated, unless `config` has it end at the goal.
+    """One Fetch task. As in the reference an episode is truncated after its 50 steps and never terminated, unless
+    `config` has it end at the goal.
 
-    `info` of a step: `is_success` 0.0 or 1.0; `diverged`: the simulation failed, the step was taken back and the episode is truncated.
+    `info` of a step: `is_success` 0.0 or 1.0; `diverged`: the simulation failed, the step was taken back and the
+    episode is truncated.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - Gymnasium's own form.
 
     def __init__(self, task: str, config: FetchConfig | None = None, render_mode: str | None = None):
-        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
+        require(
+            render_mode in (None, *self.metadata["render_modes"]),
+            "render_mode",
+            render_mode,
+            'give "rgb_array" or None',
+        )
         self.env, self.render_mode = load(task, config), render_mode
         self.observation_space, self.action_space = spaces_of(self.env)
         self.state: FetchState | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """A new episode. options: {"goal": [x, y, z]} in m. Raises `UserError` for a goal outside of the workspace."""
         super().reset(seed=seed)
         goal, given = goal_of(self.env, options, (3,))
@@ -129,7 +153,9 @@ class FetchGymnasium(gymnasium.Env):
         """40 ms of simulation. Raises `UserError` before the first reset, and for an action of another shape."""
         require(self.state is not None, "state", None, "call reset() before step()")
         action = np.asarray(action, np.float32)
-        require(action.shape == self.action_space.shape, "action", f"of shape {action.shape}", "give 4 numbers in [-1, 1]")
+        require(
+            action.shape == self.action_space.shape, "action", f"of shape {action.shape}", "give 4 numbers in [-1, 1]"
+        )
         with on_cpu():
             self.state = jitted_step(self.env, self.state, action)
         seen = self._view()
@@ -177,7 +203,9 @@ def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys:
 
     def step(state, action, key):
         ended = state.terminated | state.truncated
-        state = jax.tree.map(lambda fresh, moved: jnp.where(ended, fresh, moved), env.reset(key), env.step(state, action))
+        state = jax.tree.map(
+            lambda fresh, moved: jnp.where(ended, fresh, moved), env.reset(key), env.step(state, action)
+        )
         return state, view(env, state), ended
 
     return jax.vmap(step)(states, actions, keys)
@@ -186,21 +214,29 @@ def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys:
 class FetchVector(VectorEnv):
     """Many environments of one task as one compiled program, on jax's default device.
 
-    Autoreset is Gymnasium's `NEXT_STEP`: the step after the last of an episode starts the next one, with reward 0 and its action unused.
+    Autoreset is Gymnasium's `NEXT_STEP`: the step after the last of an episode starts the next one, with reward 0 and
+    its action unused.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's own form.
 
     def __init__(self, task: str, num_envs: int, config: FetchConfig | None = None, render_mode: str | None = None):
         require(num_envs > 0, "num_envs", num_envs, "give at least 1")
-        require(render_mode in (None, *self.metadata["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
+        require(
+            render_mode in (None, *self.metadata["render_modes"]),
+            "render_mode",
+            render_mode,
+            'give "rgb_array" or None',
+        )
         self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
         self.single_observation_space, self.single_action_space = spaces_of(self.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.state: FetchState | None = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """New episodes everywhere. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
         super().reset(seed=seed)
         goals, given = goal_of(self.env, options, (self.num_envs, 3))
@@ -208,18 +244,27 @@ class FetchVector(VectorEnv):
         self.state, seen = jitted_vector_reset(self.env, keys, goals, given)
         return {name: np.array(part) for name, part in seen.items()}, {}
 
-    def step(self, actions: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """40 ms everywhere, actions [num_envs, 4]."""
         require(self.state is not None, "state", None, "call reset() before step()")
         actions = np.asarray(actions, np.float32)
-        require(actions.shape == self.action_space.shape, "actions", f"of shape {actions.shape}", f"give {self.action_space.shape}, in [-1, 1]")
+        require(
+            actions.shape == self.action_space.shape,
+            "actions",
+            f"of shape {actions.shape}",
+            f"give {self.action_space.shape}, in [-1, 1]",
+        )
         keys = jax.random.split(key_of(self.np_random), self.num_envs)
         self.state, seen, fresh = jitted_vector_step(self.env, self.state, actions, keys)
         seen, moved = {name: np.array(part) for name, part in seen.items()}, ~np.array(fresh)
         near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
         reward = np.where(moved, rewards(seen["achieved_goal"], seen["desired_goal"]), np.float32(0))
         info = {"is_success": (near & moved).astype(float), "diverged": np.array(self.state.diverged)}
-        info |= {f"_{name}": moved.copy() for name in info}  # Gymnasium's marks of the environments that these infos are of.
+        info |= {
+            f"_{name}": moved.copy() for name in info
+        }  # Gymnasium's marks of the environments that these infos are of.
         return seen, reward, np.array(self.state.terminated), np.array(self.state.truncated), info
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
@@ -233,21 +278,29 @@ class FetchVector(VectorEnv):
         from infogoal_jax.report.fetch_scene import draw_fetch
 
         require(self.state is not None, "state", None, "call reset() before render()")
-        return tuple(draw_fetch(self.env, jax.tree.map(lambda leaf, row=row: leaf[row], self.state)) for row in range(self.num_envs))
+        return tuple(
+            draw_fetch(self.env, jax.tree.map(lambda leaf, row=row: leaf[row], self.state))
+            for row in range(self.num_envs)
+        )
 
 
 for name, gymnasium_id in IDS.items():
     if gymnasium_id not in gymnasium.registry:
         gymnasium.register(
-            gymnasium_id, entry_point=f"{__name__}:FetchGymnasium", vector_entry_point=f"{__name__}:FetchVector", kwargs={"task": name},
-            order_enforce=False, disable_env_checker=True,
+            gymnasium_id,
+            entry_point=f"{__name__}:FetchGymnasium",
+            vector_entry_point=f"{__name__}:FetchVector",
+            kwargs={"task": name},
+            order_enforce=False,
+            disable_env_checker=True,
         )
 
 
 def make(task: str, config: FetchConfig | None = None, render_mode: str | None = None) -> FetchGymnasium:
     """The environment of a task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
 
-    config: None for the reference's episodes of 50 steps. render_mode: None or "rgb_array". Raises `UserError` for unknown names.
+    config: None for the reference's episodes of 50 steps. render_mode: None or "rgb_array". Raises `UserError` for
+    unknown names.
     """
     load(task, config)
     return gymnasium.make(IDS[task], config=config, render_mode=render_mode)

@@ -1,7 +1,9 @@
-"""The recorded trajectories of an image dataset (data/frames.py) as a Minari dataset, bit by bit and back. Needs `pip install "minari[hdf5]" pillow`.
+"""The recorded trajectories of an image dataset (data/frames.py) as a Minari dataset, bit by bit and back. Needs `pip
+install "minari[hdf5]" pillow`.
 
-A trajectory becomes an episode. An observation is a dictionary: the index of the frame, the state, the image, and the poses as far as they are
-known. Rewards are 0, since goals are chosen later; the end of a trajectory is a truncation, since nothing was reached or failed.
+A trajectory becomes an episode. An observation is a dictionary: the index of the frame, the state, the image, and the
+poses as far as they are known. Rewards are 0, since goals are chosen later; the end of a trajectory is a truncation,
+since nothing was reached or failed.
 """
 
 import contextlib
@@ -26,7 +28,8 @@ NOTE = "infogoal"
 
 
 def import_minari() -> ModuleType:
-    """Minari. Raises `UserError` if it is not installed, or without what its HDF5 files need (Pillow is one, though it declares it not)."""
+    """Minari. Raises `UserError` if it is not installed, or without what its HDF5 files need (Pillow is one, though it
+    declares it not)."""
     try:
         import h5py  # noqa: F401
         import minari
@@ -48,14 +51,19 @@ def observation_space(dataset: FrameDataset):
     from gymnasium import spaces
 
     described = {
-        "frame": spaces.Discrete(len(dataset.frames)), "state": spaces.Discrete(dataset.num_states),
+        "frame": spaces.Discrete(len(dataset.frames)),
+        "state": spaces.Discrete(dataset.num_states),
         "image": spaces.Box(0, 255, dataset.frames.shape[1:], np.uint8),
     }
     for name in POSES:
         values = getattr(dataset, name)
         if values is not None:
             is_flags = values.dtype == bool
-            described[name] = spaces.MultiBinary(values.shape[1]) if is_flags else spaces.Box(-np.inf, np.inf, values.shape[1:], np.float32)
+            described[name] = (
+                spaces.MultiBinary(values.shape[1])
+                if is_flags
+                else spaces.Box(-np.inf, np.inf, values.shape[1:], np.float32)
+            )
     return spaces.Dict(described)
 
 
@@ -63,12 +71,18 @@ def to_minari(dataset: FrameDataset, out: str | os.PathLike, progress: Callable[
     """Write the trajectories as the Minari dataset `out`, FOLDER/NAME-v0. With MINARI_DATASETS_PATH=FOLDER
     `minari.load_dataset("NAME-v0")` reads it.
 
-    Images are kept as they are, not as JPEG, and stand in the file as often as they are seen. Frames that no move shows are left out.
+    Images are kept as they are, not as JPEG, and stand in the file as often as they are seen. Frames that no move shows
+    are left out.
 
     Raises UserError if Minari is missing, `out` is there already, its name is none of Minari's, or the disk refuses.
     """
     out = Path(out)
-    require(re.fullmatch(r"[\w-]+-v\d+", out.name) is not None, "out", str(out), "Minari wants names with a version, such as cube-v0")
+    require(
+        re.fullmatch(r"[\w-]+-v\d+", out.name) is not None,
+        "out",
+        str(out),
+        "Minari wants names with a version, such as cube-v0",
+    )
     require(not out.exists(), "out", str(out), "is there already; give a new folder")
     minari = import_minari()
     beside = out.with_name(f".{out.name}.{os.getpid()}.partial")
@@ -77,42 +91,67 @@ def to_minari(dataset: FrameDataset, out: str | os.PathLike, progress: Callable[
         write_episodes(minari, dataset, beside / "data", out.name, progress)
         beside.rename(out)
     except OSError as error:
-        raise UserError(f"out = {str(out)!r}: cannot be written ({error.strerror or error}); give another place") from error
+        raise UserError(
+            f"out = {str(out)!r}: cannot be written ({error.strerror or error}); give another place"
+        ) from error
     finally:
         with contextlib.suppress(OSError):
             shutil.rmtree(beside, ignore_errors=True)
     return out
 
 
-def write_episodes(minari: ModuleType, dataset: FrameDataset, folder: Path, name: str, progress: Callable[[float], None] | None) -> None:
+def write_episodes(
+    minari: ModuleType, dataset: FrameDataset, folder: Path, name: str, progress: Callable[[float], None] | None
+) -> None:
     """The episodes, a batch at a time, and the metadata."""
     from gymnasium import spaces
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
-    storage = MinariStorage.new(folder, observation_space(dataset), spaces.Discrete(len(dataset.actions)), jpeg_encoding=False)
+    storage = MinariStorage.new(
+        folder, observation_space(dataset), spaces.Discrete(len(dataset.actions)), jpeg_encoding=False
+    )
     ends = np.flatnonzero(dataset.terminal) + 1
     starts = np.append(0, ends[:-1])
     for first in range(0, len(ends), EPISODES_AT_ONCE):
         episodes = []
-        for start, end in zip(starts[first : first + EPISODES_AT_ONCE], ends[first : first + EPISODES_AT_ONCE], strict=True):
+        for start, end in zip(
+            starts[first : first + EPISODES_AT_ONCE], ends[first : first + EPISODES_AT_ONCE], strict=True
+        ):
             shown = np.append(dataset.frame[start:end], dataset.next_frame[end - 1])
-            episodes.append(EpisodeBuffer(
-                options={"trajectory": int(dataset.trajectory[start])}, observations=observations_of(dataset, shown), infos={},
-                actions=dataset.action[start:end], rewards=np.zeros(end - start), terminations=np.zeros(end - start, bool),
-                truncations=dataset.terminal[start:end],
-            ))  # fmt: skip
+            episodes.append(
+                EpisodeBuffer(
+                    options={"trajectory": int(dataset.trajectory[start])},
+                    observations=observations_of(dataset, shown),
+                    infos={},
+                    actions=dataset.action[start:end],
+                    rewards=np.zeros(end - start),
+                    terminations=np.zeros(end - start, bool),
+                    truncations=dataset.terminal[start:end],
+                )
+            )
         storage.update_episodes(episodes)
         if progress is not None:
             progress(min(1.0, (first + EPISODES_AT_ONCE) / len(ends)))
-    names = {"actions": dataset.actions, "objects": dataset.objects, "joint_names": dataset.joint_names, "about": dataset.about}
-    storage.update_metadata({
-        "dataset_id": name, "minari_version": minari.__version__, "description": str(dataset.about.get("name", name)), NOTE: json.dumps(names),
-    })
+    names = {
+        "actions": dataset.actions,
+        "objects": dataset.objects,
+        "joint_names": dataset.joint_names,
+        "about": dataset.about,
+    }
+    storage.update_metadata(
+        {
+            "dataset_id": name,
+            "minari_version": minari.__version__,
+            "description": str(dataset.about.get("name", name)),
+            NOTE: json.dumps(names),
+        }
+    )
 
 
 def from_minari(path: str | os.PathLike) -> FrameDataset:
-    """The dataset that `to_minari` wrote to `path`. Frames and states that no move showed are gone, the others numbered anew without gaps.
+    """The dataset that `to_minari` wrote to `path`. Frames and states that no move showed are gone, the others numbered
+    anew without gaps.
 
     Raises UserError if Minari is missing, or the folder is no dataset of `to_minari`.
     """
@@ -120,19 +159,34 @@ def from_minari(path: str | os.PathLike) -> FrameDataset:
     try:
         episodes = minari.MinariDataset(Path(path) / "data")
         note = json.loads(episodes.storage.metadata[NOTE])
-        labels = [metadata["options"]["trajectory"] for metadata in episodes.storage.get_episode_metadata(episodes.episode_indices)]
-        moves: dict[str, list[np.ndarray]] = {name: [] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+        labels = [
+            metadata["options"]["trajectory"]
+            for metadata in episodes.storage.get_episode_metadata(episodes.episode_indices)
+        ]
+        moves: dict[str, list[np.ndarray]] = {
+            name: [] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+        }
         kept: dict[int, dict[str, np.ndarray]] = {}
         for episode, label in zip(episodes, labels, strict=True):
             seen, length = episode.observations, len(episode)
             for step, frame in enumerate(seen["frame"].tolist()):
                 if frame not in kept:
                     kept[frame] = {name: values[step] for name, values in seen.items()}
-            record = (seen["frame"][:-1], episode.actions, seen["frame"][1:], np.full(length, label), np.arange(length), episode.truncations)
+            record = (
+                seen["frame"][:-1],
+                episode.actions,
+                seen["frame"][1:],
+                np.full(length, label),
+                np.arange(length),
+                episode.truncations,
+            )
             for column, values in zip(moves.values(), record, strict=True):
                 column.append(values)
     except (OSError, KeyError, ValueError, AttributeError) as error:
-        raise UserError(f"path = {str(path)!r}: is no dataset of infogoal data export-minari ({error}); give the folder that it wrote") from error
+        raise UserError(
+            f"path = {str(path)!r}: is no dataset of infogoal data export-minari ({error}); give the folder that it "
+            "wrote"
+        ) from error
     shown = sorted(kept)
     fields = {name: np.concatenate(columns) for name, columns in moves.items()}
     fields = {name: values.astype(bool if name == "terminal" else np.int32) for name, values in fields.items()}

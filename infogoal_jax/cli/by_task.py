@@ -10,7 +10,13 @@ from infogoal_jax.cli.flags import configuration_flags
 
 def all_tasks(command: Command, help: str, arguments: list[str]) -> TaskCommands:
     """The command for every task that has a preset, for the list of them. help: stands above it."""
-    group = Group(help, {task: named(command, preset.description, config=presets.load(task)) for task, preset in presets.registry.items()})
+    group = Group(
+        help,
+        {
+            task: named(command, preset.description, config=presets.load(task))
+            for task, preset in presets.registry.items()
+        },
+    )
     return TaskCommands(group, arguments)
 
 

@@ -1,4 +1,5 @@
-"""Which configuration a command starts from: the preset of a task and a method, with parts that are chosen by name, or that of a run to resume."""
+"""Which configuration a command starts from: the preset of a task and a method, with parts that are chosen by name, or
+that of a run to resume."""
 
 import dataclasses
 from pathlib import Path
@@ -30,7 +31,11 @@ class Parts:
 
     def names(self) -> dict[str, str]:
         """The parts that were asked for, without the method."""
-        return {name: getattr(self, name) for name in ("learner", "agent", "relabelling", "explorer") if getattr(self, name) is not None}
+        return {
+            name: getattr(self, name)
+            for name in ("learner", "agent", "relabelling", "explorer")
+            if getattr(self, name) is not None
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +53,7 @@ class Choice(Parts):
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:
     """The task, which is the first word or left out, and what the flags choose."""
     task = first_word(arguments)
-    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[bool(task):], return_unknown_args=True, add_help=False)
+    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[bool(task) :], return_unknown_args=True, add_help=False)
     return task, choice
 
 
@@ -60,7 +65,8 @@ def preset_of(task: str, choice: Parts) -> "TrainConfig":
 
 
 def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
-    """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts than those that are named."""
+    """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts
+    than those that are named."""
     from infogoal_jax import presets
     from infogoal_jax.report.runs import load_run
 
@@ -68,15 +74,21 @@ def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
     if task not in ("", config.task):
         raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
     if choice.method is not None and not is_of_method(config, choice.method):
-        raise UserError(f"method = {choice.method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag out")
+        raise UserError(
+            f"method = {choice.method!r}: the run to resume is of method {presets.name_of(config)!r}; leave the flag "
+            "out"
+        )
     for kind, name in choice.names().items():
         if name != presets.names_of(config)[kind]:
-            raise UserError(f"{kind} = {name!r}: the run to resume has {presets.names_of(config)[kind]!r}; leave the flag out")
+            raise UserError(
+                f"{kind} = {name!r}: the run to resume has {presets.names_of(config)[kind]!r}; leave the flag out"
+            )
     return config
 
 
 def is_of_method(config: "TrainConfig", method: str) -> bool:
-    """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been added to it."""
+    """Whether a configuration is made of the parts that this method names; a relabelling or an explorer may have been
+    added to it."""
     from infogoal_jax import presets
 
     asked = presets.method_named(method)

@@ -20,7 +20,8 @@ class Group(NamedTuple):
 
 
 class TaskCommands(NamedTuple):
-    """A command whose flags depend on the task: one command a task, the words that follow its name, and how tyro shows the task's configuration."""
+    """A command whose flags depend on the task: one command a task, the words that follow its name, and how tyro shows
+    the task's configuration."""
 
     group: Group
     arguments: list[str]
@@ -45,7 +46,11 @@ def check_names(group: Group, arguments: list[str], path: str = "") -> None:
     if arguments and not name:
         return
     if name not in known:
-        wrong = f"{path}{name!r}: no such command.{nearest(name, known)}" if name else f"{path.strip()}: name what is meant."
+        wrong = (
+            f"{path}{name!r}: no such command.{nearest(name, known)}"
+            if name
+            else f"{path.strip()}: name what is meant."
+        )
         raise UserError(f"{wrong} Known: {', '.join(known)}")
     command = group.commands[name]
     if isinstance(command, Group):

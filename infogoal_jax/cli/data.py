@@ -39,13 +39,19 @@ def check(path: Positional[str]) -> int:
 
 
 def import_images(
-    images: Positional[str], table: Positional[str], out: str, size: tuple[int, int] | None = None, wrap: tuple[str, ...] = (), name: str = "",
+    images: Positional[str],
+    table: Positional[str],
+    out: str,
+    size: tuple[int, int] | None = None,
+    wrap: tuple[str, ...] = (),
+    name: str = "",
 ) -> int:
     """Make an image dataset of a folder of images and a CSV.
 
     Args:
         images: Folder of the images.
-        table: CSV that says what each shows, with a header: image, trajectory, time, action; or image and joint_NAME (docs/datasets.md).
+        table: CSV that says what each shows, with a header: image, trajectory, time, action; or image and joint_NAME
+            (docs/datasets.md).
         out: File to write, an npz.
         size: Height and width to shrink the images to; None: as they are, then all must have one size.
         wrap: Joints of a grid of poses that go round a full turn.
@@ -74,8 +80,10 @@ def export_minari(path: Positional[str], out: str) -> int:
     dataset = frames.load(path)
     with progress_bar("writing the episodes") as bar:
         folder = to_minari(dataset, out, bar)
-    print(f"{folder}: {dataset.terminal.sum()} episodes, {len(dataset.frame)} steps; "
-          f"read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}")
+    print(
+        f"{folder}: {dataset.terminal.sum()} episodes, {len(dataset.frame)} steps; "
+        f"read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}"
+    )
     return 0
 
 
@@ -92,7 +100,12 @@ def cifar10(path: Positional[str] = "", url: str = "") -> int:
     return 0
 
 
-def embed(texts: Positional[tuple[str, ...]], out: str, weights: str = "", allow_other_weights: FlagCreatePairsOff[bool] = False) -> int:
+def embed(
+    texts: Positional[tuple[str, ...]],
+    out: str,
+    weights: str = "",
+    allow_other_weights: FlagCreatePairsOff[bool] = False,
+) -> int:
     """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/text_goals.md).
 
     Args:
@@ -110,7 +123,14 @@ def embed(texts: Positional[tuple[str, ...]], out: str, weights: str = "", allow
     return 0
 
 
-DATA = Group("Check, import, export, build and download datasets.", {
-    "check": check, "import": import_images, "export-minari": export_minari, "build": BUILD,
-    "download": Group("Download what others published.", {"cifar10": cifar10}), "embed": embed,
-})
+DATA = Group(
+    "Check, import, export, build and download datasets.",
+    {
+        "check": check,
+        "import": import_images,
+        "export-minari": export_minari,
+        "build": BUILD,
+        "download": Group("Download what others published.", {"cifar10": cifar10}),
+        "embed": embed,
+    },
+)

@@ -44,8 +44,11 @@ def backgrounds(path: Positional[str], seed: int = 0, crops_of_each: int = 84) -
     return 0
 
 
-def fetch(path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")) -> int:
-    """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL; docs/goal_images.md).
+def fetch(
+    path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+) -> int:
+    """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
+    docs/goal_images.md).
 
     Args:
         path: Folder to write to, one file a task; files that are there already are never overwritten.
@@ -100,7 +103,8 @@ def shelf(path: Positional[str], seed: int = 0, hovering: FlagCreatePairsOff[boo
 
 
 def write_frames(path: str, words: str, build: Callable) -> int:
-    """Build an image dataset, write it to a new file and say what it is. build: takes what is to be told the share done."""
+    """Build an image dataset, write it to a new file and say what it is. build: takes what is to be told the share
+    done."""
     from infogoal_jax.data import frames
 
     new_file(path)
@@ -111,6 +115,7 @@ def write_frames(path: str, words: str, build: Callable) -> int:
     return 0
 
 
-BUILD = Group("Build stand-ins for data that cannot be shipped, backgrounds and goal images.", {
-    "house": house, "cube": cube, "shelf": shelf, "backgrounds": backgrounds, "fetch": fetch,
-})
+BUILD = Group(
+    "Build stand-ins for data that cannot be shipped, backgrounds and goal images.",
+    {"house": house, "cube": cube, "shelf": shelf, "backgrounds": backgrounds, "fetch": fetch},
+)

@@ -1,4 +1,5 @@
-"""Files of image datasets on the command line: where they may be written, what is in them, and how far writing one is."""
+"""Files of image datasets on the command line: where they may be written, what is in them, and how far writing one
+is."""
 
 import contextlib
 import sys
@@ -20,8 +21,10 @@ def print_size(path: str, dataset) -> None:
     """What a file of an image dataset holds, in one line, and what it takes."""
     *_, height, width, channels = dataset.frames.shape
     print(
-        f"{path}: {dataset.about['name']}; {len(dataset.frames)} frames of {height} x {width} x {channels}, {dataset.num_states} states, "
-        f"{len(dataset.frame)} moves of {len(dataset.actions)} actions; {Path(path).stat().st_size / 1e6:.1f} MB on disk, "
+        f"{path}: {dataset.about['name']}; {len(dataset.frames)} frames of {height} x {width} x {channels}, "
+        f"{dataset.num_states} states, "
+        f"{len(dataset.frame)} moves of {len(dataset.actions)} actions; {Path(path).stat().st_size / 1e6:.1f} MB on "
+        "disk, "
         f"{dataset.nbytes / 1e6:.1f} MB on the device"
     )
 

@@ -1,4 +1,5 @@
-"""How the fields of a configuration are shown as flags: help from their docstrings, intervals from the declarations of the numbers."""
+"""How the fields of a configuration are shown as flags: help from their docstrings, intervals from the declarations of
+the numbers."""
 
 import dataclasses
 import functools
@@ -16,7 +17,8 @@ from infogoal_jax.hyperparameters import numbers_of
 def configuration_flags(brief: bool) -> ConstructorRegistry:
     """Rules of tyro for a command's configuration, whose task is no flag: it is the name of the subcommand.
 
-    brief: for a help of one screen. The records of the configuration's parts are left out, and of a field's docstring all but the first sentence.
+    brief: for a help of one screen. The records of the configuration's parts are left out, and of a field's docstring
+    all but the first sentence.
     """
     registry = ConstructorRegistry()
 
@@ -31,16 +33,26 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
             return None  # Tyro's own rule does.
         helps = docstrings_of(record)
         if record is Parts:
-            helps = {name: f"{words.removesuffix('.')}: {', '.join(known_names()[name])}." for name, words in helps.items()}
+            helps = {
+                name: f"{words.removesuffix('.')}: {', '.join(known_names()[name])}." for name, words in helps.items()
+            }
         if of_command and brief:
-            helps = {name: words.partition(";")[0].partition(". ")[0].removesuffix(".") + "." for name, words in helps.items()}
+            helps = {
+                name: words.partition(";")[0].partition(". ")[0].removesuffix(".") + "."
+                for name, words in helps.items()
+            }
         fields = []
         for name in (field.name for field in dataclasses.fields(record)):
             value, number = getattr(default, name), numbers_of(record).get(name)
             if record is Parts:
                 hint = Annotated[str, tyro.conf.arg(metavar="NAME")]
             elif number is not None:
-                hint = Annotated[float, tyro.conf.arg(help_behavior_hint=lambda shown, number=number: f"(in {number.interval}, default: {shown})")]
+                hint = Annotated[
+                    float,
+                    tyro.conf.arg(
+                        help_behavior_hint=lambda shown, number=number: f"(in {number.interval}, default: {shown})"
+                    ),
+                ]
             elif of_command and (name == "task" or (brief and dataclasses.is_dataclass(value))):
                 hint = tyro.conf.Suppress[type(value)]
             else:
@@ -59,10 +71,13 @@ def docstrings_of(record: type) -> dict[str, str]:
 
 
 def short(hint: Any) -> Any:
-    """The type of a field whose flag is to fit the left column: without the kind of its value, which the default shows."""
+    """The type of a field whose flag is to fit the left column: without the kind of its value, which the default
+    shows."""
     if hint is bool:
         return tyro.conf.FlagCreatePairsOff[hint]
     if typing.get_origin(hint) is typing.Literal:
         choices = " | ".join(typing.get_args(hint))
-        return Annotated[hint, tyro.conf.arg(metavar="", help_behavior_hint=lambda shown: f"({choices}, default: {shown})")]
+        return Annotated[
+            hint, tyro.conf.arg(metavar="", help_behavior_hint=lambda shown: f"({choices}, default: {shown})")
+        ]
     return Annotated[hint, tyro.conf.arg(metavar="")]

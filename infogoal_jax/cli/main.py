@@ -16,21 +16,36 @@ from infogoal_jax.cli.training import train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError
 
-HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`; `infogoal COMMAND --help` shows a
-command's flags, and `infogoal --version` the version."""
-COMMANDS = Group(HELP, {
-    "train": train, "evaluate": evaluate, "report": report, "compare": compare, "video": video, "methods": methods, "tune": tune, "final": final,
-    "pretrain": pretrain, "data": DATA, "check-fetch": check_fetch,
-})
+HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
+`infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
+COMMANDS = Group(
+    HELP,
+    {
+        "train": train,
+        "evaluate": evaluate,
+        "report": report,
+        "compare": compare,
+        "video": video,
+        "methods": methods,
+        "tune": tune,
+        "final": final,
+        "pretrain": pretrain,
+        "data": DATA,
+        "check-fetch": check_fetch,
+    },
+)
 BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": pretraining.tasks}
-"""Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where one of these is called."""
+"""Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where
+one of these is called."""
 
 GARBAGE = 50_000, 20, 50
-"""Python looks for cycles after so many new objects, not after 700: imports and tracing make millions that stay, which costs a tenth of the time."""
+"""Python looks for cycles after so many new objects, not after 700: imports and tracing make millions that stay, which
+costs a tenth of the time."""
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for a flag that is none."""
+    """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for a
+    flag that is none."""
     if arguments == ["--version"]:
         print(infogoal_jax.__version__)
         return 0
@@ -44,7 +59,11 @@ def run(arguments: list[str]) -> int:
             check_names(commands[name], rest, f"{name} ")
             arguments = [name, *rest]
     return tyro.cli(
-        type_of(Group(HELP, commands)), prog="infogoal", description=HELP, args=arguments, registry=registry,
+        type_of(Group(HELP, commands)),
+        prog="infogoal",
+        description=HELP,
+        args=arguments,
+        registry=registry,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
     )
 

@@ -54,9 +54,15 @@ def tasks(arguments: list[str]) -> TaskCommands:
 
     task = first_word(arguments)
     if task and task not in TASKS:
-        raise UserError(f"task = {task!r}: no low level can be trained for it.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
+        raise UserError(
+            f"task = {task!r}: no low level can be trained for it.{nearest(task, list(TASKS))} Known: "
+            f"{', '.join(TASKS)}"
+        )
     written = " ".join(["infogoal pretrain", *arguments])
-    commands = {task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written) for task in TASKS}
+    commands = {
+        task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written)
+        for task in TASKS
+    }
     help = "The low level of object manipulation (docs/object_manipulation.md)."
     commands[JOINTS] = named(pretrain, help, config=preset(JOINTS), command=written, seeds=1, evaluation_episodes=4000)
     group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)

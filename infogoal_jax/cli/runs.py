@@ -8,7 +8,13 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from infogoal_jax.errors import UserError
 
 
-def evaluate(run: Positional[str], starts: int = 50, start_seed: int = 1, test_epsilon: float = -1.0, corruption: float | None = None) -> int:
+def evaluate(
+    run: Positional[str],
+    starts: int = 50,
+    start_seed: int = 1,
+    test_epsilon: float = -1.0,
+    corruption: float | None = None,
+) -> int:
     """Evaluate the last parameters of a run again, every goal from several starts.
 
     Args:
@@ -16,7 +22,8 @@ def evaluate(run: Positional[str], starts: int = 50, start_seed: int = 1, test_e
         starts: Start states for each goal.
         start_seed: Seed of the start states; training's own evaluations use others.
         test_epsilon: Share of random actions; negative: the run's own.
-        corruption: Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the run's own.
+        corruption: Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the
+            run's own.
     """
     from infogoal_jax.report.summary import evaluate_run
     from infogoal_jax.train.compilation import use_compilation_cache
@@ -54,13 +61,17 @@ def compare(runs: Positional[tuple[str, ...]], out: str) -> int:
     return 0
 
 
-def check_fetch(file: Positional[str], faithful: FlagCreatePairsOff[bool] = False, kinds: str = "", out: str = "") -> int:
+def check_fetch(
+    file: Positional[str], faithful: FlagCreatePairsOff[bool] = False, kinds: str = "", out: str = ""
+) -> int:
     """Replay recorded episodes of the reference Fetch tasks and measure the distance.
 
     Args:
         file: The episodes: an npz as benchmarks/fidelity/record_fetch_reference.py writes it.
-        faithful: Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast default.
-        kinds: Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart: random,held,scripted.
+        faithful: Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast
+            default.
+        kinds: Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart:
+            random,held,scripted.
         out: File to write the numbers to, those of each episode too (json).
 
     Returns:
@@ -76,11 +87,14 @@ def check_fetch(file: Positional[str], faithful: FlagCreatePairsOff[bool] = Fals
     return 0
 
 
-def video(subject: Positional[str], out: str, episodes: int = 1, seed: int = 0, corruption: float = 0.0, height: int = 480) -> int:
+def video(
+    subject: Positional[str], out: str, episodes: int = 1, seed: int = 0, corruption: float = 0.0, height: int = 480
+) -> int:
     """Draw episodes of a run's policy, or of a random one, as an mp4.
 
     Args:
-        subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a random policy.
+        subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a
+            random policy.
         out: File to write; must end in .mp4.
         episodes: Episodes, one after the other.
         seed: Seed of starts, goals, actions and backgrounds.
@@ -99,10 +113,15 @@ def video(subject: Positional[str], out: str, episodes: int = 1, seed: int = 0, 
         run = read_subject(Path(subject))
         reached = policy_video(run, out, episodes, seed, corruption, size)
         words = f"corrupted with weight {corruption:g}" if corruption else "clean"
-        print(f"{out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; {sum(reached)} reach the goal")
+        print(
+            f"{out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; "
+            f"{sum(reached)} reach the goal"
+        )
         return 0
     if corruption:
-        raise UserError(f"corruption = {corruption}: a random policy looks at no goal; leave it out, or give the folder of a run")
+        raise UserError(
+            f"corruption = {corruption}: a random policy looks at no goal; leave it out, or give the folder of a run"
+        )
     import jax
 
     from infogoal_jax.envs.fetch.environment import make

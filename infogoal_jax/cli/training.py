@@ -11,8 +11,8 @@ from infogoal_jax.cli.commands import TaskCommands
 from infogoal_jax.cli.folders import new_folder
 from infogoal_jax.errors import UserError
 
-HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and `infogoal train --resume RUN` goes on with a run from its last
-checkpoint."""
+HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
+`infogoal train --resume RUN` goes on with a run from its last checkpoint."""
 
 
 def train(
@@ -77,7 +77,8 @@ def train(
 
 
 def tasks(arguments: list[str]) -> TaskCommands:
-    """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is chosen as its defaults."""
+    """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is
+    chosen as its defaults."""
     from infogoal_jax.cli.by_task import all_tasks, of_task
 
     task, choice = read_choice(arguments, "infogoal train")

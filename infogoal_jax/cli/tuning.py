@@ -49,8 +49,13 @@ def tune(
     numbers = range(first_seed, first_seed + seeds)
     fields = tuple(field.replace("-", "_") for field in fields)
     key = jax.random.key(space_seed)
-    return watch_search(config, trials, seeds, search_folder(out, config, "tuning"),
-                        lambda watch: search.tune(config, trials, numbers, key, fields, watch=watch))
+    return watch_search(
+        config,
+        trials,
+        seeds,
+        search_folder(out, config, "tuning"),
+        lambda watch: search.tune(config, trials, numbers, key, fields, watch=watch),
+    )
 
 
 def tasks(arguments: list[str]) -> TaskCommands:
@@ -59,20 +64,21 @@ def tasks(arguments: list[str]) -> TaskCommands:
     from infogoal_jax.train.tune import same_budget
 
     task, choice = read_choice(arguments, "infogoal tune")
-    return of_task(tune, same_budget(preset_of(task, choice)), choice, arguments) if task else all_tasks(tune, HELP, arguments)
+    return (
+        of_task(tune, same_budget(preset_of(task, choice)), choice, arguments)
+        if task
+        else all_tasks(tune, HELP, arguments)
+    )
 
 
 def final(
-    search: Positional[str],
-    trials: int = 4,
-    seeds: int = 8,
-    first_seed: int | None = None,
-    out: str = "",
+    search: Positional[str], trials: int = 4, seeds: int = 8, first_seed: int | None = None, out: str = ""
 ) -> int:
     """Run the preset and the best trials of a search again, with other seeds.
 
     Args:
-        search: Folder of an `infogoal tune` that came to its end. Its task, method and configuration are those of the final.
+        search: Folder of an `infogoal tune` that came to its end. Its task, method and configuration are those of the
+            final.
         trials: How many, the preset among them.
         seeds: Seeds of each.
         first_seed: Number of the first seed; none: the one after the search's last.
@@ -89,9 +95,16 @@ def final(
     first = max(run.seeds) + 1 if first_seed is None else first_seed
     numbers = range(first, first + seeds)
     if set(numbers) & set(run.seeds):
-        raise UserError(f"first_seed = {first}: the search had the seeds {run.seeds}; give others, or leave the flag out")
-    return watch_search(run.config, trials, seeds, search_folder(out, run.config, "final"),
-                        lambda watch: searching.final(run.config, finalists, numbers, watch=watch))
+        raise UserError(
+            f"first_seed = {first}: the search had the seeds {run.seeds}; give others, or leave the flag out"
+        )
+    return watch_search(
+        run.config,
+        trials,
+        seeds,
+        search_folder(out, run.config, "final"),
+        lambda watch: searching.final(run.config, finalists, numbers, watch=watch),
+    )
 
 
 def search_folder(out: str, config: Any, kind: str) -> Path:

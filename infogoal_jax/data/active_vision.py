@@ -39,7 +39,8 @@ class SearchScenes:
       images: uint8 [S, H, W], grey.
       next_state: int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move.
       visible: bool [S, N], whether the object is in clear view.
-      position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where unknown.
+      position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where
+      unknown.
       scene: int32 [S], index into `scene_names`.
       image_names, scene_names, object_names: S file names, scene folders, N object names.
       source: what was read, in words, for reports.
@@ -124,16 +125,22 @@ def read_instance_map(root: Path) -> dict[str, int]:
     for name in ("all_instance_id_map.txt", "instance_id_map.txt"):
         if (root / name).is_file():
             try:
-                pairs = [line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()]
+                pairs = [
+                    line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()
+                ]
                 return {object_name: int(identity) for object_name, identity in pairs}
             except (OSError, ValueError) as error:
-                raise UserError(f"{root / name}: wants lines of `name id` ({error}); {CHECK_HINT.format(root)}") from error
+                raise UserError(
+                    f"{root / name}: wants lines of `name id` ({error}); {CHECK_HINT.format(root)}"
+                ) from error
     raise UserError(f"dataset {root}: has no all_instance_id_map.txt; {CHECK_HINT.format(root)}")
 
 
 def find_scenes(root: Path) -> tuple[str, ...]:
     """Names of the folders under `root` that hold a scene, sorted."""
-    found = tuple(sorted(p.name for p in root.iterdir() if (p / "annotations.json").exists() or (p / "jpg_rgb").is_dir()))
+    found = tuple(
+        sorted(p.name for p in root.iterdir() if (p / "annotations.json").exists() or (p / "jpg_rgb").is_dir())
+    )
     if not found:
         raise UserError(f"dataset {root}: no scene folder (one with annotations.json and jpg_rgb) in it")
     return found
@@ -183,14 +190,19 @@ def _moves(scene: Path, annotations: Mapping[str, dict]) -> np.ndarray:
             target = annotations[name][action]
             if target and target not in number:
                 raise UserError(
-                    f"{scene}: {action} of {name} leads to {target}, which is not annotated; {CHECK_HINT.format(scene.parent)}"
+                    f"{scene}: {action} of {name} leads to {target}, which is not annotated; "
+                    f"{CHECK_HINT.format(scene.parent)}"
                 )
             moves[index, column] = number[target] if target else index
     return moves
 
 
 def _in_clear_view(
-    annotations: Mapping[str, dict], sizes: np.ndarray, columns: Mapping[int, int], min_box_size: float, max_difficulty: int
+    annotations: Mapping[str, dict],
+    sizes: np.ndarray,
+    columns: Mapping[int, int],
+    min_box_size: float,
+    max_difficulty: int,
 ) -> np.ndarray:
     """Which objects each image shows large enough: bool [S, N]. `sizes` int [S, 2] are widths and heights in pixels."""
     visible = np.zeros((len(annotations), len(columns)), bool)
@@ -205,7 +217,8 @@ def _in_clear_view(
 def _scene_pictures(
     scene: Path, names: list[str], image_size: int, cache_dir: str | os.PathLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Grey images uint8 [S, H, W], original sizes int32 [S, 2] and positions float32 [S, 3], from the cache if it fits."""
+    """Grey images uint8 [S, H, W], original sizes int32 [S, 2] and positions float32 [S, 3], from the cache if it
+    fits."""
     key = _cache_key(scene, names, image_size)
     path = Path(cache_dir or archives.user_cache()) / f"active_vision_{scene.name}_{key}.npz"
     shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
@@ -280,7 +293,8 @@ def _cache_key(scene: Path, names: list[str], image_size: int) -> str:
     missing = [name for name in names if name not in stamps]
     if missing:
         raise UserError(
-            f"{scene / 'jpg_rgb'}: {len(missing)} of {len(names)} annotated images are missing, the first {missing[0]}; "
+            f"{scene / 'jpg_rgb'}: {len(missing)} of {len(names)} annotated images are missing, the first "
+            f"{missing[0]}; "
             f"{CHECK_HINT.format(scene.parent)}"
         )
     for name in names:

@@ -1,6 +1,8 @@
-"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. And the user's cache folder.
+"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. And the user's
+cache folder.
 
-A reader wraps its work in `naming`, so that whatever is wrong with a file is one `UserError` that names it and says what to do.
+A reader wraps its work in `naming`, so that whatever is wrong with a file is one `UserError` that names it and says
+what to do.
 """
 
 import contextlib
@@ -21,7 +23,8 @@ from infogoal_jax.errors import UserError, require
 
 @dataclasses.dataclass(frozen=True)
 class Archive:
-    """An npz in memory. sizes: bytes of each member when unpacked, by its name (without .npy), in the order of the file."""
+    """An npz in memory. sizes: bytes of each member when unpacked, by its name (without .npy), in the order of the
+    file."""
 
     content: bytes
     sizes: dict[str, int]
@@ -29,7 +32,8 @@ class Archive:
 
 @contextlib.contextmanager
 def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
-    """Inside, what the disk refuses or a `UserError` says becomes a `UserError` that names the file: `what = 'path': ...`."""
+    """Inside, what the disk refuses or a `UserError` says becomes a `UserError` that names the file: `what = 'path':
+    ...`."""
     name = f"{what} = {str(path)!r}"
     try:
         yield
@@ -42,9 +46,15 @@ def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
 
 
 def read(path: str | os.PathLike, remedy: str) -> Archive:
-    """The npz at `path`, its members still packed. Raises `OSError` if it cannot be read, `UserError` if it is no npz or cut short."""
+    """The npz at `path`, its members still packed. Raises `OSError` if it cannot be read, `UserError` if it is no npz
+    or cut short."""
     content = Path(path).read_bytes()  # From memory: numpy leaves a file open when it finds it damaged.
-    require(zipfile.is_zipfile(io.BytesIO(content)), "format", "not an npz", f"the file is cut short, damaged or something else; {remedy}")
+    require(
+        zipfile.is_zipfile(io.BytesIO(content)),
+        "format",
+        "not an npz",
+        f"the file is cut short, damaged or something else; {remedy}",
+    )
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as members:
             return Archive(content, {info.filename.removesuffix(".npy"): info.file_size for info in members.infolist()})
@@ -58,13 +68,19 @@ def member(archive: Archive, name: str, remedy: str) -> np.ndarray:
         with np.load(io.BytesIO(archive.content), allow_pickle=False) as members:
             return members[name]
     except Exception as error:  # numpy, zipfile and lzma raise a dozen types between them on a damaged file
-        raise UserError(f"{name} = unreadable ({error}); the file is damaged or holds pickled objects; {remedy}") from error
+        raise UserError(
+            f"{name} = unreadable ({error}); the file is damaged or holds pickled objects; {remedy}"
+        ) from error
 
 
-def write(path: str | os.PathLike, members: Mapping[str, Any], compression: int = zipfile.ZIP_STORED, level: int | None = None) -> None:
-    """Write an npz as `replace_file` does, its folder too. The same members give the same bytes. Raises `OSError` if the disk refuses.
+def write(
+    path: str | os.PathLike, members: Mapping[str, Any], compression: int = zipfile.ZIP_STORED, level: int | None = None
+) -> None:
+    """Write an npz as `replace_file` does, its folder too. The same members give the same bytes. Raises `OSError` if
+    the disk refuses.
 
-    members: arrays, numbers or texts by name. compression and level: of each member, as zipfile takes them; `numpy.savez` cannot choose.
+    members: arrays, numbers or texts by name. compression and level: of each member, as zipfile takes them;
+    `numpy.savez` cannot choose.
     """
 
     def write_members(file) -> None:
@@ -78,16 +94,25 @@ def write(path: str | os.PathLike, members: Mapping[str, Any], compression: int 
     replace_file(path, write_members)
 
 
-def save(path: str | os.PathLike, members: Mapping[str, Any], what: str, compression: int = zipfile.ZIP_STORED, level: int | None = None) -> None:
+def save(
+    path: str | os.PathLike,
+    members: Mapping[str, Any],
+    what: str,
+    compression: int = zipfile.ZIP_STORED,
+    level: int | None = None,
+) -> None:
     """`write`, for a file that the user asked for: what the disk refuses is a `UserError` that names it."""
     try:
         write(path, members, compression, level)
     except OSError as error:
-        raise UserError(f"{what} = {str(path)!r}: cannot be written ({error.strerror or error}); give another place") from error
+        raise UserError(
+            f"{what} = {str(path)!r}: cannot be written ({error.strerror or error}); give another place"
+        ) from error
 
 
 def replace_file(path: str | os.PathLike, write_content: Callable[[object], None]) -> None:
-    """Write a file beside, sync and rename it, so that `path` holds either its old or its whole new content. Raises `OSError`."""
+    """Write a file beside, sync and rename it, so that `path` holds either its old or its whole new content. Raises
+    `OSError`."""
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

@@ -1,7 +1,7 @@
 """Background images that corrupt goal images (Sec. V-A): CIFAR-10, any folder of images, or the crops that are shipped.
 
-Training and test backgrounds never share an image; of the shipped crops, not even a photograph. CIFAR-10 has no licence that
-would allow to ship it, so it is downloaded on demand. The mixing itself is `goals.corrupt`.
+Training and test backgrounds never share an image; of the shipped crops, not even a photograph. CIFAR-10 has no licence
+that would allow to ship it, so it is downloaded on demand. The mixing itself is `goals.corrupt`.
 """
 
 import dataclasses
@@ -47,8 +47,9 @@ class Backgrounds:
 def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
     """The backgrounds at `path`, at most `count` for training and as many for test, as the paper's authors use.
 
-    path: empty, the shipped crops of photographs; "cifar10", what `infogoal data download cifar10` left in the cache; otherwise
-    a folder: CIFAR-10's binary version or the folder above it, what `infogoal data build backgrounds` wrote, or images.
+    path: empty, the shipped crops of photographs; "cifar10", what `infogoal data download cifar10` left in the cache;
+    otherwise a folder: CIFAR-10's binary version or the folder above it, what `infogoal data build backgrounds` wrote,
+    or images.
 
     Raises UserError if there is no such folder, or if it has none of these or a damaged one.
     """
@@ -57,11 +58,18 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
         return _read_crops(SHIPPED_CROPS, count)
     folder = cifar10_cache() if str(path) == "cifar10" else Path(path).expanduser()
     if str(path) == "cifar10":
-        require((folder / CIFAR10_FOLDER).exists(), "backgrounds", str(path), f"not in {folder}; get it with: infogoal data download cifar10")
+        require(
+            (folder / CIFAR10_FOLDER).exists(),
+            "backgrounds",
+            str(path),
+            f"not in {folder}; get it with: infogoal data download cifar10",
+        )
     try:
         return _read_folder(folder, count)
     except OSError as error:
-        raise UserError(f"backgrounds = {str(path)!r}: {error.filename or folder} cannot be read: {error.strerror or error}") from error
+        raise UserError(
+            f"backgrounds = {str(path)!r}: {error.filename or folder} cannot be read: {error.strerror or error}"
+        ) from error
 
 
 def _read_folder(folder: Path, count: int) -> Backgrounds:
@@ -69,7 +77,9 @@ def _read_folder(folder: Path, count: int) -> Backgrounds:
     require(folder.exists(), "backgrounds", str(folder), "there is no such folder")
     require(folder.is_dir(), "backgrounds", str(folder), "is a file; give the folder that holds it")
     names = sorted(entry.name for entry in folder.iterdir())
-    require(len(names) > 0, "backgrounds", str(folder), "is empty; give a folder of images or of CIFAR-10's binary version")
+    require(
+        len(names) > 0, "backgrounds", str(folder), "is empty; give a folder of images or of CIFAR-10's binary version"
+    )
     if CIFAR10_FOLDER in names:
         return _read_cifar10(folder / CIFAR10_FOLDER, count)
     if set(names) & {*TRAIN_BATCHES, *TEST_BATCHES}:
@@ -97,19 +107,37 @@ def _read_crops(folder: Path, count: int) -> Backgrounds:
             train, test = crops["train"], crops["test"]
             photographs = {*crops["train_photographs"].tolist(), *crops["test_photographs"].tolist()}
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(f"backgrounds = {str(folder)!r}: {CROPS_FILE} is not a file of `infogoal data build backgrounds`: {error}") from error
-    train, test = (np.stack([_resized(crops[index]) for index in _chosen(len(crops), count)]) for crops in (train, test))
-    return Backgrounds(train, test, f"crops of {len(photographs)} public-domain and CC0 photographs, stand-in for CIFAR-10")
+        raise UserError(
+            f"backgrounds = {str(folder)!r}: {CROPS_FILE} is not a file of `infogoal data build backgrounds`: {error}"
+        ) from error
+    train, test = (
+        np.stack([_resized(crops[index]) for index in _chosen(len(crops), count)]) for crops in (train, test)
+    )
+    return Backgrounds(
+        train, test, f"crops of {len(photographs)} public-domain and CC0 photographs, stand-in for CIFAR-10"
+    )
 
 
 def _read_images(folder: Path, names: list[str], count: int) -> Backgrounds:
     """Images of a folder, in order of their names in turn for training and for test."""
-    files = [folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGE_SUFFIXES]
+    files = [
+        folder / name for name in names if not name.startswith(".") and Path(name).suffix.lower() in IMAGE_SUFFIXES
+    ]
     files = [file for file in files if not file.is_dir()]
     kinds = ", ".join(suffix[1:] for suffix in IMAGE_SUFFIXES)
-    require(len(files) > 0, "backgrounds", str(folder), f"has neither images ({kinds}) nor CIFAR-10's binary version in it")
-    require(len(files) > 1, "backgrounds", str(folder), f"has one image only, {files[0].name}; give at least 2, one to train and one to test with")
-    train, test = (np.stack([_read_image(part[index]) for index in _chosen(len(part), count)]) for part in (files[0::2], files[1::2]))
+    require(
+        len(files) > 0, "backgrounds", str(folder), f"has neither images ({kinds}) nor CIFAR-10's binary version in it"
+    )
+    require(
+        len(files) > 1,
+        "backgrounds",
+        str(folder),
+        f"has one image only, {files[0].name}; give at least 2, one to train and one to test with",
+    )
+    train, test = (
+        np.stack([_read_image(part[index]) for index in _chosen(len(part), count)])
+        for part in (files[0::2], files[1::2])
+    )
     return Backgrounds(train, test, f"images in {folder}")
 
 
@@ -121,16 +149,27 @@ def _read_image(file: Path) -> np.ndarray:
     except cv2.error:
         image = None
     if image is None:
-        raise UserError(f"backgrounds = {str(file.parent)!r}: {file.name} cannot be decoded as an image; repair or remove it")
+        raise UserError(
+            f"backgrounds = {str(file.parent)!r}: {file.name} cannot be decoded as an image; repair or remove it"
+        )
     return _resized(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 def _read_cifar10(folder: Path, count: int) -> Backgrounds:
     """CIFAR-10's binary version: data batches for training, test batch for test."""
     missing = [name for name in (*TRAIN_BATCHES, *TEST_BATCHES) if not (folder / name).exists()]
-    require(not missing, "backgrounds", str(folder), f"CIFAR-10 without {', '.join(missing)}; remove it and download it again")
-    train, test = (np.concatenate([_read_batch(folder / name) for name in names]) for names in (TRAIN_BATCHES, TEST_BATCHES))
-    train, test = (np.stack([_resized(images[index]) for index in _chosen(len(images), count)]) for images in (train, test))
+    require(
+        not missing,
+        "backgrounds",
+        str(folder),
+        f"CIFAR-10 without {', '.join(missing)}; remove it and download it again",
+    )
+    train, test = (
+        np.concatenate([_read_batch(folder / name) for name in names]) for names in (TRAIN_BATCHES, TEST_BATCHES)
+    )
+    train, test = (
+        np.stack([_resized(images[index]) for index in _chosen(len(images), count)]) for images in (train, test)
+    )
     return Backgrounds(train, test, f"CIFAR-10, {folder}")
 
 
@@ -144,7 +183,9 @@ def _read_batch(file: Path) -> np.ndarray:
         )
     records = batch.reshape(-1, RECORD)
     if records[:, 0].max() > 9:
-        raise UserError(f"backgrounds = {str(file.parent)!r}: {file.name} has labels above 9, so it is not a batch of CIFAR-10")
+        raise UserError(
+            f"backgrounds = {str(file.parent)!r}: {file.name} has labels above 9, so it is not a batch of CIFAR-10"
+        )
     return records[:, 1:].reshape(-1, 3, CROP_SIZE, CROP_SIZE).transpose(0, 2, 3, 1)
 
 
@@ -181,10 +222,11 @@ class DownloadBar:
 
 
 def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha256: str = CIFAR10_SHA256) -> Path:
-    """Download CIFAR-10 (170 MB) into the folder `path`, by default the cache, and unpack it; the folder of its batches.
+    """Download CIFAR-10 (170 MB) into the folder `path`, by default the cache, and unpack it; the folder of its
+    batches.
 
-    What is there already is checked and kept. The archive and the unpacking live in a hidden folder beside, which goes away
-    whatever happens; only complete batches are moved to their place.
+    What is there already is checked and kept. The archive and the unpacking live in a hidden folder beside, which goes
+    away whatever happens; only complete batches are moved to their place.
 
     Raises UserError if the folder cannot be written to, the download breaks off, or the archive has another checksum.
     """
@@ -202,7 +244,9 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
             folder.mkdir(parents=True, exist_ok=True)
             unpacked.rename(batches)
     except OSError as error:
-        raise UserError(f"path = {str(folder)!r}: {error.filename or folder} cannot be written to: {error.strerror or error}") from error
+        raise UserError(
+            f"path = {str(folder)!r}: {error.filename or folder} cannot be written to: {error.strerror or error}"
+        ) from error
     return batches
 
 
@@ -213,17 +257,30 @@ def _download(url: str, folder: Path, sha256: str) -> Path:
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
     archive = folder / "cifar-10-binary.tar.gz"
-    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+    )
     try:
         with Progress(*columns, console=Console(stderr=True)) as progress:
-            pooch.HTTPDownloader(progressbar=DownloadBar(progress, archive.name), chunk_size=1 << 16)(url, str(archive), None)
+            pooch.HTTPDownloader(progressbar=DownloadBar(progress, archive.name), chunk_size=1 << 16)(
+                url, str(archive), None
+            )
     except OSError as error:  # The errors of requests are OSErrors too.
         raise UserError(
             f"url = {url!r}: the download of {archive.name} broke off, nothing was kept: {error}. "
             f"Try again, or unpack a copy from elsewhere and give its folder as the path of the backgrounds"
         ) from error
     found = pooch.file_hash(str(archive), alg="sha256")
-    require(found == sha256, "url", url, f"{archive.name} has a wrong checksum, nothing was kept: expected sha256 {sha256}, found {found}. Try again")
+    require(
+        found == sha256,
+        "url",
+        url,
+        f"{archive.name} has a wrong checksum, nothing was kept: expected sha256 {sha256}, found {found}. Try again",
+    )
     return archive
 
 
@@ -236,6 +293,8 @@ def _unpack(archive: Path, folder: Path) -> Path:
                 with members.extractfile(f"{CIFAR10_FOLDER}/{name}") as packed, open(folder / name, "wb") as unpacked:
                     shutil.copyfileobj(packed, unpacked)
     except (tarfile.TarError, KeyError, EOFError) as error:
-        raise UserError(f"{archive.name}: is not the archive of CIFAR-10's binary version, nothing was kept: {error}") from error
+        raise UserError(
+            f"{archive.name}: is not the archive of CIFAR-10's binary version, nothing was kept: {error}"
+        ) from error
     _read_cifar10(folder, 1)
     return folder

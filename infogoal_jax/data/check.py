@@ -1,8 +1,8 @@
 """Everything that is wrong with a folder in the Active Vision Dataset's format, found in one pass.
 
 The reader (active_vision.py) stops at the first fault; whoever has a damaged copy of some ten gigabytes wants the whole
-list. An error is what makes the data unusable or a goal impossible. A warning is what real scenes do have (moves that cannot be
-undone, for instance) or what costs little (no positions). Each image is read once.
+list. An error is what makes the data unusable or a goal impossible. A warning is what real scenes do have (moves that
+cannot be undone, for instance) or what costs little (no positions). Each image is read once.
 """
 
 from __future__ import annotations
@@ -52,10 +52,15 @@ def check_active_vision(path: str | os.PathLike) -> list[Finding]:
         return [Finding("error", str(root), f"this is a scene; give the folder above it, {root.resolve().parent}")]
     names, findings = _check_maps(root)
     scenes = sorted(
-        p for p in root.iterdir() if p.is_dir() and (SCENE_NAME.fullmatch(p.name) or (p / "annotations.json").exists() or (p / "jpg_rgb").exists())
+        p
+        for p in root.iterdir()
+        if p.is_dir()
+        and (SCENE_NAME.fullmatch(p.name) or (p / "annotations.json").exists() or (p / "jpg_rgb").exists())
     )
     if not scenes:
-        findings.append(Finding("error", str(root), "no scene folder (such as Home_001_1, with annotations.json and jpg_rgb) in it"))
+        findings.append(
+            Finding("error", str(root), "no scene folder (such as Home_001_1, with annotations.json and jpg_rgb) in it")
+        )
     for scene in scenes:
         findings.extend(_check_scene(scene, names))
     return findings
@@ -75,7 +80,9 @@ def _check_maps(root: Path) -> tuple[dict[str, int], list[Finding]]:
             if len(words) != 2 or not words[1].isdecimal():
                 findings.append(Finding("error", f"{name}:{number}", f"{line!r} is not `name id`"))
             elif words[0] in entries or int(words[1]) in entries.values():
-                findings.append(Finding("error", f"{name}:{number}", f"the name or the id of {line!r} was given before"))
+                findings.append(
+                    Finding("error", f"{name}:{number}", f"the name or the id of {line!r} was given before")
+                )
             else:
                 entries[words[0]] = int(words[1])
         maps.append(entries)
@@ -115,7 +122,11 @@ def _read_annotations(scene: Path) -> tuple[dict[str, dict], list[Finding]]:
         return {}, [Finding("error", where, f"cannot be read, or cut short: {error}")]
     if not isinstance(content, dict) or not content:
         return {}, [Finding("error", where, "wants a dictionary with at least one image")]
-    findings = [Finding("error", f"{scene.name}/{n}", "its annotation is not a dictionary") for n, r in content.items() if not isinstance(r, dict)]
+    findings = [
+        Finding("error", f"{scene.name}/{n}", "its annotation is not a dictionary")
+        for n, r in content.items()
+        if not isinstance(r, dict)
+    ]
     return {name: record for name, record in content.items() if isinstance(record, dict)}, findings
 
 
@@ -124,14 +135,19 @@ def _read_present(scene: Path, names: dict[str, int]) -> tuple[dict[str, int], l
     where = f"{scene.name}/present_instance_names.txt"
     findings = [
         Finding("warning", f"{scene.name}/{name}", "missing: " + loss)
-        for name, loss in (("cameras.txt", "nothing here needs it"), ("image_structs.mat", "positions are unknown, trajectories cannot be drawn"))
+        for name, loss in (
+            ("cameras.txt", "nothing here needs it"),
+            ("image_structs.mat", "positions are unknown, trajectories cannot be drawn"),
+        )
         if not (scene / name).exists()
     ]
     try:
         listed = (scene / "present_instance_names.txt").read_text(encoding="utf-8", errors="replace").split()
     except OSError:
         return {}, [*findings, Finding("warning", where, "missing: objects that no image shows cannot be found out")]
-    findings += [Finding("error", where, f"{name!r} is not in the instance map") for name in listed if name not in names]
+    findings += [
+        Finding("error", where, f"{name!r} is not in the instance map") for name in listed if name not in names
+    ]
     return {name: names[name] for name in listed if name in names}, findings
 
 
@@ -141,12 +157,21 @@ def _read_images(scene: Path, annotated: set[str]) -> tuple[dict[str, tuple[int,
     if not folder.is_dir():
         return {}, [Finding("error", f"{scene.name}/jpg_rgb", "missing")]
     files = set(os.listdir(folder))
-    findings += [Finding("error", f"{scene.name}/jpg_rgb/{name}", "missing, but annotated") for name in sorted(annotated - files)]
-    findings += [Finding("warning", f"{scene.name}/jpg_rgb/{name}", "not annotated: it is left out") for name in sorted(files - annotated)]
+    findings += [
+        Finding("error", f"{scene.name}/jpg_rgb/{name}", "missing, but annotated") for name in sorted(annotated - files)
+    ]
+    findings += [
+        Finding("warning", f"{scene.name}/jpg_rgb/{name}", "not annotated: it is left out")
+        for name in sorted(files - annotated)
+    ]
     present = sorted(annotated & files)
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
         sizes = dict(zip(present, threads.map(lambda name: _decode(folder / name), present), strict=True))
-    findings += [Finding("error", f"{scene.name}/jpg_rgb/{name}", "not a whole JPEG image") for name in present if sizes[name] is None]
+    findings += [
+        Finding("error", f"{scene.name}/jpg_rgb/{name}", "not a whole JPEG image")
+        for name in present
+        if sizes[name] is None
+    ]
     return {name: size for name, size in sizes.items() if size is not None}, findings
 
 
@@ -189,7 +214,11 @@ def _check_moves(where: str, name: str, record: dict, annotations: dict[str, dic
             yield Finding("warning", where, f"{action} leads to the image itself")
         elif target and annotations[target].get(OPPOSITE[action]) != name:
             back = annotations[target].get(OPPOSITE[action]) or "nowhere"
-            yield Finding("warning", where, f"one-way: {action} leads to {target}, but {OPPOSITE[action]} from there leads to {back}")
+            yield Finding(
+                "warning",
+                where,
+                f"one-way: {action} leads to {target}, but {OPPOSITE[action]} from there leads to {back}",
+            )
 
 
 def _boxes(record: dict) -> list[list]:
@@ -214,7 +243,9 @@ def _check_boxes(where: str, record: dict, size: tuple[int, int] | None, known: 
         left, top, right, bottom, identity, difficulty = box
         if right <= left or bottom <= top:
             yield Finding("error", where, f"box {box}: inverted or empty")
-        if size is not None and (min(left, right) < 0 or min(top, bottom) < 0 or max(left, right) > size[0] or max(top, bottom) > size[1]):
+        if size is not None and (
+            min(left, right) < 0 or min(top, bottom) < 0 or max(left, right) > size[0] or max(top, bottom) > size[1]
+        ):
             yield Finding("error", where, f"box {box}: outside the image of {size[0]} x {size[1]} pixels")
         if identity not in known:
             yield Finding("error", where, f"box {box}: id {identity} is not in the instance map")
@@ -222,7 +253,9 @@ def _check_boxes(where: str, record: dict, size: tuple[int, int] | None, known: 
             yield Finding("warning", where, f"box {box}: difficulty {difficulty} is not 0 to 5")
 
 
-def _check_objects(scene: Path, annotations: dict[str, dict], sizes: dict[str, tuple[int, int]], present: dict[str, int]) -> Iterator[Finding]:
+def _check_objects(
+    scene: Path, annotations: dict[str, dict], sizes: dict[str, tuple[int, int]], present: dict[str, int]
+) -> Iterator[Finding]:
     """Objects that are in no image, in no clear view, or only in images that no move from elsewhere leads to."""
     shown: dict[int, set[str]] = {}
     clear: dict[int, set[str]] = {}
@@ -243,7 +276,13 @@ def _check_objects(scene: Path, annotations: dict[str, dict], sizes: dict[str, t
             yield Finding("error", where, "can be seen from nowhere: no image has a box of it")
             continue
         if identity not in clear:
-            yield Finding("warning", where, f"no box of it is a clear view (min_box_size {DEFAULT_MIN_BOX_SIZE}, max_difficulty {MAX_DIFFICULTY})")
+            yield Finding(
+                "warning",
+                where,
+                f"no box of it is a clear view (min_box_size {DEFAULT_MIN_BOX_SIZE}, max_difficulty {MAX_DIFFICULTY})",
+            )
         views = clear.get(identity, shown[identity])
         if not any(entrances.get(view, set()) - views for view in views) and len(views) < len(annotations):
-            yield Finding("error", where, f"can be reached from nowhere: no move leads to the {len(views)} images that show it")
+            yield Finding(
+                "error", where, f"can be reached from nowhere: no move leads to the {len(views)} images that show it"
+            )

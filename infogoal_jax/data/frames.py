@@ -1,6 +1,8 @@
-"""Image datasets of moves: every frame stored once, what is known of each, and the recorded moves between them as indices (docs/datasets.md).
+"""Image datasets of moves: every frame stored once, what is known of each, and the recorded moves between them as
+indices (docs/datasets.md).
 
-The object that an arm turns and the shelf that a drone flies along are both such datasets, generated or recorded by a laboratory.
+The object that an arm turns and the shelf that a drone flies along are both such datasets, generated or recorded by a
+laboratory.
 """
 
 import dataclasses
@@ -16,8 +18,8 @@ import numpy as np
 from infogoal_jax.data import archives, frames_check, frames_schema
 from infogoal_jax.errors import UserError
 
-# Measured on 13,824 flat-shaded frames of 64 x 64 x 3 on 2 cores: stored 170 MB, level 1 24 MB, level 6 22 MB and twice as long to write; all
-# are read in 0.4 s or less. Of noisy frames level 1 leaves 124 MB, read in 1 s.
+# Measured on 13,824 flat-shaded frames of 64 x 64 x 3 on 2 cores: stored 170 MB, level 1 24 MB, level 6 22 MB and twice
+# as long to write; all are read in 0.4 s or less. Of noisy frames level 1 leaves 124 MB, read in 1 s.
 DEFLATE_LEVEL = 1
 TEXTS = ("actions", "objects", "joint_names")
 
@@ -26,12 +28,17 @@ TEXTS = ("actions", "objects", "joint_names")
 class FrameDataset:
     """K frames of S states, and M moves between frames.
 
-    frames: uint8 [K, H, W, C]. state: int32 [K], which state each frame shows, 0 to S - 1; several frames may show one state.
+    frames: uint8 [K, H, W, C]. state: int32 [K], which state each frame shows, 0 to S - 1; several frames may show one
+    state.
     actions: names of the A actions. objects: names of the O objects that are looked for, () where there are none.
-    frame, action, next_frame, trajectory, time: int32 [M]; terminal: bool [M], the last move of its trajectory. Moves stand by trajectory and time.
-    rotation: float32 [K, 3, 3], orientation of the object; joints: float32 [K, J], radians (metres where the name ends in _m);
-    position: float32 [K, 2 or 3], metres; detected: bool [K, O], whether each object is seen. Each is None where it is not known.
-    joint_names: of the J joints. about: JSON values; `name` (in words), `stand_in` (bool: generated, not recorded) and `made_by` (the command).
+    frame, action, next_frame, trajectory, time: int32 [M]; terminal: bool [M], the last move of its trajectory. Moves
+    stand by trajectory and time.
+    rotation: float32 [K, 3, 3], orientation of the object; joints: float32 [K, J], radians (metres where the name ends
+    in _m);
+    position: float32 [K, 2 or 3], metres; detected: bool [K, O], whether each object is seen. Each is None where it is
+    not known.
+    joint_names: of the J joints. about: JSON values; `name` (in words), `stand_in` (bool: generated, not recorded) and
+    `made_by` (the command).
     """
 
     frames: np.ndarray
@@ -58,7 +65,10 @@ class FrameDataset:
 
     def describe(self, *content: np.ndarray) -> str:
         """What the data are, in words: the name, whether it is a stand-in, and what tells these arrays from others."""
-        return f"{self.about['name']}{', a stand-in' if self.about.get('stand_in') else ''}, content {archives.content_of(*content)}"
+        return (
+            f"{self.about['name']}{', a stand-in' if self.about.get('stand_in') else ''}, content "
+            f"{archives.content_of(*content)}"
+        )
 
     @property
     def nbytes(self) -> int:
@@ -85,15 +95,23 @@ def members_of(dataset: FrameDataset) -> dict[str, Any]:
     try:
         members |= {"format_version": frames_schema.FORMAT_VERSION, "about": json.dumps(dataset.about)}
     except TypeError as error:
-        raise UserError(f"about = {dataset.about!r}: {error}; give values that JSON has: texts, plain numbers, true and false, lists") from error
+        raise UserError(
+            f"about = {dataset.about!r}: {error}; give values that JSON has: texts, plain numbers, true and false, "
+            "lists"
+        ) from error
     members |= {name: np.array(getattr(dataset, name), np.str_) for name in TEXTS}
     needed = {name for name, (_, _, needed) in frames_schema.SCHEMA.items() if needed}
-    given = [name for name in frames_schema.SCHEMA if name in needed or (members[name] is not None and np.size(members[name]))]
+    given = [
+        name
+        for name in frames_schema.SCHEMA
+        if name in needed or (members[name] is not None and np.size(members[name]))
+    ]
     return {name: np.asarray(members[name]) for name in given}
 
 
 def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
-    """Write a dataset. The file at `path` is always whole: the old one or the new one. The same dataset gives the same bytes.
+    """Write a dataset. The file at `path` is always whole: the old one or the new one. The same dataset gives the same
+    bytes.
 
     Raises `UserError` if the parts do not belong together (nothing is written then), or if the disk refuses.
     """
@@ -103,7 +121,8 @@ def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
 
 
 def load(path: str | os.PathLike) -> FrameDataset:
-    """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and for its first error."""
+    """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and
+    for its first error."""
     with archives.naming("image dataset", path, frames_schema.REMEDY):
         archive = archives.read(path, frames_schema.REMEDY)
     members, unreadable = frames_schema.read_members(archive)
@@ -117,8 +136,10 @@ def load(path: str | os.PathLike) -> FrameDataset:
 def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute or two") -> FrameDataset:
     """The dataset `name` of the user's cache; what `build` returns, kept there, if it is not there yet, or damaged.
 
-    name: of the file, without its ending; what the dataset depends on must be in it (generator, version, seed, options).
-    takes: how long building takes, in words; it is announced on stderr. A folder that cannot be written to costs the cache, nothing else.
+    name: of the file, without its ending; what the dataset depends on must be in it (generator, version, seed,
+    options).
+    takes: how long building takes, in words; it is announced on stderr. A folder that cannot be written to costs the
+    cache, nothing else.
     """
     path = archives.user_cache() / f"{name}.npz"
     why = "is not in the cache yet"
@@ -127,12 +148,17 @@ def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute 
             return load(path)
         except UserError:
             why = "in the cache is damaged"
-    print(f"infogoal: the dataset {name} {why}; it is built now, which takes {takes}, and kept as {path}", file=sys.stderr)
+    print(
+        f"infogoal: the dataset {name} {why}; it is built now, which takes {takes}, and kept as {path}", file=sys.stderr
+    )
     dataset = build()
     members = members_of(dataset)
     frames_check.stop_at_first(name, frames_check.member_faults(members, set(members)))
     try:
         archives.write(path, members, zipfile.ZIP_DEFLATED, DEFLATE_LEVEL)
     except OSError as error:
-        print(f"infogoal: {path} cannot be written ({error.strerror or error}); it will be built again next time", file=sys.stderr)
+        print(
+            f"infogoal: {path} cannot be written ({error.strerror or error}); it will be built again next time",
+            file=sys.stderr,
+        )
     return dataset

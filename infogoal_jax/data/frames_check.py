@@ -1,7 +1,9 @@
 """Everything that is wrong with a file of an image dataset (frames.py), found in one pass.
 
-An error is what makes the data unusable or would make a policy learn moves that were never made; `frames.load` and `frames.save` stop at the first.
-A warning is what recordings do have and what may surprise: states that no move touches, objects that no frame shows, frames that look the same.
+An error is what makes the data unusable or would make a policy learn moves that were never made; `frames.load` and
+`frames.save` stop at the first.
+A warning is what recordings do have and what may surprise: states that no move touches, objects that no frame shows,
+frames that look the same.
 """
 
 import hashlib
@@ -20,7 +22,8 @@ from infogoal_jax.errors import UserError, nearest
 MOST_FINDINGS = 10
 """Rows that are listed of one kind of fault; the rest is counted."""
 ROTATION_WITHIN = 1e-3
-"""Entries of R R^T - 1, and the determinant, may be off by this much: float32, or poses written down with four digits."""
+"""Entries of R R^T - 1, and the determinant, may be off by this much: float32, or poses written down with four
+digits."""
 
 
 def check_frames(path: str | os.PathLike) -> list[Finding]:
@@ -33,7 +36,10 @@ def check_frames(path: str | os.PathLike) -> list[Finding]:
     members, unreadable = read_members(archive)
     faults = [*unreadable, *member_faults(members, set(archive.sizes))]
     errors = [Finding("error", f"{path}: {where}", problem) for where, problem in faults]
-    warnings = [Finding("warning", f"{path}: {where}", problem) for where, problem in (*unknown_members(archive), *member_warnings(members))]
+    warnings = [
+        Finding("warning", f"{path}: {where}", problem)
+        for where, problem in (*unknown_members(archive), *member_warnings(members))
+    ]
     return errors + warnings
 
 
@@ -66,7 +72,10 @@ def text_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """Another version, names that come twice or are empty, and `about`."""
     version = members.get("format_version")
     if version is not None and version != FORMAT_VERSION:
-        yield "format_version", f"is {version}; this program reads {FORMAT_VERSION}: install the one that wrote the file, or {REMEDY}"
+        yield (
+            "format_version",
+            f"is {version}; this program reads {FORMAT_VERSION}: install the one that wrote the file, or {REMEDY}",
+        )
     for name in ("actions", "objects", "joint_names"):
         names = members[name].tolist() if name in members else []
         for row, word in enumerate(names):
@@ -88,18 +97,25 @@ def about_faults(about: Any) -> Iterator[Fault]:
     if not isinstance(about, dict):
         yield "about", f"is a {type(about).__name__}; give a dictionary with name, stand_in and made_by"
         return
-    for name, kind, words in (("name", str, "words"), ("stand_in", bool, "true if generated, false if recorded"), ("made_by", str, "the command")):
+    for name, kind, words in (
+        ("name", str, "words"),
+        ("stand_in", bool, "true if generated, false if recorded"),
+        ("made_by", str, "the command"),
+    ):
         if not isinstance(about.get(name), kind):
             yield "about", f"its {name} is {about.get(name)!r}; give {words}"
 
 
 def value_faults(members: Mapping[str, np.ndarray], lengths: Mapping[str, int]) -> Iterator[Fault]:
-    """Numbers that cannot be: indices out of range, states with gaps, matrices that are no rotations, numbers that are not finite."""
+    """Numbers that cannot be: indices out of range, states with gaps, matrices that are no rotations, numbers that are
+    not finite."""
     for name, letter in (("frame", "K"), ("next_frame", "K"), ("action", "A")):
         if name in members and letter in lengths:
             outside = np.flatnonzero((members[name] < 0) | (members[name] >= lengths[letter]))
             last = lengths[letter] - 1
-            yield from ((f"{name}[{row}]", f"is {members[name][row]}, which is not there; give 0 to {last}") for row in outside)
+            yield from (
+                (f"{name}[{row}]", f"is {members[name][row]}, which is not there; give 0 to {last}") for row in outside
+            )
     if "state" in members:
         state = members["state"]
         yield from ((f"state[{row}]", f"is {state[row]}; count states from 0") for row in np.flatnonzero(state < 0))
@@ -114,9 +130,15 @@ def value_faults(members: Mapping[str, np.ndarray], lengths: Mapping[str, int]) 
             values = members[name].reshape(len(members[name]), -1)
             broken = np.flatnonzero(~np.isfinite(values).all(1))
             if name == "rotation":
-                yield from ((f"rotation[{row}]", "is no rotation; give orthogonal matrices of determinant 1") for row in not_rotations(members[name]))
+                yield from (
+                    (f"rotation[{row}]", "is no rotation; give orthogonal matrices of determinant 1")
+                    for row in not_rotations(members[name])
+                )
             else:
-                yield from ((f"{name}[{row}]", f"is {values[row].tolist()}; give finite numbers, {unit}, or leave {name} out") for row in broken)
+                yield from (
+                    (f"{name}[{row}]", f"is {values[row].tolist()}; give finite numbers, {unit}, or leave {name} out")
+                    for row in broken
+                )
 
 
 def not_rotations(rotation: np.ndarray) -> np.ndarray:
@@ -130,30 +152,49 @@ def not_rotations(rotation: np.ndarray) -> np.ndarray:
 
 def trajectory_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """Moves out of order, gaps in time, moves that do not join, and ends in the middle."""
-    frame, next_frame, trajectory, time, terminal = (members[name] for name in ("frame", "next_frame", "trajectory", "time", "terminal"))
+    frame, next_frame, trajectory, time, terminal = (
+        members[name] for name in ("frame", "next_frame", "trajectory", "time", "terminal")
+    )
     new = np.diff(trajectory, prepend=trajectory[0] - 1) != 0
     last = np.append(new[1:], True)
     for row in np.flatnonzero(trajectory[1:] < trajectory[:-1]) + 1:
-        yield f"trajectory[{row}]", f"is {trajectory[row]} after {trajectory[row - 1]}; sort the moves by trajectory and time"
+        yield (
+            f"trajectory[{row}]",
+            f"is {trajectory[row]} after {trajectory[row - 1]}; sort the moves by trajectory and time",
+        )
     for row in np.flatnonzero(new & (time != 0)):
         yield f"time[{row}]", f"is {time[row]}, but trajectory {trajectory[row]} begins here; count time from 0"
     before = np.flatnonzero(~last)
     for row in before[time[before + 1] != time[before] + 1] + 1:
-        yield f"time[{row}]", f"is {time[row]} after {time[row - 1]}, a gap in trajectory {trajectory[row]}; split it there, or add what is missing"
+        yield (
+            f"time[{row}]",
+            f"is {time[row]} after {time[row - 1]}, a gap in trajectory {trajectory[row]}; split it there, or add what "
+            "is missing",
+        )
     for row in before[next_frame[before] != frame[before + 1]]:
-        yield f"next_frame[{row}]", (
-            f"is {next_frame[row]}, but the next move of trajectory {trajectory[row]} starts at frame[{row + 1}] = {frame[row + 1]}; split it there"
+        yield (
+            f"next_frame[{row}]",
+            (
+                f"is {next_frame[row]}, but the next move of trajectory {trajectory[row]} starts at frame[{row + 1}] = "
+                f"{frame[row + 1]}; split it there"
+            ),
         )
     for row in np.flatnonzero(terminal & ~last):
-        yield f"terminal[{row}]", f"is true in the middle of trajectory {trajectory[row]}; only its last move ends it: split it there"
+        yield (
+            f"terminal[{row}]",
+            f"is true in the middle of trajectory {trajectory[row]}; only its last move ends it: split it there",
+        )
     for row in np.flatnonzero(last & ~terminal):
         yield f"terminal[{row}]", f"is false, but trajectory {trajectory[row]} has no later move; set it"
 
 
 def contradictions(state: np.ndarray, frame: np.ndarray, action: np.ndarray, next_frame: np.ndarray) -> np.ndarray:
-    """Pairs of moves that lead from one state by one action to different states: int [N, 2] rows, the first such move and the contradicting one."""
+    """Pairs of moves that lead from one state by one action to different states: int [N, 2] rows, the first such move
+    and the contradicting one."""
     start, end = state[frame].astype(np.int64), state[next_frame]
-    _, first, choice = np.unique(start * (int(action.max(initial=0)) + 1) + action, return_index=True, return_inverse=True)
+    _, first, choice = np.unique(
+        start * (int(action.max(initial=0)) + 1) + action, return_index=True, return_inverse=True
+    )
     earlier = first[choice]
     rows = np.flatnonzero(end != end[earlier])
     return np.stack([earlier[rows], rows], 1)
@@ -162,11 +203,18 @@ def contradictions(state: np.ndarray, frame: np.ndarray, action: np.ndarray, nex
 def contradiction_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     """The contradictions among the moves whose frames are there."""
     state, frame, action, next_frame = (members[name] for name in ("state", "frame", "action", "next_frame"))
-    sound = np.flatnonzero((np.minimum(frame, next_frame) >= 0) & (np.maximum(frame, next_frame) < len(state)) & (action >= 0))
+    sound = np.flatnonzero(
+        (np.minimum(frame, next_frame) >= 0) & (np.maximum(frame, next_frame) < len(state)) & (action >= 0)
+    )
     for one, other in sound[contradictions(state, frame[sound], action[sound], next_frame[sound])]:
-        yield f"next_frame[{other}]", (
-            f"moves {one} and {other} are both action {action[one]} in state {state[frame[one]]}, but lead to the states "
-            f"{state[next_frame[one]]} and {state[next_frame[other]]}; remove the wrong one, or give what differs states of its own"
+        yield (
+            f"next_frame[{other}]",
+            (
+                f"moves {one} and {other} are both action {action[one]} in state {state[frame[one]]}, but lead to the "
+                "states "
+                f"{state[next_frame[one]]} and {state[next_frame[other]]}; remove the wrong one, or give what differs "
+                "states of its own"
+            ),
         )
 
 
@@ -183,13 +231,18 @@ def member_warnings(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
     if {"detected", "objects"} <= set(fitting):
         never = np.flatnonzero(~fitting["detected"].any(0))
         names = fitting["objects"].tolist()
-        yield from limited((f"objects[{column}]", f"{names[column]!r} is detected in no frame; it can be no goal") for column in never)
+        yield from limited(
+            (f"objects[{column}]", f"{names[column]!r} is detected in no frame; it can be no goal") for column in never
+        )
     if {"state", "frame", "next_frame"} <= set(fitting):
         state, moved = fitting["state"], np.concatenate([fitting["frame"], fitting["next_frame"]])
         touched = state[moved[(moved >= 0) & (moved < len(state))]]
         values, rows = np.unique(state, return_index=True)
         alone = rows[~np.isin(values, touched)]
-        yield from limited((f"state[{row}]", f"no move leaves or reaches state {state[row]}; record one, or remove its frames") for row in alone)
+        yield from limited(
+            (f"state[{row}]", f"no move leaves or reaches state {state[row]}; record one, or remove its frames")
+            for row in alone
+        )
     if {"action", "actions"} <= set(fitting):
         unused = np.setdiff1d(np.arange(len(fitting["actions"])), fitting["action"])
         names = fitting["actions"].tolist()
@@ -204,7 +257,10 @@ def duplicates(frames: np.ndarray) -> Iterator[Fault]:
     for row, pixels in enumerate(frames):
         first = seen.setdefault(hashlib.blake2b(np.ascontiguousarray(pixels), digest_size=16).digest(), row)
         if first != row:
-            yield f"frames[{row}]", f"has the pixels of frames[{first}]; nothing can tell them apart: give them one state, or one frame"
+            yield (
+                f"frames[{row}]",
+                f"has the pixels of frames[{first}]; nothing can tell them apart: give them one state, or one frame",
+            )
 
 
 def limited(faults: Iterator[Fault]) -> Iterator[Fault]:

@@ -1,7 +1,9 @@
-"""A laboratory's folder of images and a CSV file of what each shows, as an image dataset (frames.py; docs/datasets.md has both kinds of CSV).
+"""A laboratory's folder of images and a CSV file of what each shows, as an image dataset (frames.py; docs/datasets.md
+has both kinds of CSV).
 
-With the columns trajectory, time and action the CSV lists recorded moves. Without them it lists poses, joints on a regular grid, and the moves are
-the steps between neighbours. Rows are numbered as a spreadsheet does: the header is row 1.
+With the columns trajectory, time and action the CSV lists recorded moves. Without them it lists poses, joints on a
+regular grid, and the moves are the steps between neighbours. Rows are numbered as a spreadsheet does: the header is row
+1.
 """
 
 import csv
@@ -29,24 +31,36 @@ KNOWN = ("image", *MOVES, "state", *QUATERNION, *ANGLES, *PLACE, "objects")
 ALLOWED = f"allowed are {', '.join(KNOWN)} and joint_NAME (degrees; metres if NAME ends in _m)"
 UNIT_WITHIN = 1e-3
 MOST_BYTES = 4e9
-"""Frames that take more are refused: they would not fit beside a policy on common GPUs, and policies see small images."""
+"""Frames that take more are refused: they would not fit beside a policy on common GPUs, and policies see small
+images."""
 Rows = list[tuple[int, dict[str, str]]]
 """Each row of the CSV: its number and its cells by column, stripped."""
 
 
 def import_folder(
-    images: str | os.PathLike, table: str | os.PathLike, out: str | os.PathLike, size: tuple[int, int] | None = None,
-    wrap: Sequence[str] = (), name: str = "", progress: Callable[[float], None] | None = None,
+    images: str | os.PathLike,
+    table: str | os.PathLike,
+    out: str | os.PathLike,
+    size: tuple[int, int] | None = None,
+    wrap: Sequence[str] = (),
+    name: str = "",
+    progress: Callable[[float], None] | None = None,
 ) -> FrameDataset:
     """Make an image dataset of a folder of images and a CSV, and write it to `out`.
 
     size: height and width in pixels to shrink the images to. wrap: joints of a grid of poses that go round a full turn.
-    name: of the dataset, in words; by default that of the folder. progress: is told the share of the images that is read.
+    name: of the dataset, in words; by default that of the folder. progress: is told the share of the images that is
+    read.
 
     Raises `UserError` for every mistake in what is given; it names the file, the row and the remedy.
     """
     images, table = Path(images), Path(table)
-    require(images.is_dir(), "images", str(images), "no such folder; give the folder that the CSV's column image is relative to")
+    require(
+        images.is_dir(),
+        "images",
+        str(images),
+        "no such folder; give the folder that the CSV's column image is relative to",
+    )
     rows = read_rows(table)
     columns = tuple(rows[0][1])
     joints = tuple(column for column in columns if column.startswith("joint_"))
@@ -71,8 +85,15 @@ def import_folder(
     contradicting(table, recorded, fields, state)
     pixels, recorded_size = read_images(images, table, frame_rows, size, progress)
     command = f"infogoal data import {shlex.quote(str(images))} {shlex.quote(str(table))}"
-    command += (f" --size {size[0]} {size[1]}" if size else "") + "".join(f" --wrap {shlex.quote(joint)}" for joint in wrap)
-    about = {"name": name or images.resolve().name, "stand_in": False, "made_by": command, "recorded_size": recorded_size}
+    command += (f" --size {size[0]} {size[1]}" if size else "") + "".join(
+        f" --wrap {shlex.quote(joint)}" for joint in wrap
+    )
+    about = {
+        "name": name or images.resolve().name,
+        "stand_in": False,
+        "made_by": command,
+        "recorded_size": recorded_size,
+    }
     dataset = FrameDataset(frames=pixels, state=state.astype(np.int32), about=about, **fields, **poses)
     frames.save(out, dataset)
     return dataset
@@ -103,7 +124,10 @@ def read_rows(table: Path) -> Rows:
     for number, cells in enumerate(lines[1:], 2):
         if any(cells):
             if len(cells) != len(header):
-                raise UserError(f"{table}: row {number}: has {len(cells)} cells, but the header has {len(header)}; separate cells with commas")
+                raise UserError(
+                    f"{table}: row {number}: has {len(cells)} cells, but the header has {len(header)}; separate cells "
+                    "with commas"
+                )
             rows.append((number, dict(zip(header, cells, strict=True))))
     repeated = [column for place, column in enumerate(header) if column in header[:place]]
     if repeated:
@@ -121,21 +145,27 @@ def check_columns(table: Path, columns: tuple[str, ...], joints: tuple[str, ...]
             raise UserError(f"{table}: row 1: has an unknown column {column!r}.{hint} Rename or remove it; {ALLOWED}")
     groups = [("image",)]
     groups += [MOVES] if moves else []
-    groups += [group for group in (QUATERNION, ANGLES, PLACE[:2]) if set(columns) & set(group if group[0] != "x" else PLACE)]
+    groups += [
+        group for group in (QUATERNION, ANGLES, PLACE[:2]) if set(columns) & set(group if group[0] != "x" else PLACE)
+    ]
     for group in groups:
         missing = [column for column in group if column not in columns]
         if missing:
-            raise UserError(f"{table}: row 1: lacks the column {', '.join(missing)}; it has {', '.join(columns)}; {ALLOWED}")
+            raise UserError(
+                f"{table}: row 1: lacks the column {', '.join(missing)}; it has {', '.join(columns)}; {ALLOWED}"
+            )
     if "qw" in columns and "roll" in columns:
         raise UserError(f"{table}: row 1: has both qw,qx,qy,qz and roll,pitch,yaw; give one of them")
     if not moves and not joints:
         raise UserError(
-            f"{table}: row 1: says nothing of moves; give the columns trajectory, time and action (recorded moves), or joint_NAME (poses on a grid)"
+            f"{table}: row 1: says nothing of moves; give the columns trajectory, time and action (recorded moves), or "
+            "joint_NAME (poses on a grid)"
         )
 
 
 def number_images(table: Path, rows: Rows) -> tuple[dict[str, int], Rows]:
-    """The index of each image by its name, and the row that each is first named in. A row that names one again must say the same of it."""
+    """The index of each image by its name, and the row that each is first named in. A row that names one again must say
+    the same of it."""
     frame_of: dict[str, int] = {}
     frame_rows: Rows = []
     for number, cells in rows:
@@ -146,7 +176,10 @@ def number_images(table: Path, rows: Rows) -> tuple[dict[str, int], Rows]:
             continue
         first, said = frame_rows[frame_of[cells["image"]]]
         if "trajectory" not in cells:
-            raise UserError(f"{table}: row {number}: image = {cells['image']!r}: is in row {first} already; give each pose an image of its own")
+            raise UserError(
+                f"{table}: row {number}: image = {cells['image']!r}: is in row {first} already; give each pose an "
+                "image of its own"
+            )
         for column in set(cells) - set(MOVES):
             remedy = f"row {first} says {said[column]!r} of the same image; correct one"
             wants(cells[column] == said[column], table, number, column, cells[column], remedy)
@@ -162,27 +195,42 @@ def numbers(table: Path, rows: Rows, columns: Sequence[str], unit: str) -> np.nd
                 values[row, column] = float(cells[name])
             except ValueError:
                 values[row, column] = np.nan
-            wants(bool(np.isfinite(values[row, column])), table, number, name, cells[name], f"give a number in {unit}, with a decimal point")
+            wants(
+                bool(np.isfinite(values[row, column])),
+                table,
+                number,
+                name,
+                cells[name],
+                f"give a number in {unit}, with a decimal point",
+            )
     return values
 
 
 def joint_numbers(table: Path, rows: Rows, joints: Sequence[str]) -> np.ndarray:
     """The joints as the CSV has them, degrees or metres, float64 [rows, J]."""
-    return np.concatenate([numbers(table, rows, [joint], "metres" if joint.endswith("_m") else "degrees") for joint in joints], 1)
+    return np.concatenate(
+        [numbers(table, rows, [joint], "metres" if joint.endswith("_m") else "degrees") for joint in joints], 1
+    )
 
 
 def read_poses(table: Path, rows: Rows, joints: tuple[str, ...]) -> dict:
-    """The fields rotation, joints, position and detected of the dataset, with their names, as far as the CSV has them."""
+    """The fields rotation, joints, position and detected of the dataset, with their names, as far as the CSV has
+    them."""
     columns, fields = set(rows[0][1]), {}
     if "qw" in columns:
         quaternion = numbers(table, rows, QUATERNION, "parts of a quaternion")
         length = np.linalg.norm(quaternion, axis=1)
         for row in np.flatnonzero(np.abs(length - 1) > UNIT_WITHIN):
             words = ", ".join(rows[row][1][column] for column in QUATERNION)
-            raise UserError(f"{table}: row {rows[row][0]}: qw, qx, qy, qz = {words}: has the length {length[row]:.4f}, not 1; divide by it")
+            raise UserError(
+                f"{table}: row {rows[row][0]}: qw, qx, qy, qz = {words}: has the length {length[row]:.4f}, not 1; "
+                "divide by it"
+            )
         fields["rotation"] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     if "roll" in columns:  # R = Rz(yaw) Ry(pitch) Rx(roll): capital letters are turns about the axes that turned along.
-        fields["rotation"] = Rotation.from_euler("ZYX", numbers(table, rows, ANGLES, "degrees")[:, ::-1], degrees=True).as_matrix()
+        fields["rotation"] = Rotation.from_euler(
+            "ZYX", numbers(table, rows, ANGLES, "degrees")[:, ::-1], degrees=True
+        ).as_matrix()
     if joints:
         values = joint_numbers(table, rows, joints)
         fields["joints"] = np.where([joint.endswith("_m") for joint in joints], values, np.radians(values))
@@ -195,7 +243,10 @@ def read_poses(table: Path, rows: Rows, joints: tuple[str, ...]) -> dict:
         seen = [{name.strip() for name in cells["objects"].split(";")} - {""} for _, cells in rows]
         fields["objects"] = tuple(sorted(set().union(*seen)))
         if not fields["objects"]:
-            raise UserError(f"{table}: objects: no row names an object; remove the column, or name what is detected, separated by semicolons")
+            raise UserError(
+                f"{table}: objects: no row names an object; remove the column, or name what is detected, separated by "
+                "semicolons"
+            )
         fields["detected"] = np.array([[name in found for name in fields["objects"]] for found in seen])
     return fields
 
@@ -204,7 +255,9 @@ def read_moves(table: Path, rows: Rows, frame_of: dict[str, int]) -> list[Move]:
     """The recorded moves: from each row of a trajectory to the next in time."""
     trajectories: dict[str, list[tuple[int, int, dict[str, str]]]] = {}
     for number, cells in rows:
-        wants(cells["trajectory"] != "", table, number, "trajectory", "", "name the trajectory that the image belongs to")
+        wants(
+            cells["trajectory"] != "", table, number, "trajectory", "", "name the trajectory that the image belongs to"
+        )
         whole = cells["time"].isascii() and cells["time"].isdecimal()
         wants(whole, table, number, "time", cells["time"], "give the number of the step, a whole number: 0, 1, 2, ...")
         trajectories.setdefault(cells["trajectory"], []).append((int(cells["time"]), number, cells))
@@ -212,12 +265,37 @@ def read_moves(table: Path, rows: Rows, frame_of: dict[str, int]) -> list[Move]:
     for index, (name, steps) in enumerate(trajectories.items()):
         steps.sort(key=lambda step: step[:2])
         where = f"of trajectory {name!r}"
-        wants(len(steps) > 1, table, steps[0][1], "trajectory", name, "has one row only, so no move; add the image after it, or remove the row")
+        wants(
+            len(steps) > 1,
+            table,
+            steps[0][1],
+            "trajectory",
+            name,
+            "has one row only, so no move; add the image after it, or remove the row",
+        )
         for position, ((time, number, cells), (later, next_number, after)) in enumerate(itertools.pairwise(steps)):
-            wants(later != time, table, next_number, "time", after["time"], f"row {number} {where} has the same time; give each step its own")
-            remedy = f"a gap {where}, after time {time} in row {number}; add what is missing, or give the rest another trajectory"
+            wants(
+                later != time,
+                table,
+                next_number,
+                "time",
+                after["time"],
+                f"row {number} {where} has the same time; give each step its own",
+            )
+            remedy = (
+                f"a gap {where}, after time {time} in row {number}; add what is missing, or give the rest "
+                "another "
+                "trajectory"
+            )
             wants(later == time + 1, table, next_number, "time", after["time"], remedy)
-            wants(cells["action"] != "", table, number, "action", "", f"is not the last row {where}; name the action taken after this image")
+            wants(
+                cells["action"] != "",
+                table,
+                number,
+                "action",
+                "",
+                f"is not the last row {where}; name the action taken after this image",
+            )
             ends = frame_of[cells["image"]], frame_of[after["image"]]
             moves.append(Move(ends[0], cells["action"], ends[1], index, position, position == len(steps) - 2, number))
         _, number, cells = steps[-1]
@@ -230,7 +308,8 @@ def contradicting(table: Path, moves: list[Move], fields: dict, state: np.ndarra
     """Raise a `UserError` for two rows whose state and action are the same, but not the state that follows."""
     for one, other in frames_check.contradictions(state, fields["frame"], fields["action"], fields["next_frame"]):
         raise UserError(
-            f"{table}: row {moves[other].row}: action = {moves[other].name!r}: leads from the same state as in row {moves[one].row} to another; "
+            f"{table}: row {moves[other].row}: action = {moves[other].name!r}: leads from the same state as in row "
+            f"{moves[one].row} to another; "
             f"correct one, or tell the states apart in the column state"
         )
 
@@ -244,7 +323,12 @@ def read_images(
     first = read_image(folder, table, *rows[0])
     height, width = size or first.shape[:2]
     total = len(rows) * height * width * 3
-    require(total <= MOST_BYTES, "size", (height, width), f"{len(rows)} images take {total / 1e9:.1f} GB; shrink them with --size, such as 64 64")
+    require(
+        total <= MOST_BYTES,
+        "size",
+        (height, width),
+        f"{len(rows)} images take {total / 1e9:.1f} GB; shrink them with --size, such as 64 64",
+    )
     pixels = np.empty((len(rows), height, width, 3), np.uint8)
 
     def read_into(row: int) -> None:
@@ -252,12 +336,29 @@ def read_images(
         number, cells = rows[row]
         image = read_image(folder, table, number, cells)
         here, expected = image.shape[:2], first.shape[:2]
-        found = f"is {here[0]} x {here[1]} pixels high and wide, but {rows[0][1]['image']!r} in row {rows[0][0]} is {expected[0]} x {expected[1]}"
+        found = (
+            f"is {here[0]} x {here[1]} pixels high and wide, but {rows[0][1]['image']!r} in row {rows[0][0]} is "
+            f"{expected[0]} x {expected[1]}"
+        )
         if size is None:
-            wants(here == expected, table, number, "image", cells["image"], f"{found}; give --size HEIGHT WIDTH to bring all to one size")
+            wants(
+                here == expected,
+                table,
+                number,
+                "image",
+                cells["image"],
+                f"{found}; give --size HEIGHT WIDTH to bring all to one size",
+            )
         else:  # The same shape, but for what rounding to whole pixels costs.
             alike = abs(here[1] - here[0] * expected[1] / expected[0]) <= max(1, here[0] / expected[0])
-            wants(alike, table, number, "image", cells["image"], f"{found}, another shape; crop it, so that nothing is distorted")
+            wants(
+                alike,
+                table,
+                number,
+                "image",
+                cells["image"],
+                f"{found}, another shape; crop it, so that nothing is distorted",
+            )
             shrinks = here[0] >= size[0] and here[1] >= size[1]
             image = cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
         pixels[row] = image
@@ -276,12 +377,24 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
         content = np.frombuffer((folder / name).read_bytes(), np.uint8)
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
-        raise UserError(f"{table}: row {number}: image = {name!r}: no such file in {folder}.{hint} Add it, or correct the row") from None
+        raise UserError(
+            f"{table}: row {number}: image = {name!r}: no such file in {folder}.{hint} Add it, or correct the row"
+        ) from None
     except (OSError, ValueError) as error:  # A name with a zero byte is a ValueError.
-        raise UserError(f"{table}: row {number}: image = {name!r}: cannot be read ({error}); correct the name, or the rights of the file") from error
+        raise UserError(
+            f"{table}: row {number}: image = {name!r}: cannot be read ({error}); correct the name, or the rights of "
+            "the file"
+        ) from error
     try:
         image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
     except cv2.error:
         image = None
-    wants(image is not None, table, number, "image", name, f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row")
+    wants(
+        image is not None,
+        table,
+        number,
+        "image",
+        name,
+        f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row",
+    )
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -13,7 +13,8 @@ from infogoal_jax.errors import UserError
 FORMAT_VERSION = 1
 REMEDY = "write it again with infogoal_jax.data.frames.save or infogoal data import (docs/datasets.md)"
 
-# Member -> type, shape, whether it must be there. A letter stands for a length that all members share; a tuple for lengths that may be had.
+# Member -> type, shape, whether it must be there. A letter stands for a length that all members share; a tuple for
+# lengths that may be had.
 SCHEMA: dict[str, tuple[str, tuple, bool]] = {
     "format_version": ("integer", (), True),
     "about": ("text", (), True),
@@ -34,8 +35,14 @@ SCHEMA: dict[str, tuple[str, tuple, bool]] = {
     "frames": ("uint8", ("K", "H", "W", (1, 3)), True),
 }
 LENGTHS = {
-    "K": "frames", "M": "moves", "A": "actions", "O": "objects", "J": "joints", "H": "pixels of height", "W": "pixels of width",
-}  # fmt: skip
+    "K": "frames",
+    "M": "moves",
+    "A": "actions",
+    "O": "objects",
+    "J": "joints",
+    "H": "pixels of height",
+    "W": "pixels of width",
+}
 Fault = tuple[str, str]
 """Where in the file, such as `action[3]`, and what is wrong, with the remedy."""
 
@@ -57,12 +64,19 @@ def fitting_members(members: Mapping[str, np.ndarray]) -> tuple[dict[str, np.nda
     fitting: dict[str, np.ndarray] = {}
     lengths: dict[str, tuple[int, str]] = {}
     faults = []
-    for name in sorted(set(SCHEMA) & set(members), key=lambda name: (name != "frames", list(SCHEMA).index(name))):  # frames say what K is
+    for name in sorted(
+        set(SCHEMA) & set(members), key=lambda name: (name != "frames", list(SCHEMA).index(name))
+    ):  # frames say what K is
         kind, shape, _ = SCHEMA[name]
         array = np.asarray(members[name])
         right = {"text": array.dtype.kind == "U", "integer": array.dtype.kind in "iu"}.get(kind, array.dtype == kind)
         if not right:
-            faults.append((name, f"is {array.dtype}; give {kind}" + ("" if kind in ("text", "integer") else f": .astype(np.{kind})")))
+            faults.append(
+                (
+                    name,
+                    f"is {array.dtype}; give {kind}" + ("" if kind in ("text", "integer") else f": .astype(np.{kind})"),
+                )
+            )
         problem = shape_problem(array.shape, shape, lengths)
         if problem:
             faults.append((name, problem))
@@ -76,7 +90,9 @@ def fitting_members(members: Mapping[str, np.ndarray]) -> tuple[dict[str, np.nda
 
 def shape_problem(found: tuple[int, ...], shape: tuple, lengths: Mapping[str, tuple[int, str]]) -> str:
     """What is wrong with a shape, or nothing. lengths: letter -> length so far, and the member that it comes from."""
-    words = "[" + ", ".join(" or ".join(map(str, part)) if isinstance(part, tuple) else str(part) for part in shape) + "]"
+    words = (
+        "[" + ", ".join(" or ".join(map(str, part)) if isinstance(part, tuple) else str(part) for part in shape) + "]"
+    )
     if len(found) != len(shape):
         return f"has the shape {list(found)}; give {words}"
     for length, part in zip(found, shape, strict=True):

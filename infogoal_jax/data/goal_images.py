@@ -1,7 +1,8 @@
 """Banks of goal images: pictures of a task's goals with the positions that they show (Sec. V-A.1), in one npz file.
 
-A bank has a grid of goals that fills the goal space, so that every position reached has a picture near it, and goals for training, validation and
-tests. The banks of three Fetch tasks are shipped; `infogoal data build fetch` draws others.
+A bank has a grid of goals that fills the goal space, so that every position reached has a picture near it, and goals
+for training, validation and tests. The banks of three Fetch tasks are shipped; `infogoal data build fetch` draws
+others.
 """
 
 import dataclasses
@@ -58,9 +59,19 @@ class GoalImages:
         check_numbers("positions", positions, (count, 3))
         check_numbers("grid_low", low, (3,))
         described = f"{uses.dtype} {uses.shape}"
-        require(uses.dtype.kind in "iu" and uses.shape == (count,), "uses", described, f"give a whole number for each of the {count} images")
+        require(
+            uses.dtype.kind in "iu" and uses.shape == (count,),
+            "uses",
+            described,
+            f"give a whole number for each of the {count} images",
+        )
         strange = uses[(uses < 0) | (uses >= len(USES))]
-        require(not len(strange), "uses", int(strange[0]) if len(strange) else 0, "give 0 (grid), 1 (train), 2 (validation) or 3 (test)")
+        require(
+            not len(strange),
+            "uses",
+            int(strange[0]) if len(strange) else 0,
+            "give 0 (grid), 1 (train), 2 (validation) or 3 (test)",
+        )
         require(bool((uses == TRAIN).any()), "uses", "no training goal", "give at least one image of use 1")
         require(isinstance(self.about, dict), "about", type(self.about).__name__, "give a dict of words")
         spacing = float(self.spacing)
@@ -69,8 +80,12 @@ class GoalImages:
         require(len(shape) == 3 and min(shape) >= 1, "grid_shape", shape, "give three whole numbers of at least 1")
         check_grid(positions, uses, low, spacing, shape)
         changes = {
-            "images": read_only(self.images, np.uint8), "positions": read_only(positions, np.float32), "uses": read_only(uses, np.uint8),
-            "grid_low": read_only(low, np.float32), "spacing": spacing, "grid_shape": shape,
+            "images": read_only(self.images, np.uint8),
+            "positions": read_only(positions, np.float32),
+            "uses": read_only(uses, np.uint8),
+            "grid_low": read_only(low, np.float32),
+            "spacing": spacing,
+            "grid_shape": shape,
         }
         for field, value in changes.items():
             object.__setattr__(self, field, value)
@@ -86,7 +101,8 @@ class GoalImages:
         return f"{counts} goals, grid of {100 * self.spacing:g} cm{seed}"
 
     def nearest_cell(self, positions) -> np.ndarray:
-        """Index of the grid's image nearest to each position [..., 3] (m), int [...]; of the closest at the border for positions outside."""
+        """Index of the grid's image nearest to each position [..., 3] (m), int [...]; of the closest at the border for
+        positions outside."""
         steps = np.rint((np.asarray(positions) - self.grid_low) / self.spacing).astype(int)
         x, y, z = np.moveaxis(np.clip(steps, 0, np.array(self.grid_shape) - 1), -1, 0)
         return (x * self.grid_shape[1] + y) * self.grid_shape[2] + z
@@ -108,21 +124,35 @@ def check_images(images) -> None:
 
 def check_numbers(field: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
     """Raise `UserError` unless these are finite numbers of this shape."""
-    require(values.dtype.kind in "fiu" and values.shape == shape, field, f"{values.dtype} {values.shape}", f"give numbers of the shape {shape}, in m")
+    require(
+        values.dtype.kind in "fiu" and values.shape == shape,
+        field,
+        f"{values.dtype} {values.shape}",
+        f"give numbers of the shape {shape}, in m",
+    )
     finite = np.isfinite(values)
     require(bool(finite.all()), field, str(values[~finite][0]) if not finite.all() else "", "give finite numbers, in m")
 
 
-def check_grid(positions: np.ndarray, uses: np.ndarray, low: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> None:
+def check_grid(
+    positions: np.ndarray, uses: np.ndarray, low: np.ndarray, spacing: float, shape: tuple[int, int, int]
+) -> None:
     """Raise `UserError` unless the goals of the grid come first, in C order, at its positions."""
     count = math.prod(shape)
     in_grid = int((uses == GRID).sum())
     require(in_grid == count, "grid_shape", shape, f"the bank has {in_grid} goals of the grid (use 0), not {count}")
-    require(bool((uses[:count] == GRID).all()), "uses", "another goal before the last of the grid", "put the goals of the grid (use 0) first")
+    require(
+        bool((uses[:count] == GRID).all()),
+        "uses",
+        "another goal before the last of the grid",
+        "put the goals of the grid (use 0) first",
+    )
     distance = np.abs(positions[:count] - grid_positions(low, spacing, shape)).max(1)
     worst = int(distance.argmax())
     require(
-        distance[worst] <= GRID_TOLERANCE, "positions", np.round(positions[worst].astype(float), 4).tolist(),
+        distance[worst] <= GRID_TOLERANCE,
+        "positions",
+        np.round(positions[worst].astype(float), 4).tolist(),
         f"goal {worst} is off the grid; put goals at grid_low + spacing * (i, j, k), in C order of grid_shape {shape}",
     )
 
@@ -140,7 +170,8 @@ def shipped(task: str) -> Path:
 
 
 def load(path: str | os.PathLike, task: str) -> GoalImages:
-    """Read the bank of a task. Raises `UserError` for a file that is missing, damaged, something else or of another task."""
+    """Read the bank of a task. Raises `UserError` for a file that is missing, damaged, something else or of another
+    task."""
     with archives.naming("goal images", path, REMEDY):
         return GoalImages(**read_fields(archives.read(path, REMEDY), task))
 
@@ -152,16 +183,31 @@ def read_fields(archive: archives.Archive, task: str) -> dict:
     require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
     largest = MOST_IMAGES * math.prod(IMAGE_SHAPE) + 4096
     longest = max(archive.sizes.values())
-    require(longest <= largest, "arrays", f"one of {longest} bytes", f"give at most {MOST_IMAGES} images, uint8 [N, 64, 64, 3]")
+    require(
+        longest <= largest,
+        "arrays",
+        f"one of {longest} bytes",
+        f"give at most {MOST_IMAGES} images, uint8 [N, 64, 64, 3]",
+    )
     for field in FIELDS:
         fields[field] = archives.member(archive, field, REMEDY)
         if field == "task":
             found = str(fields["task"])
-            require(found == task, "task", found, f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}")
+            require(
+                found == task,
+                "task",
+                found,
+                f"the bank is of another task than {task!r}; give one of {task!r} or {REMEDY}",
+            )
     for field, shape in (("spacing", ()), ("grid_shape", (3,))):
         values = fields[field]
         kinds = "iu" if field == "grid_shape" else "fiu"
-        require(values.dtype.kind in kinds and values.shape == shape, field, f"{values.dtype} {values.shape}", f"give numbers of the shape {shape}")
+        require(
+            values.dtype.kind in kinds and values.shape == shape,
+            field,
+            f"{values.dtype} {values.shape}",
+            f"give numbers of the shape {shape}",
+        )
     try:
         about = json.loads(str(fields["about"]))
     except ValueError as error:
@@ -172,7 +218,8 @@ def read_fields(archive: archives.Archive, task: str) -> dict:
 def save(path: str | os.PathLike, bank: GoalImages) -> None:
     """Write a bank. The file at `path` is always whole: the old one or the new one. The same bank gives the same bytes.
 
-    Packed with LZMA: neighbouring goals share most of their pixels, and its window spans hundreds of images where that of deflate spans three.
+    Packed with LZMA: neighbouring goals share most of their pixels, and its window spans hundreds of images where that
+    of deflate spans three.
     """
     members = {field: json.dumps(bank.about) if field == "about" else getattr(bank, field) for field in FIELDS}
     archives.save(path, members, "goal images", zipfile.ZIP_LZMA)

@@ -88,7 +88,9 @@ def load_split(path: str | os.PathLike) -> Split:
     content = read_json("split", path)
     entries = content.get("objects") if isinstance(content, dict) else None
     if not isinstance(entries, dict) or not entries:
-        raise UserError(f'split {path}: wants {{"objects": {{name: {{"room": ..., "use": ...}}}}}} with at least one object')
+        raise UserError(
+            f'split {path}: wants {{"objects": {{name: {{"room": ..., "use": ...}}}}}} with at least one object'
+        )
     objects = {}
     for name, entry in entries.items():
         field = f"split {path}: objects[{name!r}]"
@@ -106,7 +108,8 @@ def load_split(path: str | os.PathLike) -> Split:
 
 
 def read_json(what: str, path: str | os.PathLike, remedy: str = "") -> object:
-    """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is and where."""
+    """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is
+    and where."""
     try:
         with open(path, encoding="utf-8") as file:
             return json.load(file, object_pairs_hook=without_repeats)

@@ -84,7 +84,12 @@ def load(path: str | os.PathLike) -> TextEmbeddings:
         require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {remedy}")
         texts, vectors, weights_sha256, model = (archives.member(archive, field, remedy) for field in _FIELDS)
         fits = texts.dtype.kind == "U" and texts.ndim == 1 and vectors.dtype == np.float32
-        require(fits, "arrays", f"{texts.dtype} {texts.shape}, {vectors.dtype}", f"not texts [M] and float32 vectors [M, 384]; {remedy}")
+        require(
+            fits,
+            "arrays",
+            f"{texts.dtype} {texts.shape}, {vectors.dtype}",
+            f"not texts [M] and float32 vectors [M, 384]; {remedy}",
+        )
         return TextEmbeddings(tuple(texts.tolist()), vectors, str(weights_sha256[()]), str(model[()]))
 
 

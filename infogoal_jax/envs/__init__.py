@@ -1,4 +1,5 @@
-"""Environments: pytrees of arrays with pure functions over them. `load` makes one by name. A new one is registered in `registry`."""
+"""Environments: pytrees of arrays with pure functions over them. `load` makes one by name. A new one is registered in
+`registry`."""
 
 from functools import partial
 from typing import Any
@@ -16,18 +17,22 @@ def make_fetch(name: str, config: FetchConfig):
     return (image_goals if config.goals == "images" else environment).make(name, config)
 
 
-registry = Registry("task", {
-    "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
-    "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
-    "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make),
-    **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
-})
+registry = Registry(
+    "task",
+    {
+        "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
+        "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
+        "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make),
+        **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
+    },
+)
 
 
 def load(task: str, config: Any = None):
     """Make the environment of this name: `env.reset(key)`, `env.step(state, action)`, batched by `jax.vmap`.
 
-    config: the configuration of the task; None for its defaults. Raises `UserError` for an unknown name or an unusable dataset.
+    config: the configuration of the task; None for its defaults. Raises `UserError` for an unknown name or an unusable
+    dataset.
     """
     found = registry.entry(task)
     return found.make(found.config() if config is None else config)

@@ -24,7 +24,8 @@ class Cells:
     def over(cls, bounds: np.ndarray, side: float) -> "Cells":
         """Make a grid over the space between the corners [2, D], with at least one more cell on every side.
 
-        A cell is centred on the lower corner, so that an object at rest there lies in the middle of a cell and not on the border of two.
+        A cell is centred on the lower corner, so that an object at rest there lies in the middle of a cell and not on
+        the border of two.
         """
         counts = np.round((bounds[1] - bounds[0]) / side).astype(int) + 3
         return cls(bounds[0] - 1.5 * side, side, tuple(int(count) for count in counts))

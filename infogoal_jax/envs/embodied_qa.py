@@ -1,7 +1,9 @@
-"""Embodied question answering (paper, Sec. V-A.4): a drone in front of a shelf flies to where it sees the object that a question asks about.
+"""Embodied question answering (paper, Sec. V-A.4): a drone in front of a shelf flies to where it sees the object that a
+question asks about.
 
-Learning is offline, from recorded flights. The evaluation flies in the simulated shelf. Goals are texts: the names of all objects, which are known
-while training and serve for relabelling; a training question for some objects; and validation and test questions, which training never sees.
+Learning is offline, from recorded flights. The evaluation flies in the simulated shelf. Goals are texts: the names of
+all objects, which are known while training and serve for relabelling; a training question for some objects; and
+validation and test questions, which training never sees.
 """
 
 import dataclasses
@@ -23,28 +25,33 @@ class EmbodiedQAConfig:
     """Source of images and questions, and length of an episode."""
 
     dataset: str = ""
-    """File of an image dataset with detections and trajectories (docs/datasets.md); empty: a generated shelf (a stand-in), built once and kept in the
-    user's cache."""
+    """File of an image dataset with detections and trajectories (docs/datasets.md); empty: a generated shelf (a
+    stand-in), built once and kept in the user's cache."""
     generator_seed: int = 0
     """Seed of the generated dataset."""
     hovering: bool = False
     """Generate a drone that drifts and blurs its images, with several images for every position."""
     questions: str = ""
-    """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated shelf."""
+    """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated
+    shelf."""
     text_embeddings: str = ""
-    """Sentence embeddings of names and questions, an npz of `infogoal data embed`; empty: those that the project ships."""
+    """Sentence embeddings of names and questions, an npz of `infogoal data embed`; empty: those that the project
+    ships."""
     episode_length: int = 50
     """Steps after which an episode is truncated [P]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+        require(
+            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
+        )
         require(self.generator_seed >= 0, "env.generator_seed", self.generator_seed, "give 0 or more")
 
 
 @flax.struct.dataclass
 class EmbodiedQA(DetectionWalk):
-    """The environment: a walk on a graph of images, with recorded flights. Known goals are names and training questions."""
+    """The environment: a walk on a graph of images, with recorded flights. Known goals are names and training
+    questions."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: images uint8 [..., H, W, C] for stored observations int32 [...]."""
@@ -52,7 +59,8 @@ class EmbodiedQA(DetectionWalk):
 
 
 def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0) -> Trajectories:
-    """The trajectories of a dataset as rows, each with a random training goal as desired goal: recordings have no desired goal of their own.
+    """The trajectories of a dataset as rows, each with a random training goal as desired goal: recordings have no
+    desired goal of their own.
 
     Trajectories shorter than the longest are padded with invalid transitions.
     """
@@ -68,8 +76,14 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
     truncated[np.arange(len(starts)), lengths - 1] = True
     goal = np.random.default_rng(seed).choice(training, len(starts))
     parts = {
-        "observation": observation, "record": observation, "action": action, "goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
-        "valid": valid, "terminated": np.zeros(shape, bool), "truncated": truncated, "decided": valid,
+        "observation": observation,
+        "record": observation,
+        "action": action,
+        "goal": np.broadcast_to(goal[:, None], shape).astype(np.int32),
+        "valid": valid,
+        "terminated": np.zeros(shape, bool),
+        "truncated": truncated,
+        "decided": valid,
     }
     return Trajectories(**{name: jnp.asarray(part) for name, part in parts.items()})
 
@@ -88,14 +102,22 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
     return lay_out(data, asked, embeddings, config)
 
 
-def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig) -> EmbodiedQA:
-    """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object that cannot be found."""
+def lay_out(
+    data: frames.FrameDataset, asked: questions.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig
+) -> EmbodiedQA:
+    """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object
+    that cannot be found."""
     given = config.dataset or data.about["name"]
     require(data.detected is not None, "env.dataset", given, "tells no detections: import it with a column `objects`")
     require(len(data.time) > 0, "env.dataset", given, "holds no recorded moves to learn from")
     goals_asked = asked.goals()
     unknown = sorted({goal.object for goal in goals_asked} - set(data.objects))
-    require(not unknown, "env.questions", ", ".join(unknown), f"detected nowhere in {given}, which knows {', '.join(data.objects)}")
+    require(
+        not unknown,
+        "env.questions",
+        ", ".join(unknown),
+        f"detected nowhere in {given}, which knows {', '.join(data.objects)}",
+    )
     column = np.array([data.objects.index(goal.object) for goal in goals_asked])
     uses = np.array([goal.use for goal in goals_asked])
     in_view = data.detected[:, column]
@@ -103,19 +125,37 @@ def lay_out(data: frames.FrameDataset, asked: questions.Questions, embeddings: t
     evaluated = np.flatnonzero(uses != NO_USE)
     distance = distances(next_node, in_view[:, evaluated])
     alone = evaluated[~possible_starts(distance, config.episode_length).any(1)]
-    require(not len(alone), "env.questions", goals_asked[alone[0]].object if len(alone) else "",
-            f"can be found from nowhere within {config.episode_length} steps in {given}: record moves that lead there, or take the object out")
+    require(
+        not len(alone),
+        "env.questions",
+        goals_asked[alone[0]].object if len(alone) else "",
+        f"can be found from nowhere within {config.episode_length} steps in {given}: record moves that lead there, or "
+        "take the object out",
+    )
     flown = np.unique(np.concatenate([data.frame, data.next_frame]))
     unseen = [goals_asked[goal].object for goal in np.flatnonzero(uses == 0) if not in_view[flown, goal].any()]
-    require(not unseen, "env.dataset", given, f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does")
+    require(
+        not unseen,
+        "env.dataset",
+        given,
+        f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does",
+    )
     embedded = text.embed_known([goal.text for goal in goals_asked], embeddings)
-    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))  # Embeddings have length 1; networks want numbers of the order of 1.
+    inputs = embedded * np.float32(
+        np.sqrt(embedded.shape[1])
+    )  # Embeddings have length 1; networks want numbers of the order of 1.
     known = in_view & np.isin(uses, (NO_USE, 0))
-    goals = GoalSet.of(inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names)
+    goals = GoalSet.of(
+        inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names
+    )
     position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]
     return EmbodiedQA(
-        images=jnp.asarray(data.frames), in_view=jnp.asarray(in_view), achieved_goals=jnp.asarray(pad_true(known)), position=jnp.asarray(position),
-        recorded=recorded_rows(data, np.flatnonzero(uses == 0)), views=None if views is None else jnp.asarray(views),
+        images=jnp.asarray(data.frames),
+        in_view=jnp.asarray(in_view),
+        achieved_goals=jnp.asarray(pad_true(known)),
+        position=jnp.asarray(position),
+        recorded=recorded_rows(data, np.flatnonzero(uses == 0)),
+        views=None if views is None else jnp.asarray(views),
         source=data.describe(data.frames, data.detected, next_node, data.frame, inputs),
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

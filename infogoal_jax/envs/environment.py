@@ -1,8 +1,10 @@
-"""The contract for environments: what a task has to be, to be trained on. Derive from `Environment` and write what has no default.
+"""The contract for environments: what a task has to be, to be trained on. Derive from `Environment` and write what has
+no default.
 
-An environment is a pytree (`flax.struct.dataclass`): its arrays travel to compiled programs as arguments. Its functions are pure, and take one state;
-`jax.vmap` batches them. Functions of *stored* observations and records take any leading axes, because they are also applied to the replay buffer.
-docs/own_task.md makes a task of one's own, from nothing to a trained policy.
+An environment is a pytree (`flax.struct.dataclass`): its arrays travel to compiled programs as arguments. Its functions
+are pure, and take one state; `jax.vmap` batches them. Functions of *stored* observations and records take any leading
+axes, because they are also applied to the replay buffer. docs/own_task.md makes a task of one's own, from nothing to a
+trained policy.
 """
 
 from typing import Any
@@ -17,12 +19,14 @@ from infogoal_jax.replay import Trajectories
 class Environment:
     """A task. Members without a value must be given; the others have the value that most tasks need.
 
-    A state is a pytree with at least `goal` (the desired goal), `time` (int32, steps taken), `terminated` (bool, the goal is reached), `truncated`
-    (bool, time is up; never together with terminated) and `diverged` (bool, the last step of a simulation was thrown away and is not stored).
+    A state is a pytree with at least `goal` (the desired goal), `time` (int32, steps taken), `terminated` (bool, the
+    goal is reached), `truncated` (bool, time is up; never together with terminated) and `diverged` (bool, the last step
+    of a simulation was thrown away and is not stored).
     """
 
     goals: GoalSet | None
-    """The finite goal space. A goal is an int32 index into it. None: goals are not a finite set; such a task can be stepped, but not trained on."""
+    """The finite goal space. A goal is an int32 index into it. None: goals are not a finite set; such a task can be
+    stepped, but not trained on."""
     action_size: int
     """Number of actions, or the size of an action vector."""
     episode_length: int
@@ -30,14 +34,16 @@ class Environment:
     source: str
     """What the data is, in words, for reports; stand-in data is called so."""
     space: Any
-    """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py, envs/joints.py)."""
+    """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py,
+    envs/joints.py)."""
 
     discrete = True
     """Whether an action is a choice among a few, int32; False: a vector float32 [action_size] in [-1, 1]."""
     recorded: Trajectories | None = None
     """Recorded trajectories to learn from without acting; None: the agent acts."""
     num_observations: int | None = None
-    """Number of different observations, where each is an index int32; None: observations are vectors, or too many to be listed."""
+    """Number of different observations, where each is an index int32; None: observations are vectors, or too many to be
+    listed."""
     train_backgrounds: jax.Array | None = None
     """Images uint8 [B, H, W, C] that goal images may be corrupted with in training; None where goals are not images."""
     test_backgrounds: jax.Array | None = None
@@ -52,7 +58,8 @@ class Environment:
     """Whether `shortest_path` is known."""
 
     def reset(self, key: jax.Array) -> Any:
-        """The state of a new episode: a training goal (`goals.commanded`) and a start at which it is not reached, drawn anew."""
+        """The state of a new episode: a training goal (`goals.commanded`) and a start at which it is not reached, drawn
+        anew."""
         raise NotImplementedError
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> Any:
@@ -64,11 +71,13 @@ class Environment:
         raise NotImplementedError
 
     def observe(self, state: Any) -> Any:
-        """What is stored of the observation: an index int32 where there is a dataset of images, else a vector; or a pytree of these."""
+        """What is stored of the observation: an index int32 where there is a dataset of images, else a vector; or a
+        pytree of these."""
         raise NotImplementedError
 
     def render(self, observation: Any) -> jax.Array:
-        """What the state encoder sees of stored observations [...]: images uint8 [..., H, W, C] or vectors float32 [..., D]."""
+        """What the state encoder sees of stored observations [...]: images uint8 [..., H, W, C] or vectors float32
+        [..., D]."""
         raise NotImplementedError
 
     def achieved(self, state: Any) -> jax.Array:
@@ -80,7 +89,8 @@ class Environment:
         raise NotImplementedError
 
     def goals_of(self, record: jax.Array) -> jax.Array:
-        """The goals that records [...] achieve, for relabelling and representation learning: int32 [..., K], padded with -1."""
+        """The goals that records [...] achieve, for relabelling and representation learning: int32 [..., K], padded
+        with -1."""
         raise NotImplementedError
 
     def cell_of(self, record: jax.Array) -> jax.Array:

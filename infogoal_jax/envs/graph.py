@@ -1,7 +1,7 @@
 """The base of tasks on a graph of images: moves along edges, starts at which the goal is not reached, shortest paths.
 
-A node is the index of an image. Object search, object manipulation and embodied question answering are such tasks. They differ in what an image
-shows, and in when a goal is reached.
+A node is the index of an image. Object search, object manipulation and embodied question answering are such tasks. They
+differ in what an image shows, and in when a goal is reached.
 """
 
 import flax.struct
@@ -43,7 +43,8 @@ class GraphState:
 
 @flax.struct.dataclass
 class GraphWalk(Environment):
-    """Static arrays and pure functions over them, for K images, A actions and N goals, of which M are evaluated. Tasks add `reached` and `goals_of`.
+    """Static arrays and pure functions over them, for K images, A actions and N goals, of which M are evaluated. Tasks
+    add `reached` and `goals_of`.
 
     A pytree: pass it to compiled programs as an argument.
     """
@@ -57,7 +58,8 @@ class GraphWalk(Environment):
     distance: jax.Array
     """int16 [M, K], steps to the nearest node that reaches the goal."""
     starts: jax.Array
-    """int32 [M, P], nodes from which an episode for the goal may start: they do not reach it, and it is within the episode's length."""
+    """int32 [M, P], nodes from which an episode for the goal may start: they do not reach it, and it is within the
+    episode's length."""
     num_starts: jax.Array
     """int32 [M], number of starts in each row of `starts`."""
     episode_length: int = flax.struct.field(pytree_node=False)
@@ -70,7 +72,8 @@ class GraphWalk(Environment):
     train_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     test_backgrounds: jax.Array | None = flax.struct.field(default=None, kw_only=True)
     views: jax.Array | None = flax.struct.field(default=None, kw_only=True)
-    """int32 [K, V], images that show the same state as each image. On arrival one of them is drawn at random. None: every state has one image."""
+    """int32 [K, V], images that show the same state as each image. On arrival one of them is drawn at random. None:
+    every state has one image."""
 
     @property
     def action_size(self) -> int:
@@ -88,7 +91,14 @@ class GraphWalk(Environment):
         row = self.place[goal]
         node = self.starts[row, jax.random.randint(key, (), 0, self.num_starts[row])]
         false, key = jnp.zeros((), bool), None if self.views is None else key
-        return GraphState(node=node, goal=jnp.asarray(goal, jnp.int32), time=jnp.zeros((), jnp.int32), terminated=false, truncated=false, key=key)
+        return GraphState(
+            node=node,
+            goal=jnp.asarray(goal, jnp.int32),
+            time=jnp.zeros((), jnp.int32),
+            terminated=false,
+            truncated=false,
+            key=key,
+        )
 
     def step(self, state: GraphState, action: jax.Array) -> GraphState:
         """Follow the edge of this action (int32). An action without an edge stays in place."""
@@ -96,7 +106,9 @@ class GraphWalk(Environment):
         if self.views is not None:
             node = jax.random.choice(jax.random.fold_in(state.key, time), self.views[node])
         terminated = self.reached(node, state.goal)
-        return state.replace(node=node, time=time, terminated=terminated, truncated=(time >= self.episode_length) & ~terminated)
+        return state.replace(
+            node=node, time=time, terminated=terminated, truncated=(time >= self.episode_length) & ~terminated
+        )
 
     def observe(self, state: GraphState) -> jax.Array:
         """The stored observation: the index of the image, int32."""
@@ -160,23 +172,25 @@ class DetectionWalk(GraphWalk):
 def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
     """Edges int32 [K, A] between the images of a dataset, as in `GraphWalk.next_node`, and `GraphWalk.views`.
 
-    An edge leads to the first image of the next state. States with fewer images than others repeat theirs. Raises `UserError` for moves that
-    contradict each other.
+    An edge leads to the first image of the next state. States with fewer images than others repeat theirs. Raises
+    `UserError` for moves that contradict each other.
     """
     following = frames.next_state(data)
     order = np.argsort(data.state, kind="stable")
     images, counts = np.split(order, np.cumsum(np.bincount(data.state))[:-1]), np.bincount(data.state)
     first = np.array([each[0] for each in images], np.int32)
     moved = following != np.arange(len(following))[:, None]
-    edges = np.where(moved[data.state], first[following][data.state], np.arange(len(data.frames))[:, None]).astype(np.int32)
+    edges = np.where(moved[data.state], first[following][data.state], np.arange(len(data.frames))[:, None]).astype(
+        np.int32
+    )
     if counts.max() == 1:
         return edges, None
     return edges, np.stack([np.resize(each, counts.max()) for each in images]).astype(np.int32)[data.state]
 
 
 def distances(next_node: np.ndarray, at_goal: np.ndarray) -> np.ndarray:
-    """Steps from every node to the nearest node that reaches each goal, int16 [M, K], by breadth-first search. next_node: int32 [K, A]; at_goal: bool
-    [K, M]."""
+    """Steps from every node to the nearest node that reaches each goal, int16 [M, K], by breadth-first search.
+    next_node: int32 [K, A]; at_goal: bool [K, M]."""
     distance = np.full((at_goal.shape[1], len(next_node)), UNREACHABLE, np.int16)
     distance[at_goal.T] = 0
     for step in range(1, len(next_node) + 1):
@@ -188,7 +202,8 @@ def distances(next_node: np.ndarray, at_goal: np.ndarray) -> np.ndarray:
 
 
 def pad_true(mask: np.ndarray) -> np.ndarray:
-    """Columns of the true entries of each row, padded with -1: bool [R, C] to int32 [R, K], where K is the largest count (at least 1)."""
+    """Columns of the true entries of each row, padded with -1: bool [R, C] to int32 [R, K], where K is the largest
+    count (at least 1)."""
     columns = np.full((len(mask), max(1, mask.sum(1).max(initial=0))), -1, np.int32)
     for row, row_mask in enumerate(mask):
         columns[row, : row_mask.sum()] = np.flatnonzero(row_mask)
@@ -206,7 +221,11 @@ def walk_arrays(next_node: np.ndarray, goals: GoalSet, distance: np.ndarray, epi
     place = np.zeros(goals.num_goals, np.int32)
     place[np.asarray(goals.evaluated)] = np.arange(len(goals.evaluated))
     return {
-        "next_node": jnp.asarray(next_node), "goals": goals, "place": jnp.asarray(place), "distance": jnp.asarray(distance),
-        "starts": jnp.asarray(np.maximum(pad_true(may_start), 0)), "num_starts": jnp.asarray(may_start.sum(1), jnp.int32),
+        "next_node": jnp.asarray(next_node),
+        "goals": goals,
+        "place": jnp.asarray(place),
+        "distance": jnp.asarray(distance),
+        "starts": jnp.asarray(np.maximum(pad_true(may_start), 0)),
+        "num_starts": jnp.asarray(may_start.sum(1), jnp.int32),
         "episode_length": episode_length,
     }

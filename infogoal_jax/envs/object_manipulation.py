@@ -1,7 +1,8 @@
-"""Object manipulation (paper, Sec. V-A.3): an arm turns a Rubik's cube, a joint by 15 degrees at a time, to the pose that an image shows.
+"""Object manipulation (paper, Sec. V-A.3): an arm turns a Rubik's cube, a joint by 15 degrees at a time, to the pose
+that an image shows.
 
-The world is a dataset of photographs, and a step leads from one to the next. Several joint settings show the cube in the same orientation. Goals are
-therefore the different orientations. A goal is reached within 10 degrees of it.
+The world is a dataset of photographs, and a step leads from one to the next. Several joint settings show the cube in
+the same orientation. Goals are therefore the different orientations. A goal is reached within 10 degrees of it.
 """
 
 import dataclasses
@@ -33,28 +34,36 @@ class ObjectManipulationConfig:
     """Source of the images, choice of the goals, and length of an episode."""
 
     dataset: str = ""
-    """File of an image dataset with poses (docs/datasets.md); empty: a generated arm with a cube (a stand-in), built once and kept in the
-    user's cache."""
+    """File of an image dataset with poses (docs/datasets.md); empty: a generated arm with a cube (a stand-in), built
+    once and kept in the user's cache."""
     generator_seed: int = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
-    """Generate only what the joints of the real arm can reach. Otherwise all three turn freely, as the paper's poses ask for."""
+    """Generate only what the joints of the real arm can reach. Otherwise all three turn freely, as the paper's poses
+    ask for."""
     goal_seed: int = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
     """Numbers of training [P], validation and test poses [P]."""
     backgrounds: str = ""
-    """Images that corrupt goals: cifar10, a folder, or empty for the crops of photographs that are shipped (docs/backgrounds.md)."""
+    """Images that corrupt goals: cifar10, a folder, or empty for the crops of photographs that are shipped
+    (docs/backgrounds.md)."""
     episode_length: int = 30
     """Steps after which an episode is truncated."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+        require(
+            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
+        )
         for name in ("generator_seed", "goal_seed"):
             require(getattr(self, name) >= 0, f"env.{name}", getattr(self, name), "give 0 or more")
-        require(min(self.num_goals) >= 0 and self.num_goals[0] > 0, "env.num_goals", self.num_goals,
-                "give at least 1 for training, 0 or more otherwise")
+        require(
+            min(self.num_goals) >= 0 and self.num_goals[0] > 0,
+            "env.num_goals",
+            self.num_goals,
+            "give at least 1 for training, 0 or more otherwise",
+        )
 
 
 @flax.struct.dataclass
@@ -85,7 +94,12 @@ class ObjectManipulation(GraphWalk):
     @property
     def space(self) -> JointSpace:
         """The target states of the arm, for a low level."""
-        require(self.joints.shape[1] > 0, "agent", "hrac", f"{self.source} has no joint angles for a low level to reach: give dqn")
+        require(
+            self.joints.shape[1] > 0,
+            "agent",
+            "hrac",
+            f"{self.source} has no joint angles for a low level to reach: give dqn",
+        )
         return JointSpace(self.joints.shape[1])
 
     def observe(self, state: GraphState) -> Posed:
@@ -105,7 +119,8 @@ class ObjectManipulation(GraphWalk):
         return self.goals.inputs[observation.frame]
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
-        """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32 [...]."""
+        """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32
+        [...]."""
         cosine_of_half = jnp.abs((self.quaternion[record] * self.goal_quaternion[goal]).sum(-1))
         return cosine_of_half > np.cos(REACHED / 2)
 
@@ -113,10 +128,20 @@ class ObjectManipulation(GraphWalk):
     def goal_positions(self) -> jax.Array:
         """Rotation matrices of the goals, float32 [N, 9]. Their distance grows with the angle between two poses."""
         w, x, y, z = self.goal_quaternion.T
-        return jnp.stack([
-            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-        ], axis=-1)
+        return jnp.stack(
+            [
+                1 - 2 * (y * y + z * z),
+                2 * (x * y - w * z),
+                2 * (x * z + w * y),
+                2 * (x * y + w * z),
+                1 - 2 * (x * x + z * z),
+                2 * (y * z - w * x),
+                2 * (x * z - w * y),
+                2 * (y * z + w * x),
+                1 - 2 * (x * x + y * y),
+            ],
+            axis=-1,
+        )
 
     @property
     def num_cells(self) -> int:
@@ -140,19 +165,30 @@ def quaternions(rotation: np.ndarray) -> np.ndarray:
 
 
 def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int, int, int], seed: int) -> np.ndarray:
-    """Choose uses of N orientations [N, 3, 3], int [N], positions in `goals.USES` or `NO_USE`, `counts` of each (Sec. V-B.1).
+    """Choose uses of N orientations [N, 3, 3], int [N], positions in `goals.USES` or `NO_USE`, `counts` of each (Sec.
+    V-B.1).
 
-    Training poses are uniform among those that can be reached (bool [N]). Validation and test poses are uniform among those within 90 degrees of
-    a training pose. No image reaches two of the chosen poses. Raises `UserError` where the dataset is too small.
+    Training poses are uniform among those that can be reached (bool [N]). Validation and test poses are uniform among
+    those within 90 degrees of a training pose. No image reaches two of the chosen poses. Raises `UserError` where the
+    dataset is too small.
     """
     uses, random = np.full(len(rotation), NO_USE), np.random.default_rng([seed, len(rotation)])
     free = reachable.copy()
     for use, count in enumerate(counts):
-        near = geodesic(rotation[:, None], rotation[uses == 0][None]).min(1) <= FARTHEST_TEST if use > 0 else np.ones(len(rotation), bool)
+        near = (
+            geodesic(rotation[:, None], rotation[uses == 0][None]).min(1) <= FARTHEST_TEST
+            if use > 0
+            else np.ones(len(rotation), bool)
+        )
         for _ in range(count):
             possible = np.flatnonzero(free & near)
-            require(len(possible) > 0, "env.num_goals", counts,
-                    f"the dataset shows too few poses for so many that lie 20 degrees apart ({reachable.sum()} can be reached): give fewer")
+            require(
+                len(possible) > 0,
+                "env.num_goals",
+                counts,
+                f"the dataset shows too few poses for so many that lie 20 degrees apart ({reachable.sum()} can be "
+                "reached): give fewer",
+            )
             chosen = random.choice(possible)
             uses[chosen] = use
             free &= geodesic(rotation, rotation[chosen]) > 2 * REACHED  # No turn is near both.
@@ -160,7 +196,8 @@ def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int,
 
 
 def plainest(joints: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """For each orientation the image int [N] that shows it with the smallest joint angles [K, J], as a person would pose the arm."""
+    """For each orientation the image int [N] that shows it with the smallest joint angles [K, J], as a person would
+    pose the arm."""
     turned = np.abs((joints + np.pi) % (2 * np.pi) - np.pi).sum(1)
     order = np.lexsort((turned, orientation))
     return order[np.unique(orientation[order], return_index=True)[1]]
@@ -171,10 +208,15 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # If the middle angle is 90 degrees, the other two are not unique and scipy warns.
+        warnings.simplefilter(
+            "ignore"
+        )  # If the middle angle is 90 degrees, the other two are not unique and scipy warns.
         angles = Rotation.from_matrix(rotation.astype(np.float64)).as_euler("ZYX", degrees=True).round().astype(int)
     kinds = ("pose", *(f"{use} pose" for use in USES))
-    return tuple(f"{kinds[use + 1]} yaw {yaw} pitch {pitch} roll {roll}" for use, (yaw, pitch, roll) in zip(uses, angles, strict=True))
+    return tuple(
+        f"{kinds[use + 1]} yaw {yaw} pitch {pitch} roll {roll}"
+        for use, (yaw, pitch, roll) in zip(uses, angles, strict=True)
+    )
 
 
 def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
@@ -197,13 +239,26 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
     return lay_out(data, backgrounds.load(config.backgrounds), config)
 
 
-def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: ObjectManipulationConfig) -> ObjectManipulation:
-    """Make the task from a dataset. Raises `UserError` for a dataset without poses, or in which no goals can be chosen."""
+def lay_out(
+    data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: ObjectManipulationConfig
+) -> ObjectManipulation:
+    """Make the task from a dataset. Raises `UserError` for a dataset without poses, or in which no goals can be
+    chosen."""
     given = config.dataset or data.about["name"]
-    require(data.rotation is not None, "env.dataset", given, "tells no poses: import it with columns qw, qx, qy, qz or roll, pitch, yaw")
+    require(
+        data.rotation is not None,
+        "env.dataset",
+        given,
+        "tells no poses: import it with columns qw, qx, qy, qz or roll, pitch, yaw",
+    )
     orientation = orientation_classes(data.rotation)
     names, first = np.unique(orientation, return_index=True)
-    require(len(names) <= MOST_GOALS, "env.dataset", given, f"shows {len(names)} different orientations: give at most {MOST_GOALS}")
+    require(
+        len(names) <= MOST_GOALS,
+        "env.dataset",
+        given,
+        f"shows {len(names)} different orientations: give at most {MOST_GOALS}",
+    )
     shown = first if data.joints is None else plainest(data.joints, orientation)
     rotation = data.rotation[shown]
     next_node, views = frame_edges(data)
@@ -215,18 +270,27 @@ def lay_out(data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: 
     evaluated = np.flatnonzero(uses != NO_USE)
     distance = distances(next_node, geodesic(data.rotation[:, None], rotation[evaluated][None]) < REACHED)
     alone = evaluated[~possible_starts(distance, config.episode_length).any(1)]
-    require(not len(alone), "env.dataset", given,
-            f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: record moves that lead there, "
-            "or give a longer episode_length or another goal_seed")
+    require(
+        not len(alone),
+        "env.dataset",
+        given,
+        f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: "
+        "record moves that lead there, "
+        "or give a longer episode_length or another goal_seed",
+    )
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)
     regions = tuple(f"near training pose {number}" for number in range(len(training)))
     goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
     return ObjectManipulation(
-        joints=jnp.asarray(joints), quaternion=jnp.asarray(quaternions(data.rotation)), orientation=jnp.asarray(orientation, jnp.int32),
-        goal_quaternion=jnp.asarray(quaternions(rotation)), views=None if views is None else jnp.asarray(views),
-        train_backgrounds=jnp.asarray(like_frames(behind.train, data)), test_backgrounds=jnp.asarray(like_frames(behind.test, data)),
+        joints=jnp.asarray(joints),
+        quaternion=jnp.asarray(quaternions(data.rotation)),
+        orientation=jnp.asarray(orientation, jnp.int32),
+        goal_quaternion=jnp.asarray(quaternions(rotation)),
+        views=None if views is None else jnp.asarray(views),
+        train_backgrounds=jnp.asarray(like_frames(behind.train, data)),
+        test_backgrounds=jnp.asarray(like_frames(behind.test, data)),
         source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; backgrounds: {behind.source}",
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

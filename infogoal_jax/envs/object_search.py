@@ -1,6 +1,8 @@
-"""Object search (paper, Sec. V-A.2): a robot moves along the edges of a graph of photographs until the object named by the goal is in view.
+"""Object search (paper, Sec. V-A.2): a robot moves along the edges of a graph of photographs until the object named by
+the goal is in view.
 
-An observation is the index of an image, and so is the record of what was achieved. Both are small in the replay buffer; arrays hold the rest.
+An observation is the index of an image, and so is the record of what was achieved. Both are small in the replay buffer;
+arrays hold the rest.
 """
 
 import dataclasses
@@ -21,11 +23,13 @@ class ObjectSearchConfig:
     """Source of the images, and length of an episode."""
 
     dataset: str = ""
-    """Folder in the format of the Active Vision Dataset; empty: a synthetic house (a stand-in), built once and kept in the user's cache."""
+    """Folder in the format of the Active Vision Dataset; empty: a synthetic house (a stand-in), built once and kept in
+    the user's cache."""
     scenes: tuple[str, ...] = ()
     """Scenes to use, such as Home_001_1; empty: all that the folder holds."""
     split: str = ""
-    """JSON file that names the objects, their rooms and their use (docs/object_search.md); empty: the authors' split."""
+    """JSON file that names the objects, their rooms and their use (docs/object_search.md); empty: the authors'
+    split."""
     text_embeddings: str = ""
     """Sentence embeddings of the object names, an npz of `infogoal data embed`; empty: those that the project ships."""
     image_size: int = 32
@@ -41,14 +45,24 @@ class ObjectSearchConfig:
         """Raise `UserError` for values out of range."""
         for name in ("image_size", "episode_length"):
             require(getattr(self, name) > 0, f"env.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(0 <= self.min_box_size < 1, "env.min_box_size", self.min_box_size, "give a share of the image's height, from 0 to below 1")
-        require(self.image_size % config.state_encoder.patch == 0, "env.image_size", self.image_size,
-                f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}")
+        require(
+            0 <= self.min_box_size < 1,
+            "env.min_box_size",
+            self.min_box_size,
+            "give a share of the image's height, from 0 to below 1",
+        )
+        require(
+            self.image_size % config.state_encoder.patch == 0,
+            "env.image_size",
+            self.image_size,
+            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}",
+        )
 
 
 @flax.struct.dataclass
 class ObjectSearch(DetectionWalk):
-    """The environment: a walk on a graph of grey photographs. All goals are known. position: x and y on the plan (m), heading (radians)."""
+    """The environment: a walk on a graph of grey photographs. All goals are known. position: x and y on the plan (m),
+    heading (radians)."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""
@@ -62,7 +76,10 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
     embeddings = text.load(config.text_embeddings) if config.text_embeddings else text.load_shipped()
     inputs = text.embed_known([name.replace("_", " ") for name in names], embeddings)
     reading = {
-        "objects": names, "scenes": config.scenes or None, "image_size": config.image_size, "min_box_size": config.min_box_size,
+        "objects": names,
+        "scenes": config.scenes or None,
+        "image_size": config.image_size,
+        "min_box_size": config.min_box_size,
         "max_difficulty": config.max_difficulty,
     }
     if config.dataset:
@@ -74,24 +91,34 @@ def make(config: ObjectSearchConfig) -> ObjectSearch:
     return lay_out(scenes, split, inputs, config.episode_length)
 
 
-def lay_out(scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.ndarray, episode_length: int) -> ObjectSearch:
-    """Make the environment from scenes whose object names are the split's training, validation and test objects in this order.
+def lay_out(
+    scenes: active_vision.SearchScenes, split: splits.Split, inputs: np.ndarray, episode_length: int
+) -> ObjectSearch:
+    """Make the environment from scenes whose object names are the split's training, validation and test objects in this
+    order.
 
     inputs: float32 [N, D], goal input of each object. Raises `UserError` for an object that no episode can reach.
     """
     names = split.objects
-    require(bool(split.train), "env.split", "", "names no training object; mark at least one with \"use\": \"train\"")
+    require(bool(split.train), "env.split", "", 'names no training object; mark at least one with "use": "train"')
     distance = distances(scenes.next_state, scenes.visible)
     reachable = possible_starts(distance, episode_length).any(1)
     unreachable = [name for name, possible in zip(names, reachable, strict=True) if not possible]
-    require(not unreachable, "env.split", ", ".join(unreachable),
-            f"can be reached within {episode_length} steps from nowhere in {scenes.source}: take it out of the split, "
-            "lower env.min_box_size, or run `infogoal data check` on the dataset")
+    require(
+        not unreachable,
+        "env.split",
+        ", ".join(unreachable),
+        f"can be reached within {episode_length} steps from nowhere in {scenes.source}: take it out of the split, "
+        "lower env.min_box_size, or run `infogoal data check` on the dataset",
+    )
     content = archives.content_of(scenes.images, scenes.next_state, scenes.visible, inputs)
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
     goals = GoalSet.of(inputs, [split.rooms[name] for name in names], uses, names, split.room_names)
     return ObjectSearch(
-        images=jnp.asarray(scenes.images), achieved_goals=jnp.asarray(pad_true(scenes.visible)), in_view=jnp.asarray(scenes.visible),
-        position=jnp.asarray(scenes.position), source=f"{scenes.source}, content {content}",
+        images=jnp.asarray(scenes.images),
+        achieved_goals=jnp.asarray(pad_true(scenes.visible)),
+        in_view=jnp.asarray(scenes.visible),
+        position=jnp.asarray(scenes.position),
+        source=f"{scenes.source}, content {content}",
         **walk_arrays(scenes.next_state, goals, distance, episode_length),
     )

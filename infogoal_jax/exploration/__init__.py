@@ -3,7 +3,6 @@
 from infogoal_jax.exploration import none, sse_db
 from infogoal_jax.registry import Entry, Registry
 
-registry = Registry("explorer", {
-    "none": Entry(none.NoneConfig, none.make),
-    "sse_db": Entry(sse_db.SSEDBConfig, sse_db.make),
-})
+registry = Registry(
+    "explorer", {"none": Entry(none.NoneConfig, none.make), "sse_db": Entry(sse_db.SSEDBConfig, sse_db.make)}
+)

@@ -1,4 +1,5 @@
-"""The contract of an explorer: it learns a representation of states beside the agent's, and pays a bonus for moves whose outcome it does not know.
+"""The contract of an explorer: it learns a representation of states beside the agent's, and pays a bonus for moves
+whose outcome it does not know.
 
 Shapes: B single steps, K observations, A actions, F features of a state.
 """
@@ -28,9 +29,11 @@ class Explorer(NamedTuple):
     """An explorer of K observations with A actions."""
 
     init: Callable[[jax.Array, jax.Array, int], tuple[Any, Any]]
-    """(key, features [F], num_actions) -> (params, state). The gradient trains the parameters; the state is everything else."""
+    """(key, features [F], num_actions) -> (params, state). The gradient trains the parameters; the state is everything
+    else."""
     compute_bonus: Callable[[Any, Any, jax.Array, Trajectories, jax.Array, jax.Array], tuple[jax.Array, Any]]
-    """(params, state, features [K, F], rows: Trajectories, written bool [R], discount) -> (bonus float32 [K, A], state). Called once an epoch on
-    the replay buffer, of which the rows `written` hold something. The bonus is looked up when a step is sampled, and not stored."""
+    """(params, state, features [K, F], rows: Trajectories, written bool [R], discount) -> (bonus float32 [K, A],
+    state). Called once an epoch on the replay buffer, of which the rows `written` hold something. The bonus is looked
+    up when a step is sampled, and not stored."""
     loss: Callable[[Any, Any, Moves, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]
     """(params, state, moves: Moves, key) -> (loss, metrics, state)."""

@@ -1,7 +1,8 @@
 """SSE-DB, self-supervised exploration by a dynamic bottleneck (Bai et al., NeurIPS 2021).
 
-A move (s, a) is encoded as a Gaussian code z, which has to predict the next state and is compressed towards N(0, I). The KL of the code in nats is
-the bonus for the move. The loss also trains the state encoder, which the explorer shares with the agent.
+A move (s, a) is encoded as a Gaussian code z, which has to predict the next state and is compressed towards N(0, I).
+The KL of the code in nats is the bonus for the move. The loss also trains the state encoder, which the explorer shares
+with the agent.
 """
 
 import dataclasses
@@ -20,12 +21,15 @@ from infogoal_jax.replay import Trajectories
 
 NUM_BLOCKS = 2
 MINIMUM_SCALE = 0.1  # Standard deviation of predictions: without it exact ones would make the likelihood unbounded.
-MINIMUM_RETURN = 1e-3  # Standard deviation of the bonus's returns, in nats. Below it the bonus no longer tells moves apart.
+MINIMUM_RETURN = (
+    1e-3  # Standard deviation of the bonus's returns, in nats. Below it the bonus no longer tells moves apart.
+)
 
 
 @dataclasses.dataclass(frozen=True)
 class SSEDBConfig:
-    """Sizes and weights of the dynamic bottleneck. Sizes are about a quarter of the original's, for images of a quarter of the side."""
+    """Sizes and weights of the dynamic bottleneck. Sizes are about a quarter of the original's, for images of a quarter
+    of the side."""
 
     latent_size: int = 32
     """Size of the code z of a move; the original has 128."""
@@ -34,8 +38,8 @@ class SSEDBConfig:
     projection_size: int = 64
     """Size of the projections for InfoNCE; the original has 128."""
     kl_weight: float = 0.001
-    """alpha 1: weight of the KL of the code to N(0, I). The authors have 0.1, and 0.001 for some games. With 0.1 the shared state encoder collapses
-    here [M]. 0 or more."""
+    """alpha 1: weight of the KL of the code to N(0, I). The authors have 0.1, and 0.001 for some games. With 0.1 the
+    shared state encoder collapses here [M]. 0 or more."""
     prediction_weight: float = 0.1
     """alpha 2: weight of the log-likelihood of the next state's features. 0 or more."""
     contrastive_weight: float = 0.1
@@ -46,9 +50,16 @@ class SSEDBConfig:
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         for name in ("latent_size", "width", "projection_size"):
-            require(getattr(self, name) > 0, f"explorer.{name}", getattr(self, name), "give a whole number greater than 0")
+            require(
+                getattr(self, name) > 0, f"explorer.{name}", getattr(self, name), "give a whole number greater than 0"
+            )
         for name in ("kl_weight", "prediction_weight", "contrastive_weight"):
-            require(0 <= getattr(self, name) < float("inf"), f"explorer.{name}", getattr(self, name), "give 0 or more, for example 0.1")
+            require(
+                0 <= getattr(self, name) < float("inf"),
+                f"explorer.{name}",
+                getattr(self, name),
+                "give 0 or more, for example 0.1",
+            )
 
 
 @flax.struct.dataclass
@@ -72,7 +83,8 @@ class MoveLayer(nn.Module):
 
 
 class Transition(nn.Module):
-    """g(z|s, a): features [..., F] and one-hot actions [..., A] to mean and std of the code [..., latent_size]. Every layer sees the action."""
+    """g(z|s, a): features [..., F] and one-hot actions [..., A] to mean and std of the code [..., latent_size]. Every
+    layer sees the action."""
 
     width: int
     latent_size: int
@@ -99,12 +111,15 @@ class Projection(nn.Module):
 
 
 def contrast(score: jax.Array, predicted: jax.Array, followed: jax.Array) -> jax.Array:
-    """log softmax [B, B] of the bilinear scores u W v / sqrt(d) of predictions [B, d] and next states [B, d]. The true pairs are on the diagonal."""
+    """log softmax [B, B] of the bilinear scores u W v / sqrt(d) of predictions [B, d] and next states [B, d]. The true
+    pairs are on the diagonal."""
     return jax.nn.log_softmax(predicted @ score @ followed.T / jnp.sqrt(predicted.shape[-1]), axis=-1)
 
 
 def discounted_returns(reward: jax.Array, valid: jax.Array, discount: jax.Array | float) -> jax.Array:
-    """Discounted return of each step within its episode, float32 [R, T], from rewards [R, T]; 0 where the transition is not valid [R, T]."""
+    """Discounted return of each step within its episode, float32 [R, T], from rewards [R, T]; 0 where the transition is
+    not valid [R, T]."""
+
     def back(following, now):
         reward, valid = now
         total = jnp.where(valid, reward + discount * following, 0.0)
@@ -136,7 +151,8 @@ def make(config: SSEDBConfig) -> Explorer:
         return GoalCode(*transition.apply(params["transition"], features, action))
 
     def compute_bonus(params, state, features, rows: Trajectories, written, discount):
-        """Bonus KL(g(z|s, a) || N(0, I)) of every move, divided by the standard deviation of its discounted returns in the replay buffer."""
+        """Bonus KL(g(z|s, a) || N(0, I)) of every move, divided by the standard deviation of its discounted returns in
+        the replay buffer."""
         bonus = kl_to_standard_normal(code_of(params, features[:, None], state.actions))
         bonus = jnp.sqrt(jnp.maximum(bonus, 0.0)) if config.square_root else bonus
         counted = rows.valid & written[:, None]
@@ -145,13 +161,16 @@ def make(config: SSEDBConfig) -> Explorer:
         return bonus / jnp.maximum(deviation, MINIMUM_RETURN), state.replace(scale=deviation)
 
     def loss(params, state, moves: Moves, key):
-        """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, where InfoNCE is a log softmax."""
+        """The dynamic bottleneck (Bai et al. 2021): alpha 1 KL - alpha 2 log q(s'|z) - alpha 3 InfoNCE, where InfoNCE
+        is a log softmax."""
         code_key, prediction_key = jax.random.split(key)
         following = jax.lax.stop_gradient(moves.next_features)
         code = code_of(params, moves.features, state.actions[moves.action])
         mean = decoder(following.shape[-1]).apply(params["decoder"], code.sample(code_key))
         scale = MINIMUM_SCALE + jnp.exp(params["log_scale"])
-        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).mean(-1)  # Per feature: of the order of 1.
+        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).mean(
+            -1
+        )  # Per feature: of the order of 1.
         drawn = GoalCode(mean, scale).sample(prediction_key)
         followed = projection.apply(jax.lax.stop_gradient(params["projection"]), following)
         chances = contrast(params["score"], projection.apply(params["projection"], drawn), followed)
@@ -162,7 +181,11 @@ def make(config: SSEDBConfig) -> Explorer:
             # Where several moves of the batch lead to one state, any of them is correct.
             "accuracy": (following[chances.argmax(-1)] == following).all(-1).mean(),
         }
-        weights = {"kl": config.kl_weight, "prediction_loss": config.prediction_weight, "contrastive_loss": config.contrastive_weight}
+        weights = {
+            "kl": config.kl_weight,
+            "prediction_loss": config.prediction_weight,
+            "contrastive_loss": config.contrastive_weight,
+        }
         return sum(weight * metrics[name] for name, weight in weights.items()), metrics, state
 
     return Explorer(init, compute_bonus, loss)

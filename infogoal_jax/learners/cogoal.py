@@ -1,8 +1,10 @@
-"""COGOAL (Zou & Suzuki, ICONIP 2021): a deterministic goal code in which goals that are achieved close together in time lie close together.
+"""COGOAL (Zou & Suzuki, ICONIP 2021): a deterministic goal code in which goals that are achieved close together in time
+lie close together.
 
-The loss pulls together codes of goals achieved within a window of one trajectory, and pushes away codes of random goals. It is InfoGoal's contrastive
-bound without noise, without compression and without a dissimilarity matrix (docs/infogoal.md explains the bound). It follows the description in the
-later paper, because the full text was not available.
+The loss pulls together codes of goals achieved within a window of one trajectory, and pushes away codes of random
+goals. It is InfoGoal's contrastive bound without noise, without compression and without a dissimilarity matrix
+(docs/infogoal.md explains the bound). It follows the description in the later paper, because the full text was not
+available.
 """
 
 import dataclasses
@@ -33,9 +35,15 @@ class CoGoalConfig(GoalEncoderConfig):
         """Raise `UserError` for values out of range."""
         super().check(config)
         for name in ("num_pairs", "num_negatives"):
-            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(0 <= self.window <= config.env.episode_length, "learner.window", self.window,
-                f"must lie between 0 and the episode length, {config.env.episode_length}")
+            require(
+                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
+            )
+        require(
+            0 <= self.window <= config.env.episode_length,
+            "learner.window",
+            self.window,
+            f"must lie between 0 and the episode length, {config.env.episode_length}",
+        )
         require(self.norm_penalty >= 0, "learner.norm_penalty", self.norm_penalty, "give 0 or more, for example 1e-5")
 
 
@@ -43,9 +51,12 @@ def make(config: CoGoalConfig) -> Learner:
     """The COGOAL learner for this configuration."""
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Minus the contrastive bound (Eq. 13 of InfoGoal with std = 0 and beta = 0), plus the penalty on the codes' norms."""
+        """Minus the contrastive bound (Eq. 13 of InfoGoal with std = 0 and beta = 0), plus the penalty on the codes'
+        norms."""
         pairs = batch.pairs
-        anchor, positive, negative = (code.mean for code in encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative))
+        anchor, positive, negative = (
+            code.mean for code in encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative)
+        )
         log_positive, log_negative = log_score(anchor, positive), log_score(anchor[:, None], negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
         bound = contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf))
@@ -54,9 +65,13 @@ def make(config: CoGoalConfig) -> Learner:
         squared_norm = sum(weighted_mean((code**2).sum(-1), weight) for code, weight in took_part) / len(took_part)
         metrics = {
             "contrastive": contrastive,
-            "accuracy": weighted_mean(log_positive[:, None] > log_negative, weights),  # As InfoGoal's Eq. 14: ties count as wrong.
+            "accuracy": weighted_mean(
+                log_positive[:, None] > log_negative, weights
+            ),  # As InfoGoal's Eq. 14: ties count as wrong.
             "code_norm": jnp.sqrt(squared_norm),
-            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),  # Always correct: codes have no noise.
+            "self_pairs": weighted_mean(
+                pairs.anchor == pairs.positive, pairs.positive_weight
+            ),  # Always correct: codes have no noise.
         }
         return contrastive + config.norm_penalty * squared_norm, metrics, state
 

@@ -1,7 +1,9 @@
-"""Discrete goal codes (DGRL: Islam et al. 2022, "Discrete Factorial Representations as an Abstraction for Goal Conditioned RL").
+"""Discrete goal codes (DGRL: Islam et al. 2022, "Discrete Factorial Representations as an Abstraction for Goal
+Conditioned RL").
 
-A code that reconstructs the goal is cut into segments, and each segment is replaced by the nearest vector of one codebook (van den Oord et al. 2017).
-Goals therefore share parts. The gradient passes the replacement unchanged (straight-through).
+A code that reconstructs the goal is cut into segments, and each segment is replaced by the nearest vector of one
+codebook (van den Oord et al. 2017). Goals therefore share parts. The gradient passes the replacement unchanged
+(straight-through).
 """
 
 import dataclasses
@@ -19,7 +21,9 @@ from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Sampl
 USAGE_RATE = 0.01  # Rate of the running share of segments that use each code vector.
 PATIENCE = 100  # Updates after which an unused code vector is revived.
 INITIAL_GOALS = 256  # Goals whose segments initialise the codebook: a large set of images cannot be encoded at once.
-INITIAL_NOISE = 0.01  # Noise on the first code vectors, in standard deviations of the segments, so that no two are equal.
+INITIAL_NOISE = (
+    0.01  # Noise on the first code vectors, in standard deviations of the segments, so that no two are equal.
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,17 +41,30 @@ class DGRLConfig(GoalEncoderConfig):
     revival: float = 1.0
     """Weight of the loss that pulls unused code vectors back to the segments; 0: they stay unused."""
     vector_std: float = 0.05
-    """Standard deviation of the decoder for goals that are vectors, as in the VAE. It sets the weight of their reconstruction."""
+    """Standard deviation of the decoder for goals that are vectors, as in the VAE. It sets the weight of their
+    reconstruction."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
         for name in ("num_goals", "factors", "codes"):
-            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(self.latent_size % self.factors == 0, "learner.factors", self.factors, f"must divide learner.latent_size, {self.latent_size}")
+            require(
+                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
+            )
+        require(
+            self.latent_size % self.factors == 0,
+            "learner.factors",
+            self.factors,
+            f"must divide learner.latent_size, {self.latent_size}",
+        )
         for name in ("commitment", "revival"):
             require(getattr(self, name) >= 0, f"learner.{name}", getattr(self, name), "give 0 or more")
-        require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")
+        require(
+            self.vector_std > 0,
+            "learner.vector_std",
+            self.vector_std,
+            "give a standard deviation greater than 0, for example 0.05",
+        )
 
 
 @flax.struct.dataclass
@@ -59,7 +76,8 @@ class DGRLState:
     idle: jax.Array
     """int32 [codes], updates since the code vector was last used."""
     home: jax.Array
-    """float32 [codes, d / factors], where a code vector is revived: in standard deviations of the segments, from their mean."""
+    """float32 [codes, d / factors], where a code vector is revived: in standard deviations of the segments, from their
+    mean."""
 
 
 def squared_distance(first: jax.Array, second: jax.Array) -> jax.Array:
@@ -78,17 +96,20 @@ def straight_through(segments: jax.Array, vectors: jax.Array) -> jax.Array:
 
 
 def distances_to_codes(segments: jax.Array, vectors: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """|sg[y] - e|^2 and |y - sg[e]|^2, means over segments [..., D] (van den Oord et al., Eq. 3): for the codebook, and for segments."""
+    """|sg[y] - e|^2 and |y - sg[e]|^2, means over segments [..., D] (van den Oord et al., Eq. 3): for the codebook, and
+    for segments."""
     codebook_loss = ((jax.lax.stop_gradient(segments) - vectors) ** 2).sum(-1).mean()
     commitment_loss = ((segments - jax.lax.stop_gradient(vectors)) ** 2).sum(-1).mean()
     return codebook_loss, commitment_loss
 
 
 def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, state: DGRLState) -> jax.Array:
-    """Pull each code vector that was unused for `PATIENCE` updates to a segment. No other code vector and no segment gets a gradient.
+    """Pull each code vector that was unused for `PATIENCE` updates to a segment. No other code vector and no segment
+    gets a gradient.
 
-    The segment, of [N, D], lies near the code vector's home; segments far from their own code vector are preferred. Homes are spread like the
-    segments and fixed, so that revived vectors neither meet in one place nor follow the draws of a batch.
+    The segment, of [N, D], lies near the code vector's home; segments far from their own code vector are preferred.
+    Homes are spread like the segments and fixed, so that revived vectors neither meet in one place nor follow the draws
+    of a batch.
     """
     segments = jax.lax.stop_gradient(segments)
     error = ((segments - jax.lax.stop_gradient(codebook)[indices]) ** 2).sum(-1)
@@ -138,11 +159,15 @@ def make(config: DGRLConfig) -> Learner:
         if len(inputs) > INITIAL_GOALS:
             inputs = inputs[jax.random.choice(keys[1], len(inputs), (INITIAL_GOALS,), replace=False)]
         segments = segments_of(config, encoder_params, inputs).reshape(-1, config.latent_size // config.factors)
-        chosen = segments[jax.random.choice(keys[2], len(segments), (config.codes,), replace=len(segments) < config.codes)]
+        chosen = segments[
+            jax.random.choice(keys[2], len(segments), (config.codes,), replace=len(segments) < config.codes)
+        ]
         noise = INITIAL_NOISE * segments.std(0) * jax.random.normal(keys[3], chosen.shape)
         decoder_params = vae.init_decoder(keys[4], config.hidden, config.latent_size, inputs)
         params = {"encoder": encoder_params, "decoder": decoder_params, "codebook": chosen + noise}
-        state = DGRLState(jnp.zeros(config.codes), jnp.zeros(config.codes, jnp.int32), jax.random.normal(keys[5], chosen.shape))
+        state = DGRLState(
+            jnp.zeros(config.codes), jnp.zeros(config.codes, jnp.int32), jax.random.normal(keys[5], chosen.shape)
+        )
         return params, state
 
     def encode(params, goal_inputs):
@@ -151,8 +176,9 @@ def make(config: DGRLConfig) -> Learner:
         return GoalCode(straight_through(segments, vectors).reshape(*segments.shape[:-2], config.latent_size))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Reconstruction from the discrete code in the VAE's scale, plus the distances between segments and code vectors (Islam et al.), plus the
-        revival loss. The revival loss replaces the usual reset of unused code vectors, because only gradients change parameters here."""
+        """Reconstruction from the discrete code in the VAE's scale, plus the distances between segments and code
+        vectors (Islam et al.), plus the revival loss. The revival loss replaces the usual reset of unused code vectors,
+        because only gradients change parameters here."""
         inputs = batch.inputs_of(batch.goals)
         segments = segments_of(config, params["encoder"], inputs)
         indices = nearest(segments, params["codebook"])
@@ -165,9 +191,16 @@ def make(config: DGRLConfig) -> Learner:
         revival = revival_loss(params["codebook"], segments.reshape(indices.size, -1), indices.reshape(-1), state)
         state = after_use(state, indices.reshape(-1))
         metrics = {
-            "reconstruction_error": error.mean() / size, "codebook_loss": codebook_loss, "commitment_loss": commitment_loss,
-            "codes_used": (state.idle < PATIENCE).sum().astype(jnp.float32), "perplexity": perplexity(state.usage),
+            "reconstruction_error": error.mean() / size,
+            "codebook_loss": codebook_loss,
+            "commitment_loss": commitment_loss,
+            "codes_used": (state.idle < PATIENCE).sum().astype(jnp.float32),
+            "perplexity": perplexity(state.usage),
         }
-        return reconstruction + codebook_loss + config.commitment * commitment_loss + config.revival * revival, metrics, state
+        return (
+            reconstruction + codebook_loss + config.commitment * commitment_loss + config.revival * revival,
+            metrics,
+            state,
+        )
 
     return Learner(init, encode, loss, SampleSpec(num_goals=config.num_goals))

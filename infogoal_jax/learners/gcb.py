@@ -1,17 +1,21 @@
-"""GCB, goal-conditioned bisimulation (Hansen-Estruch, Zhang, Nair, Yin, Levine 2022): pairs of state and goal are similar if their rewards are.
+"""GCB, goal-conditioned bisimulation (Hansen-Estruch, Zhang, Nair, Yin, Levine 2022): pairs of state and goal are
+similar if their rewards are.
 
-The distance of two paired codes phi(s, g) is the difference of their rewards plus the distance of the pairs that follow. A second loss fits
-psi(g) - psi(s) to phi(s, g); this difference is the goal's code for the policy and says what is left to do. With sparse rewards most target distances
-are 0, and the paired codes may collapse: watch the metric `code_spread`. As in the authors' code, a decoder reads rewards out of the paired codes,
-which counters the collapse, and some transitions get a goal achieved later, so that codes are learned for more than the training goals.
+The distance of two paired codes phi(s, g) is the difference of their rewards plus the distance of the pairs that
+follow. A second loss fits psi(g) - psi(s) to phi(s, g); this difference is the goal's code for the policy and says what
+is left to do. With sparse rewards most target distances are 0, and the paired codes may collapse: watch the metric
+`code_spread`. As in the authors' code, a decoder reads rewards out of the paired codes, which counters the collapse,
+and some transitions get a goal achieved later, so that codes are learned for more than the training goals.
 
 Three things differ from the authors' code:
 
-- There the agent also learns from the relabelled transitions. Here it does with `--relabelling her` only, so that methods differ in codes alone.
-- There the method has its own encoders. Here the state encoder belongs to the agent, and only the agent's loss trains it, as with every other method:
-  gradients of the losses below stop at the state's features.
-- There phi(g, g) is subtracted from the target of psi, so that nothing is left to do at the goal. Here a goal may be a text or an image of an object
-  while a state is a view from the robot. A pair (g, g) does not exist, and the target of psi is phi(s, g).
+- There the agent also learns from the relabelled transitions. Here it does with `--relabelling her` only, so that
+  methods differ in codes alone.
+- There the method has its own encoders. Here the state encoder belongs to the agent, and only the agent's loss trains
+  it, as with every other method: gradients of the losses below stop at the state's features.
+- There phi(g, g) is subtracted from the target of psi, so that nothing is left to do at the goal. Here a goal may be a
+  text or an image of an object while a state is a view from the robot. A pair (g, g) does not exist, and the target of
+  psi is phi(s, g).
 """
 
 import dataclasses
@@ -46,12 +50,33 @@ class GCBConfig(GoalEncoderConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(all(width > 0 for width in self.paired_hidden), "learner.paired_hidden", self.paired_hidden,
-                "give widths greater than 0, for example 128 128")
-        require(self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder")
-        require(0 <= self.relabelled_share <= 1, "learner.relabelled_share", self.relabelled_share, "give a share from 0 to 1")
-        require(self.reward_weight > 0, "learner.reward_weight", self.reward_weight, "give a number greater than 0: 0 makes all pairs alike")
-        require(self.policy_input in ("difference", "goal"), "learner.policy_input", self.policy_input, "give difference or goal")
+        require(
+            all(width > 0 for width in self.paired_hidden),
+            "learner.paired_hidden",
+            self.paired_hidden,
+            "give widths greater than 0, for example 128 128",
+        )
+        require(
+            self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder"
+        )
+        require(
+            0 <= self.relabelled_share <= 1,
+            "learner.relabelled_share",
+            self.relabelled_share,
+            "give a share from 0 to 1",
+        )
+        require(
+            self.reward_weight > 0,
+            "learner.reward_weight",
+            self.reward_weight,
+            "give a number greater than 0: 0 makes all pairs alike",
+        )
+        require(
+            self.policy_input in ("difference", "goal"),
+            "learner.policy_input",
+            self.policy_input,
+            "give difference or goal",
+        )
 
 
 class PairedEncoder(nn.Module):
@@ -69,7 +94,9 @@ class PairedEncoder(nn.Module):
     def __call__(self, features, goal_inputs):
         goal = networks.GoalLayers(self.hidden, self.out, self.standardise)(goal_inputs)
         state = nn.Dense(self.out)(features)
-        return networks.MLP(self.paired_hidden, self.out)(jnp.concatenate([state, jnp.broadcast_to(goal, state.shape)], axis=-1))
+        return networks.MLP(self.paired_hidden, self.out)(
+            jnp.concatenate([state, jnp.broadcast_to(goal, state.shape)], axis=-1)
+        )
 
 
 class RewardDecoder(nn.Module):
@@ -83,12 +110,17 @@ class RewardDecoder(nn.Module):
         return nn.Dense(1)(nn.relu(joined))[..., 0]
 
 
-def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax.Array, partner: jax.Array, reward_weight: float) -> jax.Array:
-    """Target distance of paired codes (Hansen-Estruch et al., the goal-conditioned bisimulation metric), [B], without gradient.
+def bisimulation_target(
+    rewards: jax.Array, following: jax.Array, discounts: jax.Array, partner: jax.Array, reward_weight: float
+) -> jax.Array:
+    """Target distance of paired codes (Hansen-Estruch et al., the goal-conditioned bisimulation metric), [B], without
+    gradient.
 
-    c_r h(r_i - r_j) + || discount_i phi'_i - discount_j phi'_j ||_2, where h is the Huber loss (smooth L1) and phi' = phi(s', g) [B, d].
-    partner: int32 [B], j for each i. For equal discounts this is the authors' gamma || phi'_i - phi'_j ||. A terminated transition has discount 0
-    and no successor. Two of them differ by their rewards alone; one of them and a transition that continues differ by discount || phi' || too.
+    c_r h(r_i - r_j) + || discount_i phi'_i - discount_j phi'_j ||_2, where h is the Huber loss (smooth L1) and phi' =
+    phi(s', g) [B, d].
+    partner: int32 [B], j for each i. For equal discounts this is the authors' gamma || phi'_i - phi'_j ||. A terminated
+    transition has discount 0 and no successor. Two of them differ by their rewards alone; one of them and a transition
+    that continues differ by discount || phi' || too.
     """
     rewards, following = jax.lax.stop_gradient((rewards, discounts[:, None] * following))
     gap = optax.huber_loss(rewards, rewards[partner])
@@ -96,19 +128,24 @@ def bisimulation_target(rewards: jax.Array, following: jax.Array, discounts: jax
 
 
 def paired_loss(codes: jax.Array, target: jax.Array, partner: jax.Array) -> jax.Array:
-    """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]. The norm sums over d, so distances grow with d."""
+    """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]. The norm sums over d, so distances
+    grow with d."""
     gap = codes - codes[partner]
-    distance = (gap * jnp.sign(gap)).sum(-1)  # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
+    distance = (gap * jnp.sign(gap)).sum(
+        -1
+    )  # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
     return ((distance - target) ** 2).mean()
 
 
 def difference_loss(difference: jax.Array, paired: jax.Array, grounding: jax.Array | float = 0.0) -> jax.Array:
-    """L_psi = mean over pairs and d of (psi(g) - psi(s) - sg[phi(s, g) - grounding])^2; the authors' grounding is phi(g, g)."""
+    """L_psi = mean over pairs and d of (psi(g) - psi(s) - sg[phi(s, g) - grounding])^2; the authors' grounding is
+    phi(g, g)."""
     return ((difference - jax.lax.stop_gradient(paired - grounding)) ** 2).mean()
 
 
 def code_spread(codes: jax.Array) -> jax.Array:
-    """Standard deviation of codes [B, d] over their 1-norm, times sqrt(d) (authors' code): 0 if all are equal, 1.25 / sqrt(d) for Gaussian noise."""
+    """Standard deviation of codes [B, d] over their 1-norm, times sqrt(d) (authors' code): 0 if all are equal, 1.25 /
+    sqrt(d) for Gaussian noise."""
     size = jnp.abs(codes).sum(-1, keepdims=True)
     return jnp.sqrt(codes.shape[-1]) * (codes / jnp.maximum(size, 1e-12)).std(0, ddof=1).mean()
 
@@ -124,7 +161,8 @@ def make(config: GCBConfig) -> Learner:
         keys = jax.random.split(key, 4)
         goal_inputs, features = example.goal_inputs[:1], example.features[None]
         params = {
-            "encoder": encoder.init(keys[0], goal_inputs), "state_head": state_head.init(keys[1], features),
+            "encoder": encoder.init(keys[0], goal_inputs),
+            "state_head": state_head.init(keys[1], features),
             "paired": paired.init(keys[2], features, goal_inputs),
         }
         if config.reward_hidden:
@@ -141,15 +179,25 @@ def make(config: GCBConfig) -> Learner:
         return GoalCode(code.mean - state_head.apply(params["state_head"], features))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """L_phi of each n-step transition with another of the batch, plus L_psi, plus the squared error of the reward decoder."""
+        """L_phi of each n-step transition with another of the batch, plus L_psi, plus the squared error of the reward
+        decoder."""
         transitions = batch.transitions
         features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
-        codes, next_codes = paired.apply(params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired))
+        codes, next_codes = paired.apply(
+            params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired)
+        )
         partner = jax.random.permutation(key, len(codes))
-        target = bisimulation_target(transitions.reward, next_codes, transitions.discount, partner, config.reward_weight)
+        target = bisimulation_target(
+            transitions.reward, next_codes, transitions.discount, partner, config.reward_weight
+        )
         paired_error = paired_loss(codes, target, partner)
         psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes)
-        metrics = {"paired_loss": paired_error, "psi_loss": psi_error, "target": target.mean(), "code_spread": code_spread(codes)}
+        metrics = {
+            "paired_loss": paired_error,
+            "psi_loss": psi_error,
+            "target": target.mean(),
+            "code_spread": code_spread(codes),
+        }
         total = paired_error + psi_error
         if config.reward_hidden:
             decoded = decoder.apply(params["reward_decoder"], codes, next_codes)

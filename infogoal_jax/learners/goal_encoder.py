@@ -14,9 +14,15 @@ class GoalEncoderConfig:
     hidden: tuple[int, ...] = (128, 128, 128)
     """Widths of the goal encoder's layers [A]. A decoder has them in reverse order."""
     standardise_images: bool = False
-    """Give every goal image the same mean and contrast before it is encoded. This makes codes robust to corruption (docs/hrac.md)."""
+    """Give every goal image the same mean and contrast before it is encoded. This makes codes robust to corruption
+    (docs/hrac.md)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
-        require(all(width > 0 for width in self.hidden), "learner.hidden", self.hidden, "give widths greater than 0, for example 128 128 128")
+        require(
+            all(width > 0 for width in self.hidden),
+            "learner.hidden",
+            self.hidden,
+            "give widths greater than 0, for example 128 128 128",
+        )

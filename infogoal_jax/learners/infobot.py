@@ -1,8 +1,8 @@
 """InfoBot (Goyal et al. 2019): a goal code that limits how many bits of the goal the policy uses.
 
-The loss is beta times the KL of the Gaussian code to N(0, I). beta is constant after a warm-up. The intrinsic reward is large in states that were
-rarely visited, and for goals whose code has a large KL. As in the comparisons of InfoGoal's paper, the encoder sees the goal alone.
-`state_conditioned` is the original form p(z | s, g).
+The loss is beta times the KL of the Gaussian code to N(0, I). beta is constant after a warm-up. The intrinsic reward is
+large in states that were rarely visited, and for goals whose code has a large KL. As in the comparisons of InfoGoal's
+paper, the encoder sees the goal alone. `state_conditioned` is the original form p(z | s, g).
 """
 
 import dataclasses
@@ -27,9 +27,11 @@ class InfoBotConfig(GoalEncoderConfig):
     """Sizes and switches of InfoBot."""
 
     state_conditioned: bool = False
-    """Condition the code on the state too, p(z | s, g), as in the original. The comparisons of InfoGoal's paper encode the goal alone."""
+    """Condition the code on the state too, p(z | s, g), as in the original. The comparisons of InfoGoal's paper encode
+    the goal alone."""
     warm_up: int = 2000
-    """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would collapse for good."""
+    """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would
+    collapse for good."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -73,9 +75,13 @@ def make(config: InfoBotConfig) -> Learner:
         first, scale = example.goal_inputs[:1], jnp.ones(())
         params = {"encoder": encoder.init(goal_key, first)}
         if config.state_conditioned:
-            params["joint"] = joint_encoder.init(joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size)))
+            params["joint"] = joint_encoder.init(
+                joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size))
+            )
         else:
-            scale = kl_to_standard_normal(encode(params, first)).mean()  # Close to that of any goal, so that the running mean starts right.
+            scale = kl_to_standard_normal(
+                encode(params, first)
+            ).mean()  # Close to that of any goal, so that the running mean starts right.
         return params, InfoBotState(jnp.zeros(example.num_cells), scale, jnp.zeros((), jnp.int32))
 
     def encode(params, goal_inputs):
@@ -88,20 +94,27 @@ def make(config: InfoBotConfig) -> Learner:
         return GoalCode(*joint_encoder.apply(params["joint"], jnp.concatenate([features, code.mean], axis=-1)))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """beta KL(p(z | s, g) || N(0, I)) of the desired goals in bits (InfoBot's bound on I(A; G | S)); the authors' 0.01 has this scale."""
+        """beta KL(p(z | s, g) || N(0, I)) of the desired goals in bits (InfoBot's bound on I(A; G | S)); the authors'
+        0.01 has this scale."""
         code = batch.encode(batch.desired)
         if config.state_conditioned:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
         beta = hyper.beta * warmed_up(state.updates, config.warm_up)
-        metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}  # The KL in nats, as InfoGoal reports it.
+        metrics = {
+            "kl": kl,
+            "beta": beta,
+            "visited_cells": (state.counts > 0).sum(),
+        }  # The KL in nats, as InfoGoal reports it.
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
-        """KL(phi(g) || N(0, I)) / (its running mean * sqrt(c(s))), where c(s) is 1 + the visits so far to the cell that the step led to.
+        """KL(phi(g) || N(0, I)) / (its running mean * sqrt(c(s))), where c(s) is 1 + the visits so far to the cell that
+        the step led to.
 
-        The reward is of the order of 1 in a new cell. Its weight kappa is `intrinsic_weight / episode_length`: 0.01 for weight 1 and 100 steps. The
-        KL of the state-conditioned form would need the features of every state. Its mean is taken instead, so that only visits count.
+        The reward is of the order of 1 in a new cell. Its weight kappa is `intrinsic_weight / episode_length`: 0.01 for
+        weight 1 and 100 steps. The KL of the state-conditioned form would need the features of every state. Its mean is
+        taken instead, so that only visits count.
         """
         rarity = jax.lax.rsqrt(state.counts[visited.cell] + 1.0)
         if config.state_conditioned:
@@ -114,4 +127,10 @@ def make(config: InfoBotConfig) -> Learner:
         return state.replace(counts=count_visits(state.counts, cell, valid))
 
     return Learner(
-        init, encode, loss, intrinsic_reward=intrinsic_reward, observe=observe, condition=condition if config.state_conditioned else None)
+        init,
+        encode,
+        loss,
+        intrinsic_reward=intrinsic_reward,
+        observe=observe,
+        condition=condition if config.state_conditioned else None,
+    )

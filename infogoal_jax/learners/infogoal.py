@@ -1,8 +1,8 @@
 """InfoGoal (paper, Sec. IV): a goal code that tells similar goals from dissimilar ones and forgets the rest.
 
-Similar goals were achieved within a window of one trajectory. A contrastive bound on mutual information (Theorem 3) pulls their codes together
-and pushes those of dissimilar goals away. The KL to N(0, I), weighted by beta, compresses the codes. beta grows as long as the code tells similar
-from dissimilar goals (Eq. 15).
+Similar goals were achieved within a window of one trajectory. A contrastive bound on mutual information (Theorem 3)
+pulls their codes together and pushes those of dissimilar goals away. The KL to N(0, I), weighted by beta, compresses
+the codes. beta grows as long as the code tells similar from dissimilar goals (Eq. 15).
 """
 
 import dataclasses
@@ -35,27 +35,51 @@ class InfoGoalConfig(GoalEncoderConfig):
     num_negatives: int = 1
     """Negatives for each positive pair [A]. More of them shift the scale of beta."""
     loss: Literal["nce", "ratio"] = "nce"
-    """`nce`: Eq. 13 with the positive in the denominator; `ratio`: the authors' bounded exp(D+ - D-), with the KL in bits."""
+    """`nce`: Eq. 13 with the positive in the denominator; `ratio`: the authors' bounded exp(D+ - D-), with the KL in
+    bits."""
     score: Literal["distance", "bilinear"] = "distance"
-    """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the jointly optimised score of the paper."""
+    """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the jointly optimised score of the
+    paper."""
     negatives: Literal["anchored", "independent"] = "anchored"
-    """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn for it [A]."""
+    """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn
+    for it [A]."""
     beta_rule: Literal["linear", "sign", "fixed"] = "linear"
-    """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.learner.fixed-beta` (ablation of Fig. 15)."""
+    """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.learner.fixed-beta` (ablation of
+    Fig. 15)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
         for name in ("num_pairs", "num_negatives"):
-            require(getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(0 <= self.window <= config.env.episode_length, "learner.window", self.window,
-                f"must lie between 0 and the episode length, {config.env.episode_length}")
+            require(
+                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
+            )
+        require(
+            0 <= self.window <= config.env.episode_length,
+            "learner.window",
+            self.window,
+            f"must lie between 0 and the episode length, {config.env.episode_length}",
+        )
         require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")
         require(self.score in ("distance", "bilinear"), "learner.score", self.score, "give distance or bilinear")
-        require(self.loss == "nce" or self.score == "distance", "learner.loss", self.loss,
-                "the ratio form needs the bounded score: --learner.score distance")
-        require(self.negatives in ("anchored", "independent"), "learner.negatives", self.negatives, "give anchored or independent")
-        require(self.beta_rule in ("linear", "sign", "fixed"), "learner.beta_rule", self.beta_rule, "give linear, sign or fixed")
+        require(
+            self.loss == "nce" or self.score == "distance",
+            "learner.loss",
+            self.loss,
+            "the ratio form needs the bounded score: --learner.score distance",
+        )
+        require(
+            self.negatives in ("anchored", "independent"),
+            "learner.negatives",
+            self.negatives,
+            "give anchored or independent",
+        )
+        require(
+            self.beta_rule in ("linear", "sign", "fixed"),
+            "learner.beta_rule",
+            self.beta_rule,
+            "give linear, sign or fixed",
+        )
 
 
 @flax.struct.dataclass
@@ -83,7 +107,8 @@ class InfoGoalState:
 
 
 def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
-    """log f(z, z') [...] of codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' / sqrt(d)."""
+    """log f(z, z') [...] of codes [..., d]: minus the mean absolute difference, or the learned bilinear form z W z' /
+    sqrt(d)."""
     if "score" in params:
         return jnp.einsum("...i,ij,...j->...", first, params["score"], second) / jnp.sqrt(first.shape[-1])
     return information.log_score(first, second)
@@ -116,12 +141,15 @@ def make(config: InfoGoalConfig) -> Learner:
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
 
     def loss(params, state, batch: LearnerBatch, hyper, key):
-        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the mean KL of all codes in it."""
+        """Information bottleneck loss, Eq. 13: minus the contrastive bound, plus beta times the mean KL of all codes in
+        it."""
         pairs = batch.pairs
         independent = (pairs.contrast,) if config.negatives == "independent" else ()
         codes = encode_each(batch.encode, pairs.anchor, pairs.positive, pairs.negative, *independent)
         anchor_key, positive_key, contrast_key, negative_key = jax.random.split(key, 4)
-        anchor, positive, negative = (code.sample(k) for code, k in zip(codes[:3], (anchor_key, positive_key, negative_key), strict=True))
+        anchor, positive, negative = (
+            code.sample(k) for code, k in zip(codes[:3], (anchor_key, positive_key, negative_key), strict=True)
+        )
         contrast = codes[3].sample(contrast_key) if independent else jnp.broadcast_to(anchor[:, None], negative.shape)
         log_positive, log_negative = log_score(params, anchor, positive), log_score(params, contrast, negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
@@ -129,12 +157,16 @@ def make(config: InfoGoalConfig) -> Learner:
         took_part = list(zip(codes, (pairs.positive_weight, pairs.positive_weight, weights, weights), strict=False))
         kl = sum(weighted_mean(kl_to_standard_normal(code), weight) for code, weight in took_part) / len(took_part)
         if config.loss == "nce":
-            infomax = -weighted_mean(contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf)), any_negative)
+            infomax = -weighted_mean(
+                contrastive_bound(log_positive, jnp.where(weights > 0, log_negative, -jnp.inf)), any_negative
+            )
             infomin = kl
         else:
             infomax = weighted_mean(jnp.exp(log_negative - log_positive[:, None]), weights)
             infomin = kl / jnp.log(2.0)
-        accuracy = weighted_mean(log_positive[:, None] > log_negative, weights)  # Eq. 14, on the noisy codes; ties count as wrong.
+        accuracy = weighted_mean(
+            log_positive[:, None] > log_negative, weights
+        )  # Eq. 14, on the noisy codes; ties count as wrong.
         metrics = {
             "accuracy": accuracy,
             "beta": state.beta,
@@ -147,8 +179,9 @@ def make(config: InfoGoalConfig) -> Learner:
         return infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin, metrics, state
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
-        """Eq. 16 with a minus sign: minus the distance from the mean code of the desired goal to that of the nearest achieved goal, divided by its
-        running mean. A step that achieves nothing gets the largest distance of the batch."""
+        """Eq. 16 with a minus sign: minus the distance from the mean code of the desired goal to that of the nearest
+        achieved goal, divided by its running mean. A step that achieves nothing gets the largest distance of the
+        batch."""
         achieved, mask = visited.achieved, visited.mask
         target = encode(visited.desired).mean[:, None, None]
         distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)

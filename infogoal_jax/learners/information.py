@@ -12,7 +12,8 @@ def log_score(first: jax.Array, second: jax.Array) -> jax.Array:
 
 
 def contrastive_bound(positive: jax.Array, negative: jax.Array) -> jax.Array:
-    """log f+ / (f+ + sum f-), the term of Theorem 3, for log scores [B] and [B, K]. Plus log(K + 1) it is the InfoNCE bound on mutual information."""
+    """log f+ / (f+ + sum f-), the term of Theorem 3, for log scores [B] and [B, K]. Plus log(K + 1) it is the InfoNCE
+    bound on mutual information."""
     return positive - jax.nn.logsumexp(jnp.concatenate([positive[..., None], negative], axis=-1), axis=-1)
 
 
@@ -22,7 +23,8 @@ def kl_to_standard_normal(code: GoalCode) -> jax.Array:
 
 
 def warmed_up(updates: jax.Array, warm_up: int) -> jax.Array:
-    """Weight of a KL after this many updates, a scalar: it rises linearly from 0 to 1 over the first `warm_up` updates."""
+    """Weight of a KL after this many updates, a scalar: it rises linearly from 0 to 1 over the first `warm_up`
+    updates."""
     return jnp.minimum(1.0, (updates + 1) / max(1, warm_up))
 
 

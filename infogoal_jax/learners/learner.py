@@ -1,6 +1,8 @@
-"""The contract of a goal-representation learner: a record of pure functions, like an optax transformation. No learner knows an environment.
+"""The contract of a goal-representation learner: a record of pure functions, like an optax transformation. No learner
+knows an environment.
 
-Shapes: B transitions or pairs, n steps of a transition, N goals, d numbers of a code, F features of a state. A goal is an int32 index.
+Shapes: B transitions or pairs, n steps of a transition, N goals, d numbers of a code, F features of a state. A goal is
+an int32 index.
 """
 
 import itertools
@@ -53,7 +55,8 @@ class SampleSpec(NamedTuple):
     num_goals: int = 0
     """Known goals."""
     relabelled_share: float = 0.0
-    """Share of the transitions that the loss sees with a goal achieved later in the episode as desired goal. The agent sees them unchanged."""
+    """Share of the transitions that the loss sees with a goal achieved later in the episode as desired goal. The agent
+    sees them unchanged."""
 
 
 class InputSpec(NamedTuple):
@@ -92,7 +95,8 @@ class LearnerBatch(NamedTuple):
     goals: jax.Array
     """int32 [num_goals], known goals."""
     desired: jax.Array
-    """int32 [B], desired goals of the transitions: those of the agent's batch, except for the share that was relabelled for the learner."""
+    """int32 [B], desired goals of the transitions: those of the agent's batch, except for the share that was relabelled
+    for the learner."""
     transitions: Steps
     """The transitions of the agent's batch."""
 
@@ -111,7 +115,9 @@ class Visited:
     """float32 [B, n], 1 for steps that were taken."""
 
 
-def no_loss(params: Any, state: Any, batch: LearnerBatch, hyper: Any, key: jax.Array) -> tuple[jax.Array, dict[str, jax.Array], Any]:
+def no_loss(
+    params: Any, state: Any, batch: LearnerBatch, hyper: Any, key: jax.Array
+) -> tuple[jax.Array, dict[str, jax.Array], Any]:
     """Loss of 0: the agent's loss alone trains the goal encoder."""
     return jnp.zeros(()), {}, state
 
@@ -130,20 +136,23 @@ class Learner(NamedTuple):
     """A goal-representation learner. Only `init`, `encode` and `loss` must be given."""
 
     init: Callable[[jax.Array, InputSpec, Any], tuple[Any, Any]]
-    """(key, example: InputSpec, hyper) -> (params, state). The gradient trains the parameters; the state is everything else."""
+    """(key, example: InputSpec, hyper) -> (params, state). The gradient trains the parameters; the state is everything
+    else."""
     encode: Callable[[Any, jax.Array], GoalCode]
     """(params, goal_inputs) -> GoalCode, of vectors float32 [..., D] or images uint8 [..., H, W, C]."""
     loss: Callable[[Any, Any, LearnerBatch, Any, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]
-    """(params, state, batch: LearnerBatch, hyper, key) -> (loss, metrics, state). The state returned is that of the next update, for example a
-    Lagrange multiplier or running means."""
+    """(params, state, batch: LearnerBatch, hyper, key) -> (loss, metrics, state). The state returned is that of the
+    next update, for example a Lagrange multiplier or running means."""
     sample_spec: SampleSpec = SampleSpec()
     """What is sampled for the loss."""
     intrinsic_reward: Callable[[Any, Encode, Visited], tuple[jax.Array, Any]] = no_reward
     """(state, encode, visited: Visited) -> (float32 [B, n], state)."""
     observe: Callable[[Any, jax.Array, jax.Array], Any] = keep
-    """(state, cell int32 [R, T], valid bool [R, T]) -> state. Called with each epoch's new transitions, by the cell that each led to."""
+    """(state, cell int32 [R, T], valid bool [R, T]) -> state. Called with each epoch's new transitions, by the cell
+    that each led to."""
     condition: Callable[[Any, GoalCode, jax.Array], GoalCode] | None = None
-    """(params, code: GoalCode [B], features [B, F]) -> GoalCode: the code that the agent gets, where it depends on the state too."""
+    """(params, code: GoalCode [B], features [B, F]) -> GoalCode: the code that the agent gets, where it depends on the
+    state too."""
     augment: Callable[[jax.Array, jax.Array], jax.Array] | None = None
     """(key, goal_inputs [B, ...]) -> goal_inputs: augmentation of goal inputs in updates."""
     mean_at_test: bool = False
@@ -156,19 +165,31 @@ def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Arr
 
 
 View = Callable[[jax.Array, jax.Array], jax.Array]
-"""Corruption and augmentation while training: a key and goal inputs [..., *input] to inputs of the same shape, each varied independently."""
+"""Corruption and augmentation while training: a key and goal inputs [..., *input] to inputs of the same shape, each
+varied independently."""
 
 GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 MB.
 
 
-def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int, view: View | None = None, key: jax.Array | None = None) -> Encode:
-    """Encode any goals with these parameters. Fewer than `batch_size` goals are all encoded once; of more, only those asked for.
+def encode_goals(
+    learner: Learner,
+    params: Any,
+    goals: GoalSet,
+    batch_size: int,
+    view: View | None = None,
+    key: jax.Array | None = None,
+) -> Encode:
+    """Encode any goals with these parameters. Fewer than `batch_size` goals are all encoded once; of more, only those
+    asked for.
 
-    With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps its draw.
+    With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps
+    its draw.
     """
     if view is not None:
         calls = itertools.count()
-        return lambda indices: learner.encode(params, view(jax.random.fold_in(key, next(calls)), goals.inputs_of(indices)))
+        return lambda indices: learner.encode(
+            params, view(jax.random.fold_in(key, next(calls)), goals.inputs_of(indices))
+        )
     if goals.num_goals <= batch_size:
         return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
     return lambda indices: learner.encode(params, goals.inputs_of(indices))
@@ -176,7 +197,10 @@ def encode_goals(learner: Learner, params: Any, goals: GoalSet, batch_size: int,
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:
     """Encode several arrays of goals in one pass: separate passes are so narrow that most of a GPU stays idle."""
-    codes, ends = encode(jnp.concatenate([array.ravel() for array in goals])), list(itertools.accumulate(array.size for array in goals))
+    codes, ends = (
+        encode(jnp.concatenate([array.ravel() for array in goals])),
+        list(itertools.accumulate(array.size for array in goals)),
+    )
     return [
         jax.tree.map(lambda leaf, array=array, end=end: leaf[end - array.size : end].reshape(*array.shape, -1), codes)
         for array, end in zip(goals, ends, strict=True)
@@ -184,8 +208,13 @@ def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:
 
 
 def encode_all(learner: Learner, params: Any, goals: GoalSet) -> GoalCode:
-    """The codes of all goals [N]. A few hundred are encoded at a time, because a large set of images does not fit into memory."""
-    return jax.lax.map(lambda goal: learner.encode(params, goals.inputs_of(goal)), jnp.arange(goals.num_goals), batch_size=GOALS_AT_ONCE)
+    """The codes of all goals [N]. A few hundred are encoded at a time, because a large set of images does not fit into
+    memory."""
+    return jax.lax.map(
+        lambda goal: learner.encode(params, goals.inputs_of(goal)),
+        jnp.arange(goals.num_goals),
+        batch_size=GOALS_AT_ONCE,
+    )
 
 
 def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
@@ -194,7 +223,14 @@ def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     return lambda indices: codes[place[indices]]
 
 
-def encode_commanded(learner: Learner, params: Any, goals: GoalSet, batch_size: int, view: View | None = None, key: jax.Array | None = None):
+def encode_commanded(
+    learner: Learner,
+    params: Any,
+    goals: GoalSet,
+    batch_size: int,
+    view: View | None = None,
+    key: jax.Array | None = None,
+):
     """Encode training goals. They are few, so each is encoded once, however large the goal space is."""
     if view is not None or goals.num_goals <= batch_size:
         return encode_goals(learner, params, goals, batch_size, view, key)

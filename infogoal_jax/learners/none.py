@@ -1,4 +1,5 @@
-"""No goal-representation learning: a plain encoder trained by the agent's loss alone (the paper's bare DQN, HRAC and CQL)."""
+"""No goal-representation learning: a plain encoder trained by the agent's loss alone (the paper's bare DQN, HRAC and
+CQL)."""
 
 import dataclasses
 
@@ -19,4 +20,6 @@ def make(config: GoalEncoderConfig) -> Learner:
     def encode(params, goal_inputs):
         return GoalCode(encoder.apply(params, goal_inputs))
 
-    return Learner(init=lambda key, example, hyper: (encoder.init(key, example.goal_inputs[:1]), ()), encode=encode, loss=no_loss)
+    return Learner(
+        init=lambda key, example, hyper: (encoder.init(key, example.goal_inputs[:1]), ()), encode=encode, loss=no_loss
+    )

@@ -1,7 +1,8 @@
-"""RAD, reinforcement learning with augmented data (Laskin et al. 2020), applied to goal inputs: a plain goal encoder with data augmentation.
+"""RAD, reinforcement learning with augmented data (Laskin et al. 2020), applied to goal inputs: a plain goal encoder
+with data augmentation.
 
-Images are shifted by a few pixels; text embeddings are multiplied by a random factor. RAD has no loss of its own. The agent's updates see augmented
-goals; acting and evaluation see goals as they are.
+Images are shifted by a few pixels; text embeddings are multiplied by a random factor. RAD has no loss of its own. The
+agent's updates see augmented goals; acting and evaluation see goals as they are.
 """
 
 import dataclasses
@@ -30,13 +31,23 @@ class RADConfig(GoalEncoderConfig):
         """Raise `UserError` for values out of range."""
         super().check(config)
         require(self.shift >= 0, "learner.shift", self.shift, "give a whole number of pixels, 0 or more")
-        require(self.amplitude_low > 0, "learner.amplitude_low", self.amplitude_low, "give a factor greater than 0, for example 0.6")
-        require(self.amplitude_low <= self.amplitude_high, "learner.amplitude_high", self.amplitude_high,
-                f"must not be below amplitude_low = {self.amplitude_low}")
+        require(
+            self.amplitude_low > 0,
+            "learner.amplitude_low",
+            self.amplitude_low,
+            "give a factor greater than 0, for example 0.6",
+        )
+        require(
+            self.amplitude_low <= self.amplitude_high,
+            "learner.amplitude_high",
+            self.amplitude_high,
+            f"must not be below amplitude_low = {self.amplitude_low}",
+        )
 
 
 def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
-    """Shift each image [..., H, W, C] over zeros by whole pixels, uniform in [-shift, shift] along both axes (random translate)."""
+    """Shift each image [..., H, W, C] over zeros by whole pixels, uniform in [-shift, shift] along both axes (random
+    translate)."""
     *batch, height, width, channels = images.shape
     padded = jnp.pad(images, [(0, 0)] * len(batch) + [(shift, shift), (shift, shift), (0, 0)])
     corners = jax.random.randint(key, (*batch, 2), 0, 2 * shift + 1)
@@ -48,7 +59,8 @@ def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
 
 
 def scaled(key: jax.Array, vectors: jax.Array, low: float, high: float) -> jax.Array:
-    """Multiply each vector [..., D] by its own factor, uniform in [low, high) (random amplitude scaling). The direction stays."""
+    """Multiply each vector [..., D] by its own factor, uniform in [low, high) (random amplitude scaling). The direction
+    stays."""
     return vectors * jax.random.uniform(key, (*vectors.shape[:-1], 1), vectors.dtype, low, high)
 
 

@@ -1,7 +1,8 @@
 """Variational autoencoder as goal representation (RIG: Nair et al. 2018; Kingma & Welling 2014).
 
-The code of a goal is a Gaussian from which a decoder reconstructs the goal's input, kept close to N(0, I). Unlike InfoGoal, the VAE does not know
-which goals are similar: what fills many pixels fills the code. As in the paper's comparison there is no intrinsic reward.
+The code of a goal is a Gaussian from which a decoder reconstructs the goal's input, kept close to N(0, I). Unlike
+InfoGoal, the VAE does not know which goals are similar: what fills many pixels fills the code. As in the paper's
+comparison there is no intrinsic reward.
 """
 
 import dataclasses
@@ -25,11 +26,12 @@ class VAEConfig(GoalEncoderConfig):
     vae_beta: float = 1.0
     """Weight of the KL. 1 is the evidence lower bound [R]. RIG uses 20 to 30 with smaller codes."""
     warm_up: int = 2000
-    """Updates over which the weight of the KL rises from 0 [M]. At full weight from the start the KL can outweigh what an untrained decoder gains,
-    and codes of text goals stay at N(0, I) for good."""
+    """Updates over which the weight of the KL rises from 0 [M]. At full weight from the start the KL can outweigh what
+    an untrained decoder gains, and codes of text goals stay at N(0, I) for good."""
     vector_std: float = 0.05
-    """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), the size of the numbers of a sentence embedding of
-    length 1. With 1, the value for images in the scale -1 to 1, no code of a text goal is worth its KL, and every posterior collapses to N(0, I)."""
+    """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), the size of the numbers of
+    a sentence embedding of length 1. With 1, the value for images in the scale -1 to 1, no code of a text goal is worth
+    its KL, and every posterior collapses to N(0, I)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -37,7 +39,12 @@ class VAEConfig(GoalEncoderConfig):
         require(self.num_goals > 0, "learner.num_goals", self.num_goals, "give a whole number greater than 0")
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
         require(self.vae_beta >= 0, "learner.vae_beta", self.vae_beta, "give 0 or more; 1 is the evidence lower bound")
-        require(self.vector_std > 0, "learner.vector_std", self.vector_std, "give a standard deviation greater than 0, for example 0.05")
+        require(
+            self.vector_std > 0,
+            "learner.vector_std",
+            self.vector_std,
+            "give a standard deviation greater than 0, for example 0.05",
+        )
 
 
 def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal_inputs: jax.Array):
@@ -46,13 +53,15 @@ def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal
 
 
 def squared_error(params, hidden: tuple[int, ...], codes: jax.Array, inputs: jax.Array, standardise: bool) -> jax.Array:
-    """Squared error [B] of the reconstruction from codes [B, d], summed over the numbers of each input [B, ...], in the encoder's scale."""
+    """Squared error [B] of the reconstruction from codes [B, d], summed over the numbers of each input [B, ...], in the
+    encoder's scale."""
     decoded = networks.GoalDecoder(hidden, inputs.shape[1:]).apply(params, codes)
     return ((decoded - networks.as_encoded(inputs, standardise)) ** 2).reshape(len(inputs), -1).sum(1)
 
 
 def negative_log_likelihood(error: jax.Array, inputs: jax.Array, vector_std: float) -> jax.Array:
-    """-log p(g | z) [B] in nats of a Gaussian decoder without its constant, of squared errors: variance 1 for images, vector_std^2 for vectors."""
+    """-log p(g | z) [B] in nats of a Gaussian decoder without its constant, of squared errors: variance 1 for images,
+    vector_std^2 for vectors."""
     return 0.5 * error / (1.0 if inputs.dtype == jnp.uint8 else vector_std**2)
 
 
@@ -73,13 +82,16 @@ def make(config: VAEConfig) -> Learner:
     def loss(params, state, batch: LearnerBatch, hyper, key):
         """Minus the evidence lower bound (Kingma & Welling, Eq. 3), divided by the number of numbers of an input.
 
-        The division makes its size comparable with that of the agent's loss, and keeps `vae_beta` = 1 the bound itself. The metrics `elbo` and `kl`
-        are in nats for a whole goal, without the decoder's constant.
+        The division makes its size comparable with that of the agent's loss, and keeps `vae_beta` = 1 the bound itself.
+        The metrics `elbo` and `kl` are in nats for a whole goal, without the decoder's constant.
         """
         inputs = batch.inputs_of(batch.goals)
         code = encode(params, inputs)  # Not `batch.encode`, which may augment: the target is the input that is encoded.
         error = squared_error(params["decoder"], config.hidden, code.sample(key), inputs, config.standardise_images)
-        surprise, kl = negative_log_likelihood(error, inputs, config.vector_std).mean(), kl_to_standard_normal(code).mean()
+        surprise, kl = (
+            negative_log_likelihood(error, inputs, config.vector_std).mean(),
+            kl_to_standard_normal(code).mean(),
+        )
         size, weight = inputs[0].size, config.vae_beta * warmed_up(state, config.warm_up)
         metrics = {"elbo": -(surprise + kl), "reconstruction_error": error.mean() / size, "kl": kl}
         return (surprise + weight * kl) / size, metrics, state + 1

@@ -1,4 +1,5 @@
-"""The tuned configuration of each task and method, a file a task. `registry` is the one place where a new one is named."""
+"""The tuned configuration of each task and method, a file a task. `registry` is the one place where a new one is
+named."""
 
 from typing import Any
 
@@ -18,18 +19,37 @@ registry: dict[str, Preset] = {
 }
 TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)
 REGISTRIES = {
-    "learner": learners.registry, "agent": agents.registry, "relabelling": relabelling.registry, "explorer": exploration.registry,
+    "learner": learners.registry,
+    "agent": agents.registry,
+    "relabelling": relabelling.registry,
+    "explorer": exploration.registry,
 }
 """The parts of a configuration, by the field that holds them."""
 
-__all__ = ["FETCH_TASKS", "METHODS", "TASKS", "Changes", "Method", "Preset", "default_hyperparameters", "load", "method_named", "name_of", "registry"]
+__all__ = [
+    "FETCH_TASKS",
+    "METHODS",
+    "TASKS",
+    "Changes",
+    "Method",
+    "Preset",
+    "default_hyperparameters",
+    "load",
+    "method_named",
+    "name_of",
+    "registry",
+]
 
 
 def preset_of(task: str) -> Preset:
     """The preset of a task, or a `UserError`."""
     envs.registry.entry(task)
-    require(task in registry, "task", task,
-            f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}")
+    require(
+        task in registry,
+        "task",
+        task,
+        f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
+    )
     return registry[task]
 
 
@@ -38,45 +58,71 @@ def part(registered, asked: Any, fields: dict[str, Any]) -> Any:
     return registered.entry(asked).config(**fields) if isinstance(asked, str) else asked
 
 
-def load(task: str, method: str = "infogoal", *, learner: Any = None, agent: Any = None, relabelling: Any = None, explorer: Any = None,
-         **changes: Any) -> TrainConfig:
+def load(
+    task: str,
+    method: str = "infogoal",
+    *,
+    learner: Any = None,
+    agent: Any = None,
+    relabelling: Any = None,
+    explorer: Any = None,
+    **changes: Any,
+) -> TrainConfig:
     """The configuration for a task and a method. Raises `UserError` for an unknown name.
 
-    learner, agent, relabelling, explorer: another part than the method's and the task's own, by its name or as its configuration.
+    learner, agent, relabelling, explorer: another part than the method's and the task's own, by its name or as its
+    configuration.
     changes: fields of `TrainConfig`.
     """
     preset, named = preset_of(task), method_named(method)
     asked = {
-        "learner": learner or named.learner, "agent": agent or preset.agent, "relabelling": relabelling or named.relabelling or preset.relabelling,
+        "learner": learner or named.learner,
+        "agent": agent or preset.agent,
+        "relabelling": relabelling or named.relabelling or preset.relabelling,
         "explorer": explorer or named.explorer,
     }
-    names = {kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()}
+    names = {
+        kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()
+    }
     changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
     fields = {
-        "learner": preset.learner | of_learner, "agent": preset.agents.get(names["agent"], {}),
-        "relabelling": preset.relabellings.get(names["relabelling"], {}), "explorer": {},
+        "learner": preset.learner | of_learner,
+        "agent": preset.agents.get(names["agent"], {}),
+        "relabelling": preset.relabellings.get(names["relabelling"], {}),
+        "explorer": {},
     }
     parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}
     hyper = default_hyperparameters(parts["learner"], parts["agent"])
     floats = {name: value for name, value in (preset.hyper | changed.hyper).items() if belongs(name, hyper)}
     env = envs.registry.entry(task).config(**preset.env)
-    settings = {"task": task, "env": env, **parts, "hyper": with_values(hyper, floats), **preset.training, **changed.training}
+    settings = {
+        "task": task,
+        "env": env,
+        **parts,
+        "hyper": with_values(hyper, floats),
+        **preset.training,
+        **changed.training,
+    }
     return TrainConfig(**(settings | changes))
 
 
 def default_hyperparameters(learner: Any, agent: Any) -> Hyperparameters:
     """The defaults of the float hyperparameters, with those of the parts of these configurations."""
-    return Hyperparameters(learner=learners.registry.entry_of(learner).hyper(), agent=agents.registry.entry_of(agent).hyper())
+    return Hyperparameters(
+        learner=learners.registry.entry_of(learner).hyper(), agent=agents.registry.entry_of(agent).hyper()
+    )
 
 
 def belongs(name: str, hyper: Hyperparameters) -> bool:
-    """Whether a float of a preset is one of these: a preset may hold one of the task's own agent, where another agent was asked for."""
+    """Whether a float of a preset is one of these: a preset may hold one of the task's own agent, where another agent
+    was asked for."""
     kind, _, field = name.partition(".")
     return not field or hasattr(getattr(hyper, kind), field)
 
 
 def method_of(task: str, names: dict[str, str]) -> str:
-    """The name of the method that parts of these names make on a task; of a combination without one, that of its learner."""
+    """The name of the method that parts of these names make on a task; of a combination without one, that of its
+    learner."""
     own = names["relabelling"] == preset_of(task).relabelling
     parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"])
     return next((name for name, known in METHODS.items() if known == parts), names["learner"])

@@ -16,7 +16,11 @@ PRESET = Preset(
     relabelling="her",  # [P]
     relabellings={"her": SHARES, "cher": SHARES, "ghrl": {"share": 0.6, "random_share": 0.2}},
     training={
-        "updates_per_epoch": 500, "batch_size": 256, "num_epochs": 60, "epochs_per_evaluation": 10, "evaluation_starts": 5,
+        "updates_per_epoch": 500,
+        "batch_size": 256,
+        "num_epochs": 60,
+        "epochs_per_evaluation": 10,
+        "evaluation_starts": 5,
         "state_encoder": StateEncoderConfig(features=128),
     },
     hyper={"discount": 0.95, "intrinsic_weight": 0.0, "agent.conservative_weight": 0.02},  # [M]

@@ -4,8 +4,14 @@ from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 TRAINING = {
-    "num_envs": 256, "rollout_steps": 50, "batch_size": 256, "buffer_steps": 400_000, "num_epochs": 60, "epochs_per_evaluation": 20,
-    "evaluation_starts": 5, "state_encoder": StateEncoderConfig(features=128),
+    "num_envs": 256,
+    "rollout_steps": 50,
+    "batch_size": 256,
+    "buffer_steps": 400_000,
+    "num_epochs": 60,
+    "epochs_per_evaluation": 20,
+    "evaluation_starts": 5,
+    "state_encoder": StateEncoderConfig(features=128),
 }
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
 
@@ -14,7 +20,8 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
     """The preset of a task.
 
     description: the task in a line.
-    window, num_pairs: of similar goals [M], those that a few steps take less far apart than the 20 cm between test and training goals.
+    window, num_pairs: of similar goals [M], those that a few steps take less far apart than the 20 cm between test and
+    training goals.
     found: floats of each method that a search found [T].
     """
     similar = {"window": window, "num_pairs": num_pairs}
@@ -36,8 +43,20 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
 
 
 FOUND_FOR_REACH = {
-    "infogoal": {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164, "intrinsic_weight": 3.768},
-    "infobot": {"learning_rate": 7.555e-4, "discount": 0.9493, "target_rate": 0.01356, "intrinsic_weight": 0.4549, "learner.beta": 1.064e-6},
+    "infogoal": {
+        "learning_rate": 1.351e-3,
+        "discount": 0.9313,
+        "target_rate": 0.04286,
+        "learner_weight": 5.164,
+        "intrinsic_weight": 3.768,
+    },
+    "infobot": {
+        "learning_rate": 7.555e-4,
+        "discount": 0.9493,
+        "target_rate": 0.01356,
+        "intrinsic_weight": 0.4549,
+        "learner.beta": 1.064e-6,
+    },
     "cogoal": {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287, "learner_weight": 1.817},
     "vae": {"learning_rate": 1.165e-3, "discount": 0.93, "target_rate": 0.02287, "learner_weight": 1.817},
     "dgrl": {"learning_rate": 1.351e-3, "discount": 0.9313, "target_rate": 0.04286, "learner_weight": 5.164},
@@ -50,8 +69,15 @@ FOUND_FOR_REACH = {
 }
 
 PRESETS = {
-    "fetch_reach": preset("A robot arm moves its gripper to where an image shows it.", 5, 128,
-                          TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000}, FOUND_FOR_REACH),  # Sizes for two cores.
+    "fetch_reach": preset(
+        "A robot arm moves its gripper to where an image shows it.",
+        5,
+        128,
+        TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000},
+        FOUND_FOR_REACH,
+    ),  # Sizes for two cores.
     "fetch_push": preset("A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, {}),
-    "fetch_pick_and_place": preset("A robot arm carries a cube to where an image shows it, in the air too.", 3, 256, TRAINING, {}),
+    "fetch_pick_and_place": preset(
+        "A robot arm carries a cube to where an image shows it, in the air too.", 3, 256, TRAINING, {}
+    ),
 }

@@ -26,5 +26,7 @@ def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
     if name in learners.registry:
         return Method(name)  # One that was registered after this module was imported, too.
-    require(name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}")
+    require(
+        name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}"
+    )
     return METHODS[name]

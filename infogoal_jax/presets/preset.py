@@ -1,7 +1,7 @@
 """What a preset is: the tuned configuration of a task, with what each method changes in it.
 
-`[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project, `[T]` one that `infogoal tune` found to be
-better on validation goals, by the rule of docs/methods.md (docs/results/tuning).
+`[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project, `[T]` one that
+`infogoal tune` found to be better on validation goals, by the rule of docs/methods.md (docs/results/tuning).
 """
 
 import dataclasses
@@ -12,7 +12,8 @@ from typing import Any
 class Changes:
     """What a method changes in the preset of a task.
 
-    learner: fields of its configuration; hyper: float hyperparameters by dotted name, "learner.beta"; training: fields of `TrainConfig`.
+    learner: fields of its configuration; hyper: float hyperparameters by dotted name, "learner.beta"; training: fields
+    of `TrainConfig`.
     """
 
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -24,8 +25,10 @@ class Changes:
 class Preset:
     """The tuned configuration of a task.
 
-    agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields that every learner has.
-    agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for every method.
+    agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields that
+    every learner has.
+    agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for
+    every method.
     methods: what each method, or learner, changes. description: the task in a line, for the help of the command line.
     """
 

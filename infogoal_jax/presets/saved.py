@@ -26,16 +26,25 @@ def to_dict(config: TrainConfig) -> dict[str, Any]:
 
 
 def from_dict(values: dict[str, Any]) -> TrainConfig:
-    """The configuration that `to_dict` made. Raises `UserError` for another format; unknown fields are an error of the file, not of the user."""
+    """The configuration that `to_dict` made. Raises `UserError` for another format; unknown fields are an error of the
+    file, not of the user."""
     found = values.get("format", 1)
-    require(found == FORMAT, "format", found, f"this version of infogoal-jax reads runs of format {FORMAT}; use the version that wrote the run")
+    require(
+        found == FORMAT,
+        "format",
+        found,
+        f"this version of infogoal-jax reads runs of format {FORMAT}; use the version that wrote the run",
+    )
     fields = {field.name: values[field.name] for field in dataclasses.fields(TrainConfig)}
     base = presets.load(fields["task"], **{kind: fields[kind]["name"] for kind in presets.REGISTRIES})
     for kind in presets.REGISTRIES:
         own = dict(fields[kind])
         own.pop("name")
         fields[kind] = record(getattr(base, kind), own)
-    fields["env"], fields["state_encoder"] = record(base.env, fields["env"]), record(base.state_encoder, fields["state_encoder"])
+    fields["env"], fields["state_encoder"] = (
+        record(base.env, fields["env"]),
+        record(base.state_encoder, fields["state_encoder"]),
+    )
     floats = dict(fields["hyper"])
     inner = {kind: record(getattr(base.hyper, kind), floats.pop(kind)) for kind in ("learner", "agent")}
     return TrainConfig(**fields | {"hyper": Hyperparameters(**floats, **inner)})
@@ -53,14 +62,22 @@ def as_tuple(value: Any) -> Any:
 
 def words_of(value: Any) -> list[str]:
     """A value as the words that follow its flag."""
-    return [str(item) for item in value] if isinstance(value, tuple) else [repr(value) if isinstance(value, float) else str(value)]
+    return (
+        [str(item) for item in value]
+        if isinstance(value, tuple)
+        else [repr(value) if isinstance(value, float) else str(value)]
+    )
 
 
 def changed_flags(config: Any, default: Any, prefix: str = "") -> list[str]:
     """The flags that make one configuration record of another."""
     flags = []
     for field in dataclasses.fields(config):
-        value, before, name = getattr(config, field.name), getattr(default, field.name), f"{prefix}{field.name.replace('_', '-')}"
+        value, before, name = (
+            getattr(config, field.name),
+            getattr(default, field.name),
+            f"{prefix}{field.name.replace('_', '-')}",
+        )
         if dataclasses.is_dataclass(value):
             flags += changed_flags(value, before, f"{name}.")
         elif value != before and isinstance(value, bool):

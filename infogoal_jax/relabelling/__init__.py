@@ -3,9 +3,12 @@
 from infogoal_jax.registry import Entry, Registry
 from infogoal_jax.relabelling import cher, ghrl, her, none
 
-registry = Registry("relabelling", {
-    "none": Entry(none.NoneConfig, none.make),
-    "her": Entry(her.HERConfig, her.make),
-    "cher": Entry(cher.CHERConfig, cher.make),
-    "ghrl": Entry(ghrl.GHRLConfig, ghrl.make),
-})
+registry = Registry(
+    "relabelling",
+    {
+        "none": Entry(none.NoneConfig, none.make),
+        "her": Entry(her.HERConfig, her.make),
+        "cher": Entry(cher.CHERConfig, cher.make),
+        "ghrl": Entry(ghrl.GHRLConfig, ghrl.make),
+    },
+)

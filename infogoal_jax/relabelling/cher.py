@@ -1,8 +1,9 @@
-"""CHER, curriculum-guided hindsight experience replay (Fang et al. 2019): HER proposes twice as many transitions as an update learns from.
+"""CHER, curriculum-guided hindsight experience replay (Fang et al. 2019): HER proposes twice as many transitions as an
+update learns from.
 
-Half of them are chosen greedily for F(A) = F_div(A) + lambda F_prox(A). F_div (facility location) is high if the chosen goals cover those of all
-candidates; F_prox is high if they lie near the goals that were achieved. lambda grows with every update: first diverse goals, later goals nearly
-reached.
+Half of them are chosen greedily for F(A) = F_div(A) + lambda F_prox(A). F_div (facility location) is high if the chosen
+goals cover those of all candidates; F_prox is high if they lie near the goals that were achieved. lambda grows with
+every update: first diverse goals, later goals nearly reached.
 """
 
 import dataclasses
@@ -29,19 +30,28 @@ class CHERConfig(her.HERConfig):
     """How candidates are relabelled (fields of HER) and chosen."""
 
     similarity: Literal["nearest", "dense"] = "nearest"
-    """Which goals cover each other. `nearest`: each its nearest neighbour alone (the authors' code); `dense`: all goals (their paper)."""
+    """Which goals cover each other. `nearest`: each its nearest neighbour alone (the authors' code); `dense`: all goals
+    (their paper)."""
     proximity_weight: float = 1.0
     """lambda_0, the weight of proximity before the first update. 0 or more."""
     proximity_growth: float = 1e-4
     """eta, the relative growth of lambda in an update. 0 or more."""
     proximity_unit: Literal["mean", "world"] = "mean"
-    """Unit of the distances to what was achieved. `mean`: their mean over the candidates; `world`: the positions' own (the authors' code)."""
+    """Unit of the distances to what was achieved. `mean`: their mean over the candidates; `world`: the positions' own
+    (the authors' code)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(self.similarity in ("nearest", "dense"), "relabelling.similarity", self.similarity, "give nearest or dense")
-        require(self.proximity_unit in ("mean", "world"), "relabelling.proximity_unit", self.proximity_unit, "give mean or world")
+        require(
+            self.similarity in ("nearest", "dense"), "relabelling.similarity", self.similarity, "give nearest or dense"
+        )
+        require(
+            self.proximity_unit in ("mean", "world"),
+            "relabelling.proximity_unit",
+            self.proximity_unit,
+            "give mean or world",
+        )
         for name in ("proximity_weight", "proximity_growth"):
             require(getattr(self, name) >= 0, f"relabelling.{name}", getattr(self, name), "give 0 or more")
 
@@ -62,37 +72,47 @@ class Table:
 
 def proximity_weight(config: CHERConfig, updates: jax.Array) -> jax.Array:
     """lambda_t = lambda_0 (1 + eta)^t after t updates."""
-    return config.proximity_weight * jnp.exp(updates * math.log1p(config.proximity_growth))  # A power of 1.0001 in float32 would drift.
+    return config.proximity_weight * jnp.exp(
+        updates * math.log1p(config.proximity_growth)
+    )  # A power of 1.0001 in float32 would drift.
 
 
 def squared_distances(positions: jax.Array) -> jax.Array:
     """Squared distances [n, n] between positions [n, D], exactly 0 between equal ones.
 
-    Computed as |a|^2 + |b|^2 - 2 a b, which is ten times faster than differences. What float32 cannot tell from 0 this way is set to 0.
+    Computed as |a|^2 + |b|^2 - 2 a b, which is ten times faster than differences. What float32 cannot tell from 0 this
+    way is set to 0.
     """
     centred = positions - positions.mean(0)
     products = jnp.matmul(centred, centred.T, precision="highest")
     norms = jnp.diagonal(products)
     largest = norms[:, None] + norms
     squared = largest - 2.0 * products
-    return jax.lax.optimization_barrier(jnp.where(squared > PRECISION * largest, squared, 0.0))  # Otherwise XLA computes it again at each use.
+    return jax.lax.optimization_barrier(
+        jnp.where(squared > PRECISION * largest, squared, 0.0)
+    )  # Otherwise XLA computes it again at each use.
 
 
 def neighbour_weights(positions: jax.Array) -> jax.Array:
-    """w_k = sum of exp(-d_i^2 / m^2) over all i with nearest neighbour k, d_i the distance from i to k, m the mean of all d: [n, D] to [n].
+    """w_k = sum of exp(-d_i^2 / m^2) over all i with nearest neighbour k, d_i the distance from i to k, m the mean of
+    all d: [n, D] to [n].
 
-    If only the nearest neighbour is similar, F_div is the sum of w over the chosen candidates (as in the authors' code).
+    If only the nearest neighbour is similar, F_div is the sum of w over the chosen candidates (as in the authors'
+    code).
     """
     count = positions.shape[0]
     squared = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squared_distances(positions))
     least = squared.min(0)
-    nearest = jnp.where(squared == least, jnp.arange(float(count))[:, None], count).min(0).astype(jnp.int32)  # The first of equals; argmin is slow.
+    nearest = (
+        jnp.where(squared == least, jnp.arange(float(count))[:, None], count).min(0).astype(jnp.int32)
+    )  # The first of equals; argmin is slow.
     similarity = jnp.exp(-least / (jnp.sqrt(least).mean() ** 2 + TINY))
     return jnp.zeros(count).at[nearest].add(similarity)
 
 
 def dense_similarity(positions: jax.Array) -> jax.Array:
-    """exp(-d_ij^2 / m^2) of all pairs, where m is the mean distance of two candidates: [n, D] to [n, n] (as in the paper)."""
+    """exp(-d_ij^2 / m^2) of all pairs, where m is the mean distance of two candidates: [n, D] to [n, n] (as in the
+    paper)."""
     squared, count = squared_distances(positions), positions.shape[0]
     mean = jnp.sqrt(squared).sum() / (count * (count - 1))
     return jnp.exp(-squared / (mean**2 + TINY))
@@ -101,14 +121,18 @@ def dense_similarity(positions: jax.Array) -> jax.Array:
 def pick(places: jax.Array, count: int, gain: Callable, cover: jax.Array, take: Callable) -> jax.Array:
     """Choose p of `count` candidates one after another, int32 [p].
 
-    Each choice compares c candidates and takes the one with the largest gain, the first among equals. places: int32 [p, c], their places in the
-    ascending list of candidates not chosen yet. gain(cover, candidates [c]) -> [c]. take(cover, candidate) -> cover; `cover` is its first value.
+    Each choice compares c candidates and takes the one with the largest gain, the first among equals. places: int32 [p,
+    c], their places in the ascending list of candidates not chosen yet. gain(cover, candidates [c]) -> [c]. take(cover,
+    candidate) -> cover; `cover` is its first value.
     """
+
     def step(carry, place):
         left, cover = carry
         candidates = left[place]
         best = gain(cover, candidates).argmax()
-        left = jnp.where(jnp.arange(count) < place[best], left, jnp.roll(left, -1))  # Those behind move up; the last place is not read again.
+        left = jnp.where(
+            jnp.arange(count) < place[best], left, jnp.roll(left, -1)
+        )  # Those behind move up; the last place is not read again.
         return (left, take(cover, candidates[best])), candidates[best]
 
     return jax.lax.scan(step, (jnp.arange(count), cover), places)[1]
@@ -121,15 +145,24 @@ def pick_nearest(weights: jax.Array, cost: jax.Array, places: jax.Array) -> jax.
 
 
 def pick_dense(similarity: jax.Array, cost: jax.Array, places: jax.Array) -> jax.Array:
-    """Candidates int32 [p] for F(A) = sum over i of max over j in A of similarity [n, n] - sum over A of cost [n]. places: int32 [p, c]."""
+    """Candidates int32 [p] for F(A) = sum over i of max over j in A of similarity [n, n] - sum over A of cost [n].
+    places: int32 [p, c]."""
+
     def gain(cover, candidates):
         return jnp.maximum(similarity[candidates] - cover, 0.0).sum(-1) - cost[candidates]
 
-    return pick(places, cost.shape[0], gain, jnp.zeros(cost.shape[0]), lambda cover, chosen: jnp.maximum(cover, similarity[chosen]))
+    return pick(
+        places,
+        cost.shape[0],
+        gain,
+        jnp.zeros(cost.shape[0]),
+        lambda cover, chosen: jnp.maximum(cover, similarity[chosen]),
+    )
 
 
 def draw_places(key: jax.Array, count: int, picks: int) -> jax.Array:
-    """Draw for each pick different places in the list of candidates not chosen yet ("lazier than lazy" greedy): int32 [picks, TRIES]."""
+    """Draw for each pick different places in the list of candidates not chosen yet ("lazier than lazy" greedy): int32
+    [picks, TRIES]."""
     left = count - jnp.arange(picks)
     places = []
     for drawn, try_key in enumerate(jax.random.split(key, TRIES)):
@@ -141,7 +174,8 @@ def draw_places(key: jax.Array, count: int, picks: int) -> jax.Array:
 
 
 def proximity_distances(position: jax.Array, achieved: jax.Array, positions: jax.Array) -> jax.Array:
-    """Distance float32 [n] from each candidate's goal, at `position` [n, D], to the nearest goal achieved, int32 [n, K] padded with -1.
+    """Distance float32 [n] from each candidate's goal, at `position` [n, D], to the nearest goal achieved, int32 [n, K]
+    padded with -1.
 
     Where nothing was achieved, it is the largest distance of the other candidates.
     """
@@ -153,9 +187,9 @@ def proximity_distances(position: jax.Array, achieved: jax.Array, positions: jax
 def make(config: CHERConfig) -> Relabelling:
     """CHER for goals that are indices.
 
-    Distances are divided by their mean unless the configuration asks for the world's unit. The authors' distances are metres on a table top, a few
-    tenths each, beside covers of about 1. Codes of goals have no unit and grow while they are learned, so that lambda would have another meaning in
-    every task.
+    Distances are divided by their mean unless the configuration asks for the world's unit. The authors' distances are
+    metres on a table top, a few tenths each, beside covers of about 1. Codes of goals have no unit and grow while they
+    are learned, so that lambda would have another meaning in every task.
     """
     proposing = her.make(config)
 

@@ -1,7 +1,7 @@
 """GHRL, generalized hindsight (Li, Pinto, Abbeel 2020), by approximate inverse reinforcement learning.
 
-An episode gets the goal that it demonstrates best: not the goal that it reached first, but the goal that it reached sooner than most other episodes.
-The agent learns from the original goal and from this one.
+An episode gets the goal that it demonstrates best: not the goal that it reached first, but the goal that it reached
+sooner than most other episodes. The agent learns from the original goal and from this one.
 """
 
 import dataclasses
@@ -24,18 +24,27 @@ class GHRLConfig:
     """Shares of the transitions that get another goal, and which goals are accepted."""
 
     share: float = 0.5
-    """Share that gets the best goal of its episode. With 0.5, original and relabelled ones count equally, as in the authors' code."""
+    """Share that gets the best goal of its episode. With 0.5, original and relabelled ones count equally, as in the
+    authors' code."""
     random_share: float = 0.0
-    """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere else."""
+    """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere
+    else."""
     filter: Literal["none", "advantage"] = "none"
-    """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its start."""
+    """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its
+    start."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         for name in ("share", "random_share"):
-            require(0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1")
-        require(self.share + self.random_share <= 1, "relabelling.random_share", self.random_share,
-                f"must leave room for share = {self.share}: together at most 1")
+            require(
+                0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1"
+            )
+        require(
+            self.share + self.random_share <= 1,
+            "relabelling.random_share",
+            self.random_share,
+            f"must leave room for share = {self.share}: together at most 1",
+        )
         require(self.filter in ("none", "advantage"), "relabelling.filter", self.filter, "give none or advantage")
 
 
@@ -52,7 +61,8 @@ class Table:
 
 
 def percentiles(returns: jax.Array) -> jax.Array:
-    """Rank the N trajectories by their returns for each of G tasks: [N, G] to int32 [N, G], from 0 for the lowest to N - 1.
+    """Rank the N trajectories by their returns for each of G tasks: [N, G] to int32 [N, G], from 0 for the lowest to N
+    - 1.
 
     Equal returns are ranked by their order, as in the authors' code.
     """
@@ -60,7 +70,8 @@ def percentiles(returns: jax.Array) -> jax.Array:
 
 
 def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
-    """The task in which each trajectory ranks highest, int32 [N]. Ties go to the largest preference (return or advantage), then to the first task.
+    """The task in which each trajectory ranks highest, int32 [N]. Ties go to the largest preference (return or
+    advantage), then to the first task.
 
     ranks, preference: [N, G].
     """
@@ -68,15 +79,17 @@ def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
 
 
 def best_goals(context: Context) -> Table:
-    """The goal that each episode demonstrates best, by the rule of `percentiles` and `choose_task` with two differences.
+    """The goal that each episode demonstrates best, by the rule of `percentiles` and `choose_task` with two
+    differences.
 
-    - Only goals that the episode reached can be chosen. With sparse rewards the authors' code may choose a goal that was never reached, by the order
-      of zeros.
-    - Equal returns have equal ranks: the number of episodes with a smaller return. Order then does not matter, and counting hits by goal and delay
-      replaces sorting.
+    - Only goals that the episode reached can be chosen. With sparse rewards the authors' code may choose a goal that
+      was never reached, by the order of zeros.
+    - Equal returns have equal ranks: the number of episodes with a smaller return. Order then does not matter, and
+      counting hits by goal and delay replaces sorting.
 
-    All stored episodes are compared; the authors stop at 500 trajectories, because they compute each reward. A goal that held at the start of the
-    episode does not count, because no transition led there. The end of a row cuts its last episode in two.
+    All stored episodes are compared; the authors stop at 500 trajectories, because they compute each reward. A goal
+    that held at the start of the episode does not count, because no transition led there. The end of a row cuts its
+    last episode in two.
     """
     rows, achieved = context.rows, context.achievements
     num_rows, length, several = achieved.goals.shape
@@ -88,17 +101,26 @@ def best_goals(context: Context) -> Table:
     seen = her.occurrences(jnp.where(led_to[..., None] & ~again, achieved.goals, -1), rows, num_goals)
     first, start = seen.size > 0, jnp.repeat(begin, several, axis=1)
     delay = jnp.where(first, seen.step - start, 0)  # Transitions until the goal was reached, from 1.
-    hits = jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
+    hits = (
+        jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
+    )
     num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
-    rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]  # Episodes that were slower, or never got there.
+    rank = (
+        num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]
+    )  # Episodes that were slower, or never got there.
 
-    score = jnp.where(first, rank * length - delay, -length)  # Among equal ranks the larger return, which is the shorter delay.
+    score = jnp.where(
+        first, rank * length - delay, -length
+    )  # Among equal ranks the larger return, which is the shorter delay.
     number = jnp.arange(num_rows)[:, None] * length + begin
 
     def over_episodes(reduce, values):
-        """Reduce values [R, (T + 1) K], K for each step, over each episode, and repeat the result at every place of the episode."""
+        """Reduce values [R, (T + 1) K], K for each step, over each episode, and repeat the result at every place of the
+        episode."""
         episode = jnp.repeat(number, values.shape[1] // length, axis=1).reshape(-1)
-        return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(values.shape)
+        return reduce(values.reshape(-1), episode, num_rows * length, indices_are_sorted=True)[episode].reshape(
+            values.shape
+        )
 
     best = first & (score == over_episodes(jax.ops.segment_max, score))
     goal = over_episodes(jax.ops.segment_min, jnp.where(best, seen.goal, num_goals))  # Then the first goal.
@@ -110,16 +132,21 @@ def best_goals(context: Context) -> Table:
 
 
 def accepted(context: Context, table: Table) -> jax.Array:
-    """Whether an episode's return for its best goal is at least the value of the policy at its start: bool [R, T + 1], true at starts only."""
+    """Whether an episode's return for its best goal is at least the value of the policy at its start: bool [R, T + 1],
+    true at starts only."""
     shape = table.hit.shape
     starts = her.episode_starts(context.rows) == jnp.arange(shape[1])
     count = replay.running_count(starts & (table.hit >= 0))
 
     def some(number, passed):
         rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE)
-        place = jnp.searchsorted(count, rank, side="right")  # Beyond the end for ranks that do not exist: dropped below.
+        place = jnp.searchsorted(
+            count, rank, side="right"
+        )  # Beyond the end for ranks that do not exist: dropped below.
         row, step = jnp.unravel_index(jnp.minimum(place, count.shape[0] - 1), shape)
-        value = context.value(jax.tree.map(lambda leaf: leaf[row, step], context.rows.observation), jnp.maximum(table.goal[row, step], 0))
+        value = context.value(
+            jax.tree.map(lambda leaf: leaf[row, step], context.rows.observation), jnp.maximum(table.goal[row, step], 0)
+        )
         return passed.at[place].set(context.discount ** (table.hit[row, step] - step - 1) >= value, mode="drop")
 
     chunks = (count[-1] + VALUES_AT_ONCE - 1) // VALUES_AT_ONCE
@@ -127,7 +154,8 @@ def accepted(context: Context, table: Table) -> jax.Array:
 
 
 def make(config: GHRLConfig) -> Relabelling:
-    """GHRL for goals that are indices. Transitions after the episode first reached the goal keep their own: reaching a goal ends an episode."""
+    """GHRL for goals that are indices. Transitions after the episode first reached the goal keep their own: reaching a
+    goal ends an episode."""
 
     def prepare(context):
         table = best_goals(context)

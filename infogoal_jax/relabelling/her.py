@@ -1,8 +1,9 @@
-"""HER, hindsight experience replay (Andrychowicz et al. 2017): a transition gets a goal that its episode achieved later.
+"""HER, hindsight experience replay (Andrychowicz et al. 2017): a transition gets a goal that its episode achieved
+later.
 
-`future` is the paper's strategy: draw a later step, then a goal achieved there. `prefix` is the strategy of InfoGoal's authors for graphs: draw one
-of the goals that the episode achieved, each equally likely however long it stayed in view, then one of its occurrences. The transitions before
-that occurrence get the goal.
+`future` is the paper's strategy: draw a later step, then a goal achieved there. `prefix` is the strategy of InfoGoal's
+authors for graphs: draw one of the goals that the episode achieved, each equally likely however long it stayed in view,
+then one of its occurrences. The transitions before that occurrence get the goal.
 """
 
 import dataclasses
@@ -27,27 +28,36 @@ class HERConfig:
     random_share: float = 0.0
     """Share that gets any known goal. These are mostly failures, which offline learning sees nowhere else."""
     strategy: Literal["future", "prefix"] = "future"
-    """`future`: every later step that achieves a goal is equally likely; `prefix`: every goal that the episode achieved is [A]."""
+    """`future`: every later step that achieves a goal is equally likely; `prefix`: every goal that the episode achieved
+    is [A]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         for name in ("future_share", "random_share"):
-            require(0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1")
-        require(self.future_share + self.random_share <= 1, "relabelling.random_share", self.random_share,
-                f"must leave room for future_share = {self.future_share}: together at most 1")
+            require(
+                0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1"
+            )
+        require(
+            self.future_share + self.random_share <= 1,
+            "relabelling.random_share",
+            self.random_share,
+            f"must leave room for future_share = {self.future_share}: together at most 1",
+        )
         require(self.strategy in ("future", "prefix"), "relabelling.strategy", self.strategy, "give future or prefix")
 
 
 @flax.struct.dataclass
 class Occurrences:
-    """What each row achieved: W = (T + 1) K entries sorted by episode, goal and step. The entries of an episode stay at its places in the row."""
+    """What each row achieved: W = (T + 1) K entries sorted by episode, goal and step. The entries of an episode stay at
+    its places in the row."""
 
     goal: jax.Array
     """int32 [R, W], N for none."""
     step: jax.Array
     """int32 [R, W]."""
     size: jax.Array
-    """int32 [R, W]: at the first occurrence of a goal in an episode, the number of its occurrences there; 0 elsewhere."""
+    """int32 [R, W]: at the first occurrence of a goal in an episode, the number of its occurrences there; 0
+    elsewhere."""
     start: jax.Array
     """int32 [R, T + 1], first step of the episode of each step."""
 
@@ -105,19 +115,29 @@ def episode_starts(rows: Trajectories) -> jax.Array:
 def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurrences:
     """Where each episode of these rows achieved each goal. goals: int32 [R, T + 1, K], padded with -1."""
     length, several = goals.shape[1:]
-    require(length**2 * (num_goals + 1) < 2**31, "rollout_steps", length - 1, f"with {num_goals} goals too long for this relabelling: give less")
+    require(
+        length**2 * (num_goals + 1) < 2**31,
+        "rollout_steps",
+        length - 1,
+        f"with {num_goals} goals too long for this relabelling: give less",
+    )
     name = rows.episode()[..., None] * (num_goals + 1) + jnp.where(goals < 0, num_goals, goals)
-    ordered = jnp.sort((name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1)  # One number sorts faster than two.
+    ordered = jnp.sort(
+        (name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1
+    )  # One number sorts faster than two.
     name, step = ordered // length, ordered % length
     place, goal = jnp.arange(length * several), name % (num_goals + 1)
     first = jnp.pad(name[:, 1:] != name[:, :-1], ((0, 0), (1, 0)), constant_values=True)
-    following = jnp.pad(jnp.where(first, place, length * several)[:, 1:], ((0, 0), (0, 1)), constant_values=length * several)
+    following = jnp.pad(
+        jnp.where(first, place, length * several)[:, 1:], ((0, 0), (0, 1)), constant_values=length * several
+    )
     size = jnp.where(first & (goal < num_goals), jax.lax.cummin(following, axis=1, reverse=True) - place, 0)
     return Occurrences(goal, step, size, episode_starts(rows))
 
 
 def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array) -> jax.Array:
-    """Draw a goal that the episode achieved, each equally likely, and one of its occurrences: int32 [B]; -1 if it does not lie after `step`."""
+    """Draw a goal that the episode achieved, each equally likely, and one of its occurrences: int32 [B]; -1 if it does
+    not lie after `step`."""
     choose_goal, choose_occurrence = jax.random.split(key)
     seen, (length, width) = table.occurrences, (table.occurrences.start.shape[1], table.occurrences.goal.shape[1])
     several = width // length
@@ -139,7 +159,10 @@ def prefixes(context: Context) -> Prefixes:
 
 def make(config: HERConfig) -> Relabelling:
     """HER for goals that are indices."""
-    prepare, later_goal = {"future": (lambda context: context.achievements, future_goal), "prefix": (prefixes, prefix_goal)}[config.strategy]
+    prepare, later_goal = {
+        "future": (lambda context: context.achievements, future_goal),
+        "prefix": (prefixes, prefix_goal),
+    }[config.strategy]
 
     def relabel_goals(key, table, row, step, goal):
         future_key, random_key, choose_key = jax.random.split(key, 3)

@@ -1,6 +1,8 @@
-"""The contract of a relabelling: functions that give sampled transitions other desired goals when a batch is drawn. Nothing is stored.
+"""The contract of a relabelling: functions that give sampled transitions other desired goals when a batch is drawn.
+Nothing is stored.
 
-Shapes: R rows of T transitions, B transitions, N goals, K goals achieved at one step, D coordinates. A goal is an int32 index.
+Shapes: R rows of T transitions, B transitions, N goals, K goals achieved at one step, D coordinates. A goal is an int32
+index.
 """
 
 from collections.abc import Callable
@@ -36,9 +38,11 @@ class Context(NamedTuple):
     achievements: Achievements
     """What the rows achieved."""
     positions: Callable[[], jax.Array]
-    """() -> float32 [N, D], positions of the goals: in the world's units where the task knows them, else their codes."""
+    """() -> float32 [N, D], positions of the goals: in the world's units where the task knows them, else their
+    codes."""
     value: Callable[[Any, jax.Array], jax.Array]
-    """(observation [B, ...], goal int32 [B]) -> float32 [B], value of the agent's policy with the epoch's first parameters."""
+    """(observation [B, ...], goal int32 [B]) -> float32 [B], value of the agent's policy with the epoch's first
+    parameters."""
     reached: Callable[[Any, jax.Array], jax.Array]
     """(record [...], goal int32 [...]) -> bool [...], as the environment decides."""
     discount: jax.Array
@@ -53,8 +57,10 @@ class Relabelling(NamedTuple):
     prepare: Callable[[Context], Any]
     """(context: Context) -> table: what the draws of an epoch need, a pytree."""
     relabel: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array]
-    """(key, table, row int32 [B], step int32 [B], goal int32 [B]) -> goal int32 [B], for transitions that start at these rows and steps."""
+    """(key, table, row int32 [B], step int32 [B], goal int32 [B]) -> goal int32 [B], for transitions that start at
+    these rows and steps."""
     choose: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
-    """(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions to learn from; None: all."""
+    """(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions to learn from; None:
+    all."""
     candidates: int = 1
     """Transitions drawn for each that is learned from."""

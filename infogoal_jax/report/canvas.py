@@ -1,6 +1,8 @@
-"""What all figures share: a canvas without a display, the line that says what was drawn, colours, and curves with their intervals.
+"""What all figures share: a canvas without a display, the line that says what was drawn, colours, and curves with their
+intervals.
 
-Figures are made as objects and never through pyplot, so that drawing changes no state of the user's and needs no screen.
+Figures are made as objects and never through pyplot, so that drawing changes no state of the user's and needs no
+screen.
 """
 
 import dataclasses
@@ -34,7 +36,8 @@ SUCCESS, FAILURE, NOTHING = "#1A9641", "#D7191C", "#DDDDDD"
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """What the figures of a run are about. The tables leave out the seeds that diverged; params: of one seed, None if the run holds none yet."""
+    """What the figures of a run are about. The tables leave out the seeds that diverged; params: of one seed, None if
+    the run holds none yet."""
 
     run: Run
     train: Train
@@ -57,7 +60,8 @@ def in_words(name: str, longest: int = 44) -> str:
 
 
 def empty_figure(title: str, below: tuple[str, ...], size: tuple[float, float]) -> Figure:
-    """An empty figure (size in inches) with a line above and small print below, broken where it is wider than the figure."""
+    """An empty figure (size in inches) with a line above and small print below, broken where it is wider than the
+    figure."""
     below = "\n".join(textwrap.fill(line, round(LETTERS_PER_INCH * size[0])) for line in below)
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
@@ -67,10 +71,13 @@ def empty_figure(title: str, below: tuple[str, ...], size: tuple[float, float]) 
 
 
 def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: str = "") -> Figure:
-    """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below. shown: instead of the seeds."""
+    """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below.
+    shown: instead of the seeds."""
     config, count = subject.run.config, len(subject.evaluations.seeds)
     seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
-    left_out = "".join(f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items())
+    left_out = "".join(
+        f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items()
+    )
     below = (f"{seeds}{left_out}", f"data: {subject.run.data}")
     return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
 

@@ -1,7 +1,8 @@
-"""How near our Fetch tasks are to recorded episodes of the reference: the same actions from the same start, and what became of grip and object.
+"""How near our Fetch tasks are to recorded episodes of the reference: the same actions from the same start, and what
+became of grip and object.
 
-It measures and judges nothing: where contacts are chaotic, two runs of the reference a tenth of a millimetre apart part as well
-(benchmarks/fidelity/fetch_chaos.py).
+It measures and judges nothing: where contacts are chaotic, two runs of the reference a tenth of a millimetre apart part
+as well (benchmarks/fidelity/fetch_chaos.py).
 """
 
 import dataclasses
@@ -34,7 +35,8 @@ ALL = "all"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replayed:
-    """What the recorded actions did here: grip and thing (the object; zeros without one) [E, T + 1, 3] in m, reward [E, T], diverged bool [E]."""
+    """What the recorded actions did here: grip and thing (the object; zeros without one) [E, T + 1, 3] in m, reward [E,
+    T], diverged bool [E]."""
 
     grip: np.ndarray
     thing: np.ndarray
@@ -43,19 +45,24 @@ class Replayed:
 
 
 def replay(env: Fetch, recording: Recording) -> Replayed:
-    """Step through all episodes of a recording, side by side. Episodes go on to their end, whatever the environment's configuration says of it."""
-    grip, thing, reward, diverged = jax.device_get(replay_program(env, recording.observation[:, 0], recording.goal, recording.action))
+    """Step through all episodes of a recording, side by side. Episodes go on to their end, whatever the environment's
+    configuration says of it."""
+    grip, thing, reward, diverged = jax.device_get(
+        replay_program(env, recording.observation[:, 0], recording.goal, recording.action)
+    )
     return Replayed(grip, thing, reward, diverged)
 
 
 @jax.jit
 @functools.partial(jax.vmap, in_axes=(None, 0, 0, 0))
 def replay_program(env: Fetch, first, goal, actions):
-    """Grip and object [T + 1, 3], reward [T] and whether it diverged, for one episode: first observation [10 or 25], goal [3] and actions [T, 4]."""
+    """Grip and object [T + 1, 3], reward [T] and whether it diverged, for one episode: first observation [10 or 25],
+    goal [3] and actions [T, 4]."""
     has_object = env.task.object_height is not None
     motion = env.physics.start()
     if has_object:
-        # The reference's puck lies 6.5 mm deep in the table, where ours would be thrown out of it: it stands at its own height.
+        # The reference's puck lies 6.5 mm deep in the table, where ours would be thrown out of it: it stands at its own
+        # height.
         motion = env.physics.place_object(motion, first[3:5] if env.task.puck else first[3:6])
 
     def positions(state):
@@ -68,13 +75,16 @@ def replay_program(env: Fetch, first, goal, actions):
 
     start = env.begin(motion, goal)
     _, (grip, thing, reward, diverged) = jax.lax.scan(step, start, actions)
-    grip, thing = (jax.numpy.concatenate([here[None], later]) for here, later in zip(positions(start), (grip, thing), strict=True))
+    grip, thing = (
+        jax.numpy.concatenate([here[None], later]) for here, later in zip(positions(start), (grip, thing), strict=True)
+    )
     return grip, thing, reward, diverged.any()
 
 
 @dataclasses.dataclass(frozen=True)
 class Distance:
-    """How far a position is from the recorded one, in mm, over all steps of some episodes; at the start and the end: means over the episodes."""
+    """How far a position is from the recorded one, in mm, over all steps of some episodes; at the start and the end:
+    means over the episodes."""
 
     mean: float
     median: float
@@ -94,7 +104,8 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class Parity:
-    """Episodes of one kind compared. thing, fallen and lifted: None without an object; equal_rewards: share of the steps."""
+    """Episodes of one kind compared. thing, fallen and lifted: None without an object; equal_rewards: share of the
+    steps."""
 
     kind: str
     episodes: int
@@ -114,7 +125,13 @@ def distances(here: np.ndarray, recorded: np.ndarray) -> np.ndarray:
 def measure(error: np.ndarray) -> Distance:
     """Errors [E, T + 1] in mm in five numbers. The start is given, so only what follows it counts."""
     moved = error[:, 1:]
-    return Distance(float(moved.mean()), float(np.median(moved)), float(moved.max()), float(error[:, 0].mean()), float(error[:, -1].mean()))
+    return Distance(
+        float(moved.mean()),
+        float(np.median(moved)),
+        float(moved.max()),
+        float(error[:, 0].mean()),
+        float(error[:, -1].mean()),
+    )
 
 
 def count(recorded: np.ndarray, here: np.ndarray) -> Outcome:
@@ -123,10 +140,14 @@ def count(recorded: np.ndarray, here: np.ndarray) -> Outcome:
 
 
 def read_kinds(pattern: str) -> tuple[str, ...]:
-    """Kinds of the first, second, ... episode, from `random,held,scripted`; none from "". Raises `UserError` for an empty kind, or one named all."""
+    """Kinds of the first, second, ... episode, from `random,held,scripted`; none from "". Raises `UserError` for an
+    empty kind, or one named all."""
     kinds = tuple(kind.strip() for kind in pattern.split(",")) if pattern else ()
     if "" in kinds or ALL in kinds:
-        raise UserError(f"kinds = {pattern!r}: give names separated by commas, none of them empty or {ALL!r}, such as random,held,scripted")
+        raise UserError(
+            f"kinds = {pattern!r}: give names separated by commas, none of them empty or {ALL!r}, such as "
+            "random,held,scripted"
+        )
     return kinds
 
 
@@ -145,13 +166,18 @@ def compare(recording: Recording, replayed: Replayed, kinds: Sequence[str] = ())
     rows = []
     for kind, mask in kind_masks(kinds, recording.episodes).items():
         heights = [end[mask] for end in ends]
-        rows.append(Parity(
-            kind=kind, episodes=int(mask.sum()), grip=measure(grip[mask]), thing=measure(thing[mask]) if has_object else None,
-            equal_rewards=float((replayed.reward == recording.reward)[mask].mean()),
-            fallen=count(*(height < OFF_TABLE for height in heights)) if has_object else None,
-            lifted=count(*(height > LIFTED for height in heights)) if has_object else None,
-            diverged=int(replayed.diverged[mask].sum()),
-        ))
+        rows.append(
+            Parity(
+                kind=kind,
+                episodes=int(mask.sum()),
+                grip=measure(grip[mask]),
+                thing=measure(thing[mask]) if has_object else None,
+                equal_rewards=float((replayed.reward == recording.reward)[mask].mean()),
+                fallen=count(*(height < OFF_TABLE for height in heights)) if has_object else None,
+                lifted=count(*(height > LIFTED for height in heights)) if has_object else None,
+                diverged=int(replayed.diverged[mask].sum()),
+            )
+        )
     return rows
 
 
@@ -163,28 +189,44 @@ def episode_rows(recording: Recording, replayed: Replayed, kinds: Sequence[str])
     rows = []
     for episode in range(recording.episodes):
         row = {"episode": episode, "kind": kinds[episode % len(kinds)] if kinds else ALL}
-        row |= {f"{name}_{part}_mm": float(value) for name, error in errors.items() for part, value in
-                (("mean", error[episode, 1:].mean()), ("largest", error[episode, 1:].max()), ("end", error[episode, -1]))}
+        row |= {
+            f"{name}_{part}_mm": float(value)
+            for name, error in errors.items()
+            for part, value in (
+                ("mean", error[episode, 1:].mean()),
+                ("largest", error[episode, 1:].max()),
+                ("end", error[episode, -1]),
+            )
+        }
         row["diverged"] = bool(replayed.diverged[episode])
         row["equal_rewards"] = float((replayed.reward[episode] == recording.reward[episode]).mean())
         if recording.has_object:
-            row |= {"height_recorded": float(recording.thing[episode, -1, 2]), "height_here": float(replayed.thing[episode, -1, 2])}
+            row |= {
+                "height_recorded": float(recording.thing[episode, -1, 2]),
+                "height_here": float(replayed.thing[episode, -1, 2]),
+            }
         rows.append(row)
     return rows
 
 
 def distance_table(parities: dict[str, list[Parity]]) -> Table:
     """Errors of grip and object in mm: for each task and kind, over all steps, and the mean at the episodes' end."""
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, title="distance from the recorded position (mm)", title_justify="left")
+    table = Table(
+        box=box.SIMPLE_HEAD, pad_edge=False, title="distance from the recorded position (mm)", title_justify="left"
+    )
     for column in ("task", "episodes", "of", "mean", "median", "max", "end"):
         table.add_column(column, justify="left" if column in ("task", "episodes", "of") else "right", no_wrap=True)
     for task, rows in parities.items():
         for row in rows:
             for name, error in (("grip", row.grip), ("object", row.thing)):
                 if error is not None:
-                    first = (task if row.kind == ALL else "", f"{row.episodes} {row.kind}") if name == "grip" else ("", "")
+                    first = (
+                        (task if row.kind == ALL else "", f"{row.episodes} {row.kind}") if name == "grip" else ("", "")
+                    )
                     numbers = (error.mean, error.median, error.largest, error.end)
-                    table.add_row(*first, name, *(f"{number:.1f}" if number < 1000 else f"{number:.0f}" for number in numbers))
+                    table.add_row(
+                        *first, name, *(f"{number:.1f}" if number < 1000 else f"{number:.0f}" for number in numbers)
+                    )
     return table
 
 
@@ -196,15 +238,25 @@ def outcome_table(parities: dict[str, list[Parity]]) -> Table:
         table.add_column(column, justify="left" if column in ("task", "episodes") else "right", no_wrap=True)
     for task, rows in parities.items():
         for row in rows:
-            outcomes = ("-" if outcome is None else f"{outcome.both} ({outcome.recorded}, {outcome.here})" for outcome in (row.fallen, row.lifted))
-            table.add_row(task if row.kind == ALL else "", f"{row.episodes} {row.kind}", f"{row.equal_rewards:.1%}", *outcomes)
+            outcomes = (
+                "-" if outcome is None else f"{outcome.both} ({outcome.recorded}, {outcome.here})"
+                for outcome in (row.fallen, row.lifted)
+            )
+            table.add_row(
+                task if row.kind == ALL else "", f"{row.episodes} {row.kind}", f"{row.equal_rewards:.1%}", *outcomes
+            )
     return table
 
 
 def check_recordings(
-    recordings: Recordings, faithful: bool = False, kinds: Sequence[str] = (), out: Path | None = None, console: Console | None = None
+    recordings: Recordings,
+    faithful: bool = False,
+    kinds: Sequence[str] = (),
+    out: Path | None = None,
+    console: Console | None = None,
 ) -> dict[str, list[Parity]]:
-    """Replay every task of a file, print what came of it, and write it to `out` (json) if given, with a record an episode.
+    """Replay every task of a file, print what came of it, and write it to `out` (json) if given, with a record an
+    episode.
 
     Returns {task: [over all episodes, of each kind]}. Raises `UserError` if `out` cannot be written.
     """
@@ -212,11 +264,24 @@ def check_recordings(
     if out is not None and (not out.parent.is_dir() or out.is_dir()):
         raise UserError(f"out = {str(out)!r}: cannot be written; give a file in a folder that is there")
     for name in recordings.skipped:
-        console.print(f"{recordings.path}: {name} is no task of ours; skipped", style="yellow", soft_wrap=True, highlight=False, markup=False)
+        console.print(
+            f"{recordings.path}: {name} is no task of ours; skipped",
+            style="yellow",
+            soft_wrap=True,
+            highlight=False,
+            markup=False,
+        )
     setting = "faithful" if faithful else "default"
     device = jax.devices()[0].device_kind
-    console.print(f"{recordings.path}, {setting} setting, MuJoCo {mujoco.__version__} on {device}", style="bold", soft_wrap=True, markup=False)
-    console.print(f"recorded by {recordings.source or 'an unnamed source'}", soft_wrap=True, highlight=False, markup=False)
+    console.print(
+        f"{recordings.path}, {setting} setting, MuJoCo {mujoco.__version__} on {device}",
+        style="bold",
+        soft_wrap=True,
+        markup=False,
+    )
+    console.print(
+        f"recorded by {recordings.source or 'an unnamed source'}", soft_wrap=True, highlight=False, markup=False
+    )
     parities, written = {}, {}
     for task, recording in recordings.tasks.items():
         started = time.perf_counter()
@@ -225,16 +290,28 @@ def check_recordings(
         done = f"{task}: {recording.episodes} x {recording.steps} steps, {seconds:.0f} s with compiling"
         console.print(done, soft_wrap=True, highlight=False, markup=False)
         parities[task] = compare(recording, replayed, kinds)
-        written[task] = {"kinds": [dataclasses.asdict(row) for row in parities[task]], "episodes": episode_rows(recording, replayed, kinds)}
+        written[task] = {
+            "kinds": [dataclasses.asdict(row) for row in parities[task]],
+            "episodes": episode_rows(recording, replayed, kinds),
+        }
     console.print(distance_table(parities))
     console.print(outcome_table(parities))
     diverged = {task: rows[0].diverged for task, rows in parities.items() if rows[0].diverged}
     for task, number in diverged.items():
-        console.print(f"{task}: {number} episodes diverged; their errors are those of the last finite states", style="bold red", soft_wrap=True)
+        console.print(
+            f"{task}: {number} episodes diverged; their errors are those of the last finite states",
+            style="bold red",
+            soft_wrap=True,
+        )
     if out is not None:
         content = {
-            "file": str(recordings.path), "source": recordings.source, "setting": setting, "device": device,
-            "mujoco": mujoco.__version__, "jax": jax.__version__, "tasks": written,
+            "file": str(recordings.path),
+            "source": recordings.source,
+            "setting": setting,
+            "device": device,
+            "mujoco": mujoco.__version__,
+            "jax": jax.__version__,
+            "tasks": written,
         }
         files.write_atomically(out, lambda file: file.write((json.dumps(content, indent=1) + "\n").encode()))
         console.print(f"file        {out}", soft_wrap=True, highlight=False, markup=False)

@@ -22,8 +22,12 @@ GOAL, REACHED = (0.90, 0.16, 0.13), (0.10, 0.66, 0.25)
 GOAL_RADIUS = 0.025
 
 ARM = (
-    ("shoulder_pan", "shoulder_lift", 0.062, SHELL), ("shoulder_lift", "upperarm_roll", 0.056, BLUE), ("upperarm_roll", "elbow_flex", 0.052, SHELL),
-    ("elbow_flex", "forearm_roll", 0.048, BLUE), ("forearm_roll", "wrist_flex", 0.045, SHELL), ("wrist_flex", "wrist_roll", 0.042, BLUE),
+    ("shoulder_pan", "shoulder_lift", 0.062, SHELL),
+    ("shoulder_lift", "upperarm_roll", 0.056, BLUE),
+    ("upperarm_roll", "elbow_flex", 0.052, SHELL),
+    ("elbow_flex", "forearm_roll", 0.048, BLUE),
+    ("forearm_roll", "wrist_flex", 0.045, SHELL),
+    ("wrist_flex", "wrist_roll", 0.042, BLUE),
 )
 """Links as capsules: from which body's origin to which, radius (m), colour."""
 PALM = Box(np.array([0.095, 0.0, 0.0]), np.eye(3), np.array([0.032, 0.062, 0.036]), JOINT)
@@ -49,8 +53,11 @@ def still_shapes(task: Task) -> list[Shape]:
         return Cylinder(np.array([x, y, (bottom + top) / 2]), np.eye(3), radius, (top - bottom) / 2, colour)
 
     return [
-        standing(x + BASE_X, 0.03, 0.17, 0.27, JOINT), standing(x + BASE_X, 0.17, 0.34, 0.265, SHELL), standing(x, 0.34, 0.40, 0.17, JOINT),
-        Capsule(np.array([x, y, 0.45]), np.array([x - 0.01, y, 0.93]), 0.115, SHELL), standing(x + 0.055, 0.93, 1.0, 0.05, JOINT),
+        standing(x + BASE_X, 0.03, 0.17, 0.27, JOINT),
+        standing(x + BASE_X, 0.17, 0.34, 0.265, SHELL),
+        standing(x, 0.34, 0.40, 0.17, JOINT),
+        Capsule(np.array([x, y, 0.45]), np.array([x - 0.01, y, 0.93]), 0.115, SHELL),
+        standing(x + 0.055, 0.93, 1.0, 0.05, JOINT),
         Capsule(np.array([x + 0.14, y - 0.09, 1.045]), np.array([x + 0.14, y + 0.09, 1.045]), 0.058, SHELL),
         Capsule(np.array([x + 0.192, y - 0.06, 1.045]), np.array([x + 0.192, y + 0.06, 1.045]), 0.018, FINGER),
         Box((low + high) / 2, np.eye(3), (high - low) / 2, WOOD),
@@ -60,7 +67,9 @@ def still_shapes(task: Task) -> list[Shape]:
 def moving_shapes(env: Fetch, position: np.ndarray) -> list[Shape]:
     """The arm, the gripper and the object at joint positions [nq]."""
     data, mj = body_poses(env, position), env.physics.mujoco_model
-    shapes: list[Shape] = [Capsule(data.body(first).xpos, data.body(last).xpos, radius, colour) for first, last, radius, colour in ARM]
+    shapes: list[Shape] = [
+        Capsule(data.body(first).xpos, data.body(last).xpos, radius, colour) for first, last, radius, colour in ARM
+    ]
     wrist = data.body("wrist_roll")
     rotation = wrist.xmat.reshape(3, 3)
     shapes.append(Capsule(wrist.xpos, wrist.xpos + rotation @ [0.03, 0.0, 0.0], 0.036, SHELL))
@@ -71,7 +80,9 @@ def moving_shapes(env: Fetch, position: np.ndarray) -> list[Shape]:
     if env.task.object_height is not None:
         geom = data.geom("object")
         size, turn = mj.geom("object").size, geom.xmat.reshape(3, 3)
-        shapes.append(Cylinder(geom.xpos, turn, size[0], size[1], PUCK) if env.task.puck else Box(geom.xpos, turn, size, CUBE))
+        shapes.append(
+            Cylinder(geom.xpos, turn, size[0], size[1], PUCK) if env.task.puck else Box(geom.xpos, turn, size, CUBE)
+        )
     return shapes
 
 
@@ -96,12 +107,20 @@ def still_scene(task: Task, size: tuple[int, int]) -> tuple[Camera, Picture]:
 
 
 def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640), caption: bool = True) -> np.ndarray:
-    """A picture uint8 [H, W, 3] (RGB) of one state. size: pixels (height, width); caption: says the step and the distance to the goal.
+    """A picture uint8 [H, W, 3] (RGB) of one state. size: pixels (height, width); caption: says the step and the
+    distance to the goal.
 
     Raises `UserError` for a size that cannot be drawn, or a batch of states.
     """
-    require(len(size) == 2 and all(64 <= side <= 2160 for side in size), "size", size, "give height and width of 64 to 2160 pixels")
-    position, goal, record = (np.asarray(part, float) for part in (state.motion.position, state.goal, env.achieved(state)))
+    require(
+        len(size) == 2 and all(64 <= side <= 2160 for side in size),
+        "size",
+        size,
+        "give height and width of 64 to 2160 pixels",
+    )
+    position, goal, record = (
+        np.asarray(part, float) for part in (state.motion.position, state.goal, env.achieved(state))
+    )
     require(position.ndim == 1, "state", f"a batch of shape {position.shape[:-1]}", "draw one state at a time")
     camera, still = still_scene(env.task, tuple(size))
     picture = still.copy()
@@ -124,4 +143,13 @@ def write_words(frame: np.ndarray, words: str, colour) -> None:
     """A line of text at the lower left."""
     scale = frame.shape[0] / 900
     place = (round(24 * scale), frame.shape[0] - round(26 * scale))
-    cv2.putText(frame, words, place, cv2.FONT_HERSHEY_SIMPLEX, scale, tuple(255 * part for part in colour), max(1, round(2 * scale)), cv2.LINE_AA)
+    cv2.putText(
+        frame,
+        words,
+        place,
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        tuple(255 * part for part in colour),
+        max(1, round(2 * scale)),
+        cv2.LINE_AA,
+    )

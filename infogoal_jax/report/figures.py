@@ -1,5 +1,5 @@
-"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by goal. Those of a house, of a
-shelf and of image goals are in files of their own.
+"""The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by
+goal. Those of a house, of a shelf and of image goals are in files of their own.
 """
 
 from pathlib import Path
@@ -40,7 +40,8 @@ MOST_BARS = 60  # Goals up to which every one gets a bar of its own.
 
 
 def draw_figures(folder: Path, env: Any = None) -> list[Path]:
-    """Draw everything that this run has numbers for under RUN/figures; the paths of the files. env: the environment if it is loaded already.
+    """Draw everything that this run has numbers for under RUN/figures; the paths of the files. env: the environment if
+    it is loaded already.
 
     Raises `UserError` for a folder without a run, a damaged file, or a disk that refuses.
     """
@@ -70,14 +71,17 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
 
 
 def learning_curves(subject: Subject) -> Figure:
-    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on corrupted goals."""
+    """Success rate of training, validation and test goals against environment steps; beside it SPL, or success on
+    corrupted goals."""
     values, groups = subject.evaluations.values, subject.train.env.goals.groups
     steps, steps_label = progress(subject.run.config, subject.evaluations, subject.train.env)
     panels = {
         "success rate": {f"{group}_goal/success_rate": (group, USE_TITLES[group]) for group in groups},
         "success weighted by path length (SPL)": {f"{group}_goal/spl": (group, USE_TITLES[group]) for group in groups},
         f"success rate, corruption {subject.run.config.test_corruption:g}": {
-            f"corrupted_{group}_goal/success_rate": (group, f"corrupted {USE_TITLES[group]}") for group in groups if group != "validation"
+            f"corrupted_{group}_goal/success_rate": (group, f"corrupted {USE_TITLES[group]}")
+            for group in groups
+            if group != "validation"
         },
     }
     panels = {label: curves for label, curves in panels.items() if all(name in values for name in curves)}
@@ -92,7 +96,8 @@ def learning_curves(subject: Subject) -> Figure:
 
 
 def progress(config: TrainConfig, evaluations: tables.Table, env) -> tuple[np.ndarray, str]:
-    """How far training was at each evaluation [E], and in what: environment steps, or epochs for who learns offline and takes none."""
+    """How far training was at each evaluation [E], and in what: environment steps, or epochs for who learns offline and
+    takes none."""
     if env.recorded is not None:
         return evaluations.epochs, f"epochs of {config.updates_per_epoch} updates, offline"
     return evaluations.values["env_steps"].mean(0), "environment steps"
@@ -114,7 +119,8 @@ def finish_length_axis(axes: Axes, longest: int) -> None:
 
 
 def beta_and_accuracy(subject: Subject) -> Figure | None:
-    """The Lagrange multiplier and the accuracy of telling goals apart, against epochs (paper, Fig. 13); None for methods without them."""
+    """The Lagrange multiplier and the accuracy of telling goals apart, against epochs (paper, Fig. 13); None for
+    methods without them."""
     config, values, epochs = subject.run.config, subject.epochs.values, subject.epochs.epochs
     names = [f"{learners.registry.name_of(config.learner)}/{name}" for name in ("beta", "accuracy")]
     if any(name not in values for name in names):
@@ -128,7 +134,9 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     draw_curve(accuracy_axes, epochs, values[names[1]], USE_COLOURS["test"], "accuracy")
     if getattr(config.learner, "beta_rule", "fixed") != "fixed":
         alpha = config.hyper.learner.beta_threshold
-        accuracy_axes.axhline(alpha, color="black", linestyle="--", linewidth=1, label=rf"threshold $\alpha$ = {alpha:g}")
+        accuracy_axes.axhline(
+            alpha, color="black", linestyle="--", linewidth=1, label=rf"threshold $\alpha$ = {alpha:g}"
+        )
     accuracy_axes.set_ylabel("accuracy, similar against dissimilar goals")
     accuracy_axes.set_ylim(min(0.48, values[names[1]].min() - 0.02), 1.01)
     accuracy_axes.grid(alpha=0.3, linewidth=0.6)
@@ -145,13 +153,15 @@ def evaluated_mask(goals: GoalSet, group: str) -> np.ndarray:
 
 
 def success_within(first_reached: np.ndarray, mask: np.ndarray, longest: int) -> np.ndarray:
-    """Share of episodes that reached their goal within 0, 1, ..., `longest` steps, [..., longest + 1]: first_reached [..., M, starts], mask [M]."""
+    """Share of episodes that reached their goal within 0, 1, ..., `longest` steps, [..., longest + 1]: first_reached
+    [..., M, starts], mask [M]."""
     episodes = first_reached[..., mask, :].reshape(*first_reached.shape[:-2], -1)
     return (episodes[..., None] <= np.arange(longest + 1)).mean(-2)
 
 
 def success_by_length(subject: Subject) -> Figure:
-    """Success against the allowed episode length at the last evaluation (paper, Fig. 8 right), beside a shortest path where one is known."""
+    """Success against the allowed episode length at the last evaluation (paper, Fig. 8 right), beside a shortest path
+    where one is known."""
     env = subject.train.env
     first_reached = subject.evaluations.last()["first_reached"]
     num_starts, longest = first_reached.shape[-1], env.episode_length
@@ -162,7 +172,9 @@ def success_by_length(subject: Subject) -> Figure:
     axes = figure.subplots()
     for group in env.goals.groups:
         mask, colour = evaluated_mask(env.goals, group), USE_COLOURS[group]
-        draw_curve(axes, np.arange(longest + 1), success_within(first_reached, mask, longest), colour, USE_TITLES[group])
+        draw_curve(
+            axes, np.arange(longest + 1), success_within(first_reached, mask, longest), colour, USE_TITLES[group]
+        )
         if shortest is not None:
             curve = success_within(shortest, mask, longest)
             axes.plot(curve, color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
@@ -173,12 +185,17 @@ def success_by_length(subject: Subject) -> Figure:
 
 
 def success_by_goal(subject: Subject) -> Figure | None:
-    """Success rate of every evaluated goal at the last evaluation, room by room; training goals filled, the others hatched. None for very many."""
+    """Success rate of every evaluated goal at the last evaluation, room by room; training goals filled, the others
+    hatched. None for very many."""
     env = subject.train.env
     goals, which = env.goals, np.asarray(env.goals.evaluated)
     if len(which) > MOST_BARS:
         return None
-    regions, trained, names = np.asarray(goals.regions)[which], evaluated_mask(goals, "train"), [goals.names[goal] for goal in which]
+    regions, trained, names = (
+        np.asarray(goals.regions)[which],
+        evaluated_mask(goals, "train"),
+        [goals.names[goal] for goal in which],
+    )
     reached = (subject.evaluations.last()["first_reached"] <= env.episode_length).mean(-1)
     order = sorted(range(len(which)), key=lambda goal: (regions[goal], not trained[goal], names[goal]))
     count, num_starts = len(reached), subject.evaluations.values["first_reached"].shape[-1]
@@ -190,9 +207,18 @@ def success_by_goal(subject: Subject) -> Figure | None:
     places = [-(row + 0.7 * int(np.searchsorted(np.unique(regions), regions[goal]))) for row, goal in enumerate(order)]
     for place, goal in zip(places, order, strict=True):
         colour, mean = room_colour(regions[goal]), reached[:, goal].mean()
-        axes.barh(place, mean, height=0.8, color=colour if trained[goal] else "white", edgecolor=colour, hatch=None if trained[goal] else "////")
+        axes.barh(
+            place,
+            mean,
+            height=0.8,
+            color=colour if trained[goal] else "white",
+            edgecolor=colour,
+            hatch=None if trained[goal] else "////",
+        )
         if count > 1:  # Dots side by side, where seeds agree.
-            axes.scatter(reached[:, goal], place + np.linspace(-0.25, 0.25, count), s=9, color="black", linewidths=0, zorder=3)
+            axes.scatter(
+                reached[:, goal], place + np.linspace(-0.25, 0.25, count), s=9, color="black", linewidths=0, zorder=3
+            )
     axes.set_yticks(places, [in_words(names[goal]) for goal in order], fontsize=8)
     entries = [Patch(facecolor=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
     entries.append(Patch(facecolor="#888888", label="training goal"))

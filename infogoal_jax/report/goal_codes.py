@@ -1,4 +1,5 @@
-"""Goal codes as points of a plane (paper, Figs. 9 and 10): means of the Gaussians, and samples of them, on the principal axes of the means."""
+"""Goal codes as points of a plane (paper, Figs. 9 and 10): means of the Gaussians, and samples of them, on the
+principal axes of the means."""
 
 import jax
 import numpy as np
@@ -21,28 +22,53 @@ def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     return centre, axes[:2], shares[:2]
 
 
-def draw_codes(axes: Axes, code: GoalCode, goals: GoalSet, which: np.ndarray, centre: np.ndarray, directions: np.ndarray, size: float = 1.0) -> None:
-    """Codes [n, d] of the goals `which` [n], coloured by region: faded samples, means over them. size: of the markers."""
+def draw_codes(
+    axes: Axes,
+    code: GoalCode,
+    goals: GoalSet,
+    which: np.ndarray,
+    centre: np.ndarray,
+    directions: np.ndarray,
+    size: float = 1.0,
+) -> None:
+    """Codes [n, d] of the goals `which` [n], coloured by region: faded samples, means over them. size: of the
+    markers."""
     regions = np.asarray(goals.regions)[which]
     if code.std is not None:
         noise = np.random.default_rng(0).normal(size=(CODE_SAMPLES, *code.mean.shape))
         samples = (code.mean + code.std * noise - centre) @ directions.T
         for goal, region in enumerate(regions):
-            axes.scatter(*samples[:, goal].T, s=5 * size, color=room_colour(region), alpha=0.18, linewidths=0, rasterized=True)
+            axes.scatter(
+                *samples[:, goal].T, s=5 * size, color=room_colour(region), alpha=0.18, linewidths=0, rasterized=True
+            )
     means = (code.mean - centre) @ directions.T
     masks = {group: np.asarray(getattr(goals, f"{group}_mask"))[which] for group in goals.groups}
     masks["other"] = ~np.any(list(masks.values()), axis=0)
     for group, mask in masks.items():
         marker, area = USE_MARKERS[group]
         colours = [room_colour(region) for region in regions[mask]]
-        axes.scatter(*means[mask].T, marker=marker, s=area * size, c=colours, edgecolors="black", linewidths=0.8 * size**0.5, zorder=3)
+        axes.scatter(
+            *means[mask].T,
+            marker=marker,
+            s=area * size,
+            c=colours,
+            edgecolors="black",
+            linewidths=0.8 * size**0.5,
+            zorder=3,
+        )
     axes.grid(alpha=0.3, linewidth=0.6)
 
 
-def code_legend(goals: GoalSet, groups: tuple[str, ...], random_code: bool, titles: dict[str, str] | None = None) -> list[Line2D]:
-    """What the marks of `draw_codes` mean. random_code: whether there are samples. titles: of a goal of each group, or those of the canvas."""
+def code_legend(
+    goals: GoalSet, groups: tuple[str, ...], random_code: bool, titles: dict[str, str] | None = None
+) -> list[Line2D]:
+    """What the marks of `draw_codes` mean. random_code: whether there are samples. titles: of a goal of each group, or
+    those of the canvas."""
     titles = titles or {group: title.removesuffix("s") for group, title in USE_TITLES.items()}
-    entries = [Line2D([], [], linestyle="", marker="s", color=room_colour(index), label=name) for index, name in enumerate(goals.region_names)]
+    entries = [
+        Line2D([], [], linestyle="", marker="s", color=room_colour(index), label=name)
+        for index, name in enumerate(goals.region_names)
+    ]
     for group in groups:
         marker, area = USE_MARKERS[group]
         outline = {"linestyle": "", "markersize": area**0.5, "markerfacecolor": "white", "markeredgecolor": "black"}
@@ -53,7 +79,8 @@ def code_legend(goals: GoalSet, groups: tuple[str, ...], random_code: bool, titl
 
 
 def representations(subject: Subject) -> Figure | None:
-    """Codes of the evaluated goals of one seed on the principal axes of their means, coloured by room or region (paper, Fig. 10)."""
+    """Codes of the evaluated goals of one seed on the principal axes of their means, coloured by room or region (paper,
+    Fig. 10)."""
     goals = subject.train.env.goals
     which = np.asarray(goals.evaluated)
     if subject.params is None or len(which) < 3:
@@ -63,7 +90,9 @@ def representations(subject: Subject) -> Figure | None:
     figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
     axes = figure.subplots()
     draw_codes(axes, code, goals, which, centre, directions)
-    axes.legend(handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(
+        handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5)
+    )
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
     return figure

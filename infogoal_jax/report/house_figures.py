@@ -1,4 +1,5 @@
-"""Plan views of a search task: trajectories of the trained policy (paper, Fig. 10) and the intrinsic reward over the house (Fig. 12).
+"""Plan views of a search task: trajectories of the trained policy (paper, Fig. 10) and the intrinsic reward over the
+house (Fig. 12).
 
 Rooms have no outlines in the data: what is drawn are the places where images were taken and the moves between them.
 """
@@ -21,7 +22,14 @@ from scipy.sparse.csgraph import connected_components
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour
-from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, outcome_in_words, reward_of_images, walks_of_policy
+from infogoal_jax.report.walks import (
+    Walk,
+    from_farthest,
+    one_goal_a_region,
+    outcome_in_words,
+    reward_of_images,
+    walks_of_policy,
+)
 
 ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]
 SIGHT, PATH = "#F0E442", "#30305C"
@@ -32,8 +40,10 @@ STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
 class Plan:
     """A house from above.
 
-    position: [S, 3] x and y in metres and heading in radians; known: bool [S], where they are; place: int [S], shared by images of one spot;
-    part: int [S], shared by images that moves lead between; moves: int [M, 2] from image to image; spacing: metres of a typical move.
+    position: [S, 3] x and y in metres and heading in radians; known: bool [S], where they are; place: int [S], shared
+    by images of one spot;
+    part: int [S], shared by images that moves lead between; moves: int [M, 2] from image to image; spacing: metres of a
+    typical move.
     """
 
     position: np.ndarray
@@ -48,7 +58,9 @@ def linked(next_node: np.ndarray) -> np.ndarray:
     """Which images can be walked between by these actions, int [S] numbers of the groups: next_node [S, A]."""
     number = len(next_node)
     source = np.repeat(np.arange(number), next_node.shape[1])
-    return connected_components(coo_array((np.ones(len(source)), (source, next_node.ravel())), shape=(number, number)), directed=False)[1]
+    return connected_components(
+        coo_array((np.ones(len(source)), (source, next_node.ravel())), shape=(number, number)), directed=False
+    )[1]
 
 
 def make_plan(env) -> Plan | None:
@@ -65,7 +77,14 @@ def make_plan(env) -> Plan | None:
     length = np.linalg.norm(position[moves[:, 0], :2] - position[moves[:, 1], :2], axis=1)
     if not (length > 1e-3).any():
         return None
-    return Plan(position, known, linked(next_node[:, ROTATIONS]), linked(next_node), moves, float(np.median(length[length > 1e-3])))
+    return Plan(
+        position,
+        known,
+        linked(next_node[:, ROTATIONS]),
+        linked(next_node),
+        moves,
+        float(np.median(length[length > 1e-3])),
+    )
 
 
 def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
@@ -79,8 +98,15 @@ def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
         seeing = shown & in_view[:, regions == region].any(1)
         if seeing.any():
             axes.text(
-                *np.median(plan.position[seeing, :2], axis=0), name, color=room_colour(region), fontsize=8, weight="bold", ha="center", va="center",
-                zorder=7, path_effects=[withStroke(linewidth=3, foreground="white")],
+                *np.median(plan.position[seeing, :2], axis=0),
+                name,
+                color=room_colour(region),
+                fontsize=8,
+                weight="bold",
+                ha="center",
+                va="center",
+                zorder=7,
+                path_effects=[withStroke(linewidth=3, foreground="white")],
             )
     low, high = plan.position[shown, :2].min(0) - plan.spacing, plan.position[shown, :2].max(0) + plan.spacing
     axes.set_xlim(low[0], high[0])
@@ -90,15 +116,29 @@ def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
     axes.set_ylabel("y (m)")
 
 
-def draw_arrows(axes: Axes, plan: Plan, nodes: np.ndarray, length: float, colour_by: np.ndarray | None = None, **style) -> None:
+def draw_arrows(
+    axes: Axes, plan: Plan, nodes: np.ndarray, length: float, colour_by: np.ndarray | None = None, **style
+) -> None:
     """An arrow in the direction of view at each of these images, whose positions are known; length in typical moves."""
     x, y, heading = plan.position[nodes].T
     reach = length * plan.spacing
-    style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.005, "headwidth": 4, "headlength": 4, "headaxislength": 3.6} | style
-    axes.quiver(x, y, reach * np.cos(heading), reach * np.sin(heading), *(() if colour_by is None else (colour_by,)), **style)
+    style = {
+        "angles": "xy",
+        "scale_units": "xy",
+        "scale": 1,
+        "width": 0.005,
+        "headwidth": 4,
+        "headlength": 4,
+        "headaxislength": 3.6,
+    } | style
+    axes.quiver(
+        x, y, reach * np.cos(heading), reach * np.sin(heading), *(() if colour_by is None else (colour_by,)), **style
+    )
 
 
-def panels(subject: Subject, plan: Plan, title: str, count: int, shown: str, entries: list) -> tuple[Figure, list[Axes]]:
+def panels(
+    subject: Subject, plan: Plan, title: str, count: int, shown: str, entries: list
+) -> tuple[Figure, list[Axes]]:
     """A figure with a plan for each of `count` goals, two in a row, under a legend of these entries."""
     rows, extent = -(-count // 2), np.ptp(plan.position[plan.known, :2], axis=0) + 2 * plan.spacing
     height = 4.2 * float(np.clip(extent[1] / extent[0], 0.4, 1.6)) + 0.8
@@ -115,28 +155,58 @@ def legend_entries(*more) -> list:
     """Legend of a walk, and more."""
     arrows = ((SUCCESS, "goal reached"), (FAILURE, "time is up"))
     return [
-        Line2D([], [], linestyle="", marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", label="start"),
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="o",
+            markersize=9,
+            markerfacecolor="white",
+            markeredgecolor="black",
+            label="start",
+        ),
         Line2D([], [], color=PATH, label="path"),
-        *(Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label) for colour, label in arrows), *more,
+        *(
+            Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label)
+            for colour, label in arrows
+        ),
+        *more,
     ]
 
 
 def draw_walk(axes: Axes, env, plan: Plan, walk: Walk, longest: int | None = None) -> None:
-    """One walk under its outcome: path, an arrow at each step (coloured by time, from 0 to `longest`, if that is given), and the pose at its end."""
+    """One walk under its outcome: path, an arrow at each step (coloured by time, from 0 to `longest`, if that is
+    given), and the pose at its end."""
     axes.set_title(outcome_in_words(env, walk), fontsize=9)
     steps = np.flatnonzero(plan.known[walk.nodes])
     if not len(steps):
         return
     nodes = walk.nodes[steps]
-    axes.plot(*plan.position[nodes, :2].T, color=PATH, linewidth=1.4, zorder=4, path_effects=[withStroke(linewidth=2.6, foreground="white")])
-    axes.plot(*plan.position[nodes[0], :2], marker="o", markersize=9, markerfacecolor="white", markeredgecolor="black", zorder=5)
+    axes.plot(
+        *plan.position[nodes, :2].T,
+        color=PATH,
+        linewidth=1.4,
+        zorder=4,
+        path_effects=[withStroke(linewidth=2.6, foreground="white")],
+    )
+    axes.plot(
+        *plan.position[nodes[0], :2],
+        marker="o",
+        markersize=9,
+        markerfacecolor="white",
+        markeredgecolor="black",
+        zorder=5,
+    )
     if longest is not None:
-        draw_arrows(axes, plan, nodes[:-1], 0.5, colour_by=steps[:-1], cmap=STEP_COLOURS, norm=Normalize(0, longest), zorder=6)
+        draw_arrows(
+            axes, plan, nodes[:-1], 0.5, colour_by=steps[:-1], cmap=STEP_COLOURS, norm=Normalize(0, longest), zorder=6
+        )
     draw_arrows(axes, plan, nodes[-1:], 0.95, color=SUCCESS if walk.success else FAILURE, width=0.011, zorder=8)
 
 
 def view_slices(plan: Plan, images: np.ndarray) -> list[Wedge]:
-    """A slice in the direction of view for each of these images, whose positions are known: those of one place make a pie."""
+    """A slice in the direction of view for each of these images, whose positions are known: those of one place make a
+    pie."""
     views = np.bincount(plan.place[plan.known])[plan.place[images]]
     return [
         Wedge(plan.position[image, :2], 0.46 * plan.spacing, angle - 180 / count, angle + 180 / count)
@@ -154,14 +224,18 @@ def draw_plans(subject: Subject) -> dict[str, Figure | None]:
 
 
 def trajectories(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> Figure | None:
-    """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None for a task without test goals."""
+    """The trained policy on one test goal a room, from the farthest start (paper, Fig. 10). None for a task without
+    test goals."""
     env = subject.train.env
     goals = one_goal_a_region(env, env.goals.test_mask)
     if not goals:
         return None
     chosen = [from_farthest(walks[goal]) for goal in goals]
-    shown = (f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of {len(walks[goals[0]])} "
-             f"evaluation starts; at most {env.episode_length} steps")
+    shown = (
+        f"seed {subject.params_seed}, last parameters; the first test goal of each room, from the farthest of "
+        f"{len(walks[goals[0]])} "
+        f"evaluation starts; at most {env.episode_length} steps"
+    )
     longest = max(len(walk.nodes) for walk in chosen)
     entries = legend_entries(Patch(color=SIGHT, label="view of the goal"))
     figure, grid = panels(subject, plan, "trajectories to test goals", len(chosen), shown, entries)
@@ -169,16 +243,24 @@ def trajectories(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> 
         part = plan.part[walk.nodes[0]]
         draw_plan(axes, env, plan, part)
         seeing = np.asarray(env.in_view)[:, walk.goal] & plan.known & (plan.part == part)
-        axes.add_collection(PatchCollection(view_slices(plan, np.flatnonzero(seeing)), color=SIGHT, linewidths=0, zorder=2))
+        axes.add_collection(
+            PatchCollection(view_slices(plan, np.flatnonzero(seeing)), color=SIGHT, linewidths=0, zorder=2)
+        )
         draw_walk(axes, env, plan, walk, longest)
         for spine in axes.spines.values():
             spine.set(color=SUCCESS if walk.success else FAILURE, linewidth=2.5)
-    figure.colorbar(ScalarMappable(Normalize(0, longest), STEP_COLOURS), ax=grid, label="step (an arrow shows the direction of view)", shrink=0.6)
+    figure.colorbar(
+        ScalarMappable(Normalize(0, longest), STEP_COLOURS),
+        ax=grid,
+        label="step (an arrow shows the direction of view)",
+        shrink=0.6,
+    )
     return figure
 
 
 def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]]) -> Figure | None:
-    """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper, Fig. 12).
+    """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper,
+    Fig. 12).
 
     None for methods that have no intrinsic reward.
     """
@@ -187,11 +269,17 @@ def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]])
     rewards = [reward_of_images(subject, goal) for goal in goals]
     if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
         return None
-    shown = (f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the farthest of "
-             f"{len(walks[goals[0]])} evaluation starts; each slice is a view")
+    shown = (
+        f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the "
+        "farthest of "
+        f"{len(walks[goals[0]])} evaluation starts; each slice is a view"
+    )
     entries = legend_entries(Patch(color=NOTHING, label="no goal in view"))
     figure, grid = panels(subject, plan, "intrinsic reward for training goals", len(goals), shown, entries)
-    norm, colours = Normalize(min(np.nanmin(reward) for reward in rewards), 0), colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
+    norm, colours = (
+        Normalize(min(np.nanmin(reward) for reward in rewards), 0),
+        colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING),
+    )
     for axes, goal, reward in zip(grid, goals, rewards, strict=True):
         walk = from_farthest(walks[goal])
         part = plan.part[walk.nodes[0]]

@@ -1,4 +1,5 @@
-"""Episodes of a trained policy on image goals, clean or corrupted, as what can be drawn: states of a robot, or frames; and the video of them."""
+"""Episodes of a trained policy on image goals, clean or corrupted, as what can be drawn: states of a robot, or frames;
+and the video of them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,15 +59,17 @@ def is_fetch(env: Any) -> bool:
 
 
 def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
-    """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start a goal."""
+    """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start
+    a goal."""
     return np.asarray(corrupted_images(env, 1, weight, seed))
 
 
 def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
-    """For each weight of the backgrounds (0: clean images) an episode to each of the goals `which` [E], all in one rollout.
+    """For each weight of the backgrounds (0: clean images) an episode to each of the goals `which` [E], all in one
+    rollout.
 
-    Their observations are states of the robot [E, T + 1], or the observations of a task that is a walk among frames. Starts, noise and backgrounds
-    follow from the seed and are the same for every weight.
+    Their observations are states of the robot [E, T + 1], or the observations of a task that is a walk among frames.
+    Starts, noise and backgrounds follow from the seed and are the same for every weight.
     """
 
     @jax.jit
@@ -83,27 +86,43 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
 
 
 def policy_video(
-    subject: Subject, path: str | Path, episodes: int = 1, seed: int = 0, corruption: float = 0.0, size: tuple[int, int] = (480, 640),
+    subject: Subject,
+    path: str | Path,
+    episodes: int = 1,
+    seed: int = 0,
+    corruption: float = 0.0,
+    size: tuple[int, int] = (480, 640),
 ) -> list[bool]:
-    """Write a video of the trained policy on test goals drawn from the seed, each goal's image in the corner; whether each goal was reached.
+    """Write a video of the trained policy on test goals drawn from the seed, each goal's image in the corner; whether
+    each goal was reached.
 
-    corruption: weight of the backgrounds of the images, 0: clean. Raises `UserError` for a run without parameters, or of a task without image goals.
+    corruption: weight of the backgrounds of the images, 0: clean. Raises `UserError` for a run without parameters, or
+    of a task without image goals.
     """
     env = subject.train.env
     require(episodes > 0, "episodes", episodes, "give at least 1")
     require(seed >= 0, "seed", seed, "give 0 or more")
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
     if not has_image_goals(env):
-        raise UserError(f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals")
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals"
+        )
     if subject.params is None:
-        raise UserError(f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first")
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first"
+        )
     if "test" not in env.goals.groups:
-        raise UserError(f"run = {str(subject.run.folder)!r}: its goal images have no test goals to show; give others with --env.goal-images")
-    which = np.resize(np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes)
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: its goal images have no test goals to show; give others with "
+            "--env.goal-images"
+        )
+    which = np.resize(
+        np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes
+    )
     images, outcomes = seen_images(with_evaluated(env, which), corruption, seed), []
 
     def frames():
-        found, = policy_episodes(subject, which, [corruption], seed)
+        (found,) = policy_episodes(subject, which, [corruption], seed)
         outcomes.extend(found.success.tolist())
         for episode, (steps, image) in enumerate(zip(found.steps, images, strict=True)):
             for step in range(steps + 1):
@@ -119,12 +138,15 @@ def policy_video(
 
 
 def draw_observation(env: Any, observation: Any, size: tuple[int, int]) -> np.ndarray:
-    """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as it fits, on the left."""
+    """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as
+    it fits, on the left."""
     if is_fetch(env):
         return draw_fetch(env.unwrapped.robot, observation, size)
     frame = np.asarray(env.render(observation))
     scale = min(size[0] / frame.shape[0], size[1] / frame.shape[1])
-    frame = cv2.resize(frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC)
+    frame = cv2.resize(
+        frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC
+    )
     picture = np.full((*size, 3), 40, np.uint8)
     picture[: frame.shape[0], : frame.shape[1]] = frame
     return picture

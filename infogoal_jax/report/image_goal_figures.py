@@ -1,4 +1,5 @@
-"""Figures of tasks whose goals are images: examples of them (paper, Fig. 6), and goal codes with trajectories under corruption (Fig. 9).
+"""Figures of tasks whose goals are images: examples of them (paper, Fig. 6), and goal codes with trajectories under
+corruption (Fig. 9).
 
 How the way to a goal is drawn is the task's: seen from above for Fetch, as poses for an object that is turned.
 """
@@ -27,7 +28,8 @@ SHOWN_GOALS = 4
 
 
 def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
-    """The figures of this file by name; none for a task with other goals. Those of the policy need parameters and test goals."""
+    """The figures of this file by name; none for a task with other goals. Those of the policy need parameters and test
+    goals."""
     env = subject.train.env
     if not has_image_goals(env):
         return {}
@@ -45,12 +47,14 @@ def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
 
 
 def save_goal_images(env: Any, path: Path) -> None:
-    """Draw examples of an environment's goal images without a run: `save_goal_images(envs.load("fetch_push", FetchConfig(goals="images")), path)`."""
+    """Draw examples of an environment's goal images without a run: `save_goal_images(envs.load("fetch_push",
+    FetchConfig(goals="images")), path)`."""
     save(goal_images(env), path)
 
 
 def goal_images(env: Any, task: str = "") -> Figure:
-    """Goal images clean and corrupted, a row a goal (paper, Fig. 6): training goals while training and in the test, then test goals.
+    """Goal images clean and corrupted, a row a goal (paper, Fig. 6): training goals while training and in the test,
+    then test goals.
 
     task: for the title.
     """
@@ -61,13 +65,17 @@ def goal_images(env: Any, task: str = "") -> Figure:
         ("test goal,\ntest background", goals.test_mask, env.test_backgrounds),
     ):
         chosen = np.flatnonzero(np.asarray(mask))[:EXAMPLES]
-        behind = draw_backgrounds(jax.random.fold_in(jax.random.key(EXAMPLE_SEED), len(rows)), backgrounds, chosen.shape)
+        behind = draw_backgrounds(
+            jax.random.fold_in(jax.random.key(EXAMPLE_SEED), len(rows)), backgrounds, chosen.shape
+        )
         rows += [(title, goals.inputs_of(goal), background) for goal, background in zip(chosen, behind, strict=True)]
     columns = {"clean": 0.0, **{f"weight {weight:g}": weight for weight in WEIGHTS}, "background": 1.0}
     title = f"{task.replace('_', ' ')}: " * bool(task) + "goal images and the weight of their background"
     below = (f"the first goals of each kind; backgrounds drawn from seed {EXAMPLE_SEED}", f"data: {env.source}")
     figure = empty_figure(title, below, (9.6, 1.56 * len(rows) + 0.9))
-    for (title, image, background), line in zip(rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True):
+    for (title, image, background), line in zip(
+        rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True
+    ):
         line[0].set_ylabel(title, fontsize=8)
         for axes, (name, weight) in zip(line, columns.items(), strict=True):
             axes.imshow(corrupt(image, background, weight))
@@ -79,7 +87,8 @@ def goal_images(env: Any, task: str = "") -> Figure:
 
 
 def spread_goals(goals: Any, mask: np.ndarray, count: int, apart: np.ndarray) -> np.ndarray:
-    """The first goal of the mask in each of `count` regions, int [C]: a rule that looks at no result. apart: [R, R] distances of training goals.
+    """The first goal of the mask in each of `count` regions, int [C]: a rule that looks at no result. apart: [R, R]
+    distances of training goals.
 
     The first region, then again and again the one whose training goal lies farthest from those of all that were taken.
     """
@@ -92,18 +101,25 @@ def spread_goals(goals: Any, mask: np.ndarray, count: int, apart: np.ndarray) ->
 
 
 def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[Episodes]) -> Figure:
-    """Codes of corrupted goals, and beneath them the policy's way to the corrupted test goals `chosen`, a column a weight (paper, Fig. 9)."""
+    """Codes of corrupted goals, and beneath them the policy's way to the corrupted test goals `chosen`, a column a
+    weight (paper, Fig. 9)."""
     env, goals = subject.train.env, subject.train.env.goals
     below = pose_figures if pose_figures.has_poses(env) else fetch_figures
-    shown = (f"seed {subject.params_seed}, last parameters; test backgrounds; principal axes of the clean goals' means; {below.SHOWN}; "
-             f"at most {env.episode_length} steps")
+    shown = (
+        f"seed {subject.params_seed}, last parameters; test backgrounds; principal axes of the clean goals' means; "
+        f"{below.SHOWN}; "
+        f"at most {env.episode_length} steps"
+    )
     figure = new_figure(subject, "codes of corrupted goals, and ways to corrupted test goals", (14.5, 7.4), shown=shown)
     panels = figure.subplots(2, len(WEIGHTS))
     groups = tuple(group for group in ("train", "test") if group in goals.groups)
     which = np.flatnonzero(np.any([np.asarray(getattr(goals, f"{group}_mask")) for group in groups], axis=0))
     some = with_evaluated(env, which)
     clean, *codes = (
-        jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], seen_images(some, weight, EVALUATION_SEED)))
+        jax.tree.map(
+            np.asarray,
+            subject.train.parts.learner.encode(subject.params["goal"], seen_images(some, weight, EVALUATION_SEED)),
+        )
         for weight in (0.0, *WEIGHTS)
     )
     centre, directions, _ = principal_components(clean.mean)

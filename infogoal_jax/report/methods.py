@@ -1,4 +1,5 @@
-"""The table of `infogoal methods`: what each name stands for, and which tasks it goes together with. Nothing is loaded and no device is started."""
+"""The table of `infogoal methods`: what each name stands for, and which tasks it goes together with. Nothing is loaded
+and no device is started."""
 
 import inspect
 
@@ -28,7 +29,11 @@ def description(name: str) -> str:
     if method.explorer != "none":
         entry = exploration.registry.entry(method.explorer)
     else:
-        entry = relabelling.registry.entry(method.relabelling) if method.relabelling else learners.registry.entry(method.learner)
+        entry = (
+            relabelling.registry.entry(method.relabelling)
+            if method.relabelling
+            else learners.registry.entry(method.learner)
+        )
     return (inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n")[0]
 
 
@@ -55,7 +60,12 @@ def combination_table(tasks: tuple[str, ...]) -> Table:
         table.add_column(f"{task}\n{presets.registry[task].agent}", justify="center")
     for name in presets.METHODS:
         found = [against(task, name) for task in tasks]
-        table.add_row(name, parts_in_words(name), description(name), *("; ".join(refusal.reason for refusal in refused) or "✓" for refused in found))
+        table.add_row(
+            name,
+            parts_in_words(name),
+            description(name),
+            *("; ".join(refusal.reason for refusal in refused) or "✓" for refused in found),
+        )
     return table
 
 
@@ -71,8 +81,13 @@ def print_methods(tasks: tuple[str, ...] = presets.TASKS) -> None:
     console.print(combination_table(tasks))
     for task in tasks:
         console.print(f"{task}: --agent {' | '.join(agents_of(task))}", highlight=False, markup=False)
-    console.print(f"with any learner: --relabelling {' | '.join(relabelling.registry)}, and on tasks with a tick of its own "
-                  f"--explorer {' | '.join(exploration.registry)}", highlight=False, markup=False, soft_wrap=True)
+    console.print(
+        f"with any learner: --relabelling {' | '.join(relabelling.registry)}, and on tasks with a tick of its own "
+        f"--explorer {' | '.join(exploration.registry)}",
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
 
 
 def print_combination(task: str, method: str, **parts: str | None) -> bool:

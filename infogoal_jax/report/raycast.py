@@ -1,4 +1,5 @@
-"""A small renderer without OpenGL: rays through a pinhole camera against boxes, capsules and cylinders, with soft shadows on level ground.
+"""A small renderer without OpenGL: rays through a pinhole camera against boxes, capsules and cylinders, with soft
+shadows on level ground.
 
 For a handful of shapes numpy is fast enough: each is cast only over the rectangle of the picture that it can cover.
 Lengths in m, colours RGB in [0, 1].
@@ -71,12 +72,17 @@ class Capsule:
             before = axis @ offset
             size = length * (offset @ offset - self.radius**2) - before**2
             distance = first_root(length - along**2, length * across - before * along, size)
-            place = np.where(np.isfinite(distance), before + np.where(np.isfinite(distance), distance, 0.0) * along, 0.0)
+            place = np.where(
+                np.isfinite(distance), before + np.where(np.isfinite(distance), distance, 0.0) * along, 0.0
+            )
         else:
             distance = np.full(len(rays), np.inf)
         beyond = (place <= 0) | (place >= length)
         if beyond.any():  # There the ends are spheres; a ray can only hit the one that it comes to first.
-            places = [first_root(1.0, rays @ (origin - end), (origin - end) @ (origin - end) - self.radius**2) for end in (self.start, self.end)]
+            places = [
+                first_root(1.0, rays @ (origin - end), (origin - end) @ (origin - end) - self.radius**2)
+                for end in (self.start, self.end)
+            ]
             distance = np.where(beyond, np.minimum(*places), distance)
         distance = np.where(np.isfinite(distance), distance, np.inf)
         point = origin + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
@@ -106,7 +112,9 @@ class Cylinder:
         start, along = (origin - self.center) @ self.rotation, rays @ self.rotation
         flat = along[:, :2]
         side = first_root((flat**2).sum(1), flat @ start[:2], start[:2] @ start[:2] - self.radius**2)
-        side = np.where(np.abs(start[2] + np.where(np.isfinite(side), side, 0) * along[:, 2]) <= self.half, side, np.inf)
+        side = np.where(
+            np.abs(start[2] + np.where(np.isfinite(side), side, 0) * along[:, 2]) <= self.half, side, np.inf
+        )
         climb = np.where(np.abs(along[:, 2]) < 1e-9, 1e-9, along[:, 2])
         lid = (-np.sign(climb) * self.half - start[2]) / climb
         on_lid = (lid > 0) & (((start[:2] + lid[:, None] * flat) ** 2).sum(1) <= self.radius**2)
@@ -129,7 +137,8 @@ def first_root(square: np.ndarray, half_linear: np.ndarray, constant: float | np
 
 
 class Camera:
-    """A pinhole camera at `position`, turned to `target` [3], with z up; size: pixels (height, width); view: angle of its height, in degrees."""
+    """A pinhole camera at `position`, turned to `target` [3], with z up; size: pixels (height, width); view: angle of
+    its height, in degrees."""
 
     def __init__(self, position, target, size: tuple[int, int], view: float = 38.0):
         self.position, self.size = np.asarray(position, float), size
@@ -141,7 +150,13 @@ class Camera:
         self.axes = np.stack([right, np.cross(forward, right), forward])  # To the right, down, ahead.
         self.focus = self.height / 2 / np.tan(np.radians(view) / 2)
         rows, columns = np.mgrid[: self.height, : self.width] + 0.5
-        self.rays = np.stack([(columns - self.width / 2) / self.focus, (rows - self.height / 2) / self.focus, np.ones(rows.shape)], -1) @ self.axes
+        self.rays = (
+            np.stack(
+                [(columns - self.width / 2) / self.focus, (rows - self.height / 2) / self.focus, np.ones(rows.shape)],
+                -1,
+            )
+            @ self.axes
+        )
         self.rays = (self.rays / np.linalg.norm(self.rays, axis=-1, keepdims=True)).astype(np.float32)
 
     def project(self, points: np.ndarray) -> np.ndarray:
@@ -235,7 +250,9 @@ def cast_marker(picture: Picture, camera: Camera, sphere: Capsule, opacity: floa
     depth = picture.depth[area].ravel()
     share = np.where(distance < depth, opacity, np.where(np.isfinite(distance), hidden_opacity, 0.0))[:, None]
     before = picture.colour[area]
-    picture.colour[area] = (share * shaded(sphere.colour, normal, rays) + (1 - share) * before.reshape(-1, 3)).reshape(before.shape)
+    picture.colour[area] = (share * shaded(sphere.colour, normal, rays) + (1 - share) * before.reshape(-1, 3)).reshape(
+        before.shape
+    )
 
 
 def developed(picture: Picture, camera: Camera) -> np.ndarray:

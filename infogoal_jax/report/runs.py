@@ -41,7 +41,8 @@ class Run:
         return self.train.env
 
     def policy(self, seed: int = 0, use_mean: bool = False) -> Policy:
-        """The last policy of a seed, greedy: observations [E, ...], goals int32 [E] and a key to actions. use_mean: of the goal's code, not a sample.
+        """The last policy of a seed, greedy: observations [E, ...], goals int32 [E] and a key to actions. use_mean: of
+        the goal's code, not a sample.
 
         Raises `UserError` for a seed that the run does not have, or a damaged file.
         """
@@ -57,26 +58,37 @@ def load_run(folder: str | Path) -> Run:
     path = folder / "config.json"
     try:
         values = json.loads(path.read_text())
-        return Run(folder, from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"])
+        return Run(
+            folder, from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"]
+        )
     except FileNotFoundError as error:
-        raise UserError(f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`") from error
+        raise UserError(
+            f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`"
+        ) from error
     except OSError as error:
-        raise UserError(f"run = {str(folder)!r}: could not be read ({error.strerror}); give the folder of a run of `infogoal train`") from error
+        raise UserError(
+            f"run = {str(folder)!r}: could not be read ({error.strerror}); give the folder of a run of `infogoal train`"
+        ) from error
     except UserError:
         raise
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path}: is damaged or from another version of infogoal ({error}); train again, or bring back a copy of the file") from error
+        raise UserError(
+            f"{path}: is damaged or from another version of infogoal ({error}); train again, or bring back a copy of "
+            "the file"
+        ) from error
 
 
 def read_params(run: Run, train: Train) -> dict[str, Any]:
-    """Parameters of all seeds, {"goal", "state", "agent"} with leaves [seeds, ...]. Raises `UserError` for a damaged or missing file."""
+    """Parameters of all seeds, {"goal", "state", "agent"} with leaves [seeds, ...]. Raises `UserError` for a damaged or
+    missing file."""
     keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
     shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
     return checkpoint.load(run.folder / "policy", shapes)[1]
 
 
 def read_timing(folder: Path) -> dict[str, float]:
-    """Seconds spent compiling and running in the last session of a run, and its rates; empty if no session got past a chunk."""
+    """Seconds spent compiling and running in the last session of a run, and its rates; empty if no session got past a
+    chunk."""
     try:
         return json.loads((folder / "timing.json").read_text())
     except (FileNotFoundError, json.JSONDecodeError):

@@ -1,4 +1,5 @@
-"""A shelf from the front: goal codes beside the trained policy's flights (paper, Fig. 11), and the intrinsic reward of every place (Fig. 12)."""
+"""A shelf from the front: goal codes beside the trained policy's flights (paper, Fig. 11), and the intrinsic reward of
+every place (Fig. 12)."""
 
 import dataclasses
 
@@ -17,7 +18,14 @@ from matplotlib.patheffects import withStroke
 from infogoal_jax.envs.embodied_qa import EmbodiedQA
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour
 from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
-from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, outcome_in_words, reward_of_images, walks_of_policy
+from infogoal_jax.report.walks import (
+    Walk,
+    from_farthest,
+    one_goal_a_region,
+    outcome_in_words,
+    reward_of_images,
+    walks_of_policy,
+)
 
 PATH = "#30305C"
 STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
@@ -29,7 +37,8 @@ MOST_PANELS, LONGEST_NAME = 8, 72
 class Shelf:
     """The places from which a shelf was seen.
 
-    places: float [P, 2], x and y in metres; place: int [K] of each image, -1 where unknown; side: metres of a typical move.
+    places: float [P, 2], x and y in metres; place: int [K] of each image, -1 where unknown; side: metres of a typical
+    move.
     """
 
     places: np.ndarray
@@ -95,8 +104,15 @@ def draw_shelf(axes: Axes, env, shelf: Shelf) -> None:
         seeing = places_in_view(env, shelf, regions == region)
         if len(seeing):
             axes.text(
-                *np.median(shelf.places[seeing], axis=0), name, color=room_colour(region), fontsize=8, weight="bold", ha="center", va="center",
-                zorder=5.5, path_effects=[withStroke(linewidth=3, foreground="white")],
+                *np.median(shelf.places[seeing], axis=0),
+                name,
+                color=room_colour(region),
+                fontsize=8,
+                weight="bold",
+                ha="center",
+                va="center",
+                zorder=5.5,
+                path_effects=[withStroke(linewidth=3, foreground="white")],
             )
     low, high = shelf.places.min(0) - 0.75 * shelf.side, shelf.places.max(0) + 0.75 * shelf.side
     axes.set_xlim(low[0], high[0])
@@ -106,7 +122,8 @@ def draw_shelf(axes: Axes, env, shelf: Shelf) -> None:
 
 
 def draw_walk(axes: Axes, env, shelf: Shelf, walk: Walk, longest: int | None = None) -> None:
-    """One flight under its outcome: start, path and end, and a dot at each step (coloured by time, from 0 to `longest`, if that is given)."""
+    """One flight under its outcome: start, path and end, and a dot at each step (coloured by time, from 0 to `longest`,
+    if that is given)."""
     axes.set_title(outcome_in_words(env, walk, LONGEST_NAME), fontsize=9)
     place = shelf.place[walk.nodes]
     steps = np.flatnonzero(place >= 0)
@@ -117,7 +134,14 @@ def draw_walk(axes: Axes, env, shelf: Shelf, walk: Walk, longest: int | None = N
     if longest is not None:
         axes.scatter(*way.T, c=steps, cmap=STEP_COLOURS, norm=Normalize(0, longest), s=16, linewidths=0, zorder=5)
     axes.plot(*way[0], marker="o", markersize=8, markerfacecolor="white", markeredgecolor="black", zorder=6)
-    axes.plot(*way[-1], marker="X", markersize=10, color=SUCCESS if walk.success else FAILURE, markeredgecolor="white", zorder=8)
+    axes.plot(
+        *way[-1],
+        marker="X",
+        markersize=10,
+        color=SUCCESS if walk.success else FAILURE,
+        markeredgecolor="white",
+        zorder=8,
+    )
 
 
 def legend_entries(*more) -> list:
@@ -125,9 +149,19 @@ def legend_entries(*more) -> list:
     ends = ((SUCCESS, "goal reached"), (FAILURE, "time is up"))
     cross = {"linestyle": "", "marker": "X", "markersize": 10, "markeredgecolor": "white"}
     return [
-        Line2D([], [], linestyle="", marker="o", markersize=8, markerfacecolor="white", markeredgecolor="black", label="start"),
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="o",
+            markersize=8,
+            markerfacecolor="white",
+            markeredgecolor="black",
+            label="start",
+        ),
         Line2D([], [], color=PATH, label="path"),
-        *(Line2D([], [], color=colour, label=label, **cross) for colour, label in ends), *more,
+        *(Line2D([], [], color=colour, label=label, **cross) for colour, label in ends),
+        *more,
     ]
 
 
@@ -145,7 +179,8 @@ def height_of_panel(shelf: Shelf, width: float) -> float:
 
 
 def codes_and_trajectories(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]]) -> Figure | None:
-    """Codes of the objects' names and of training and test questions, beside the policy's flights to a test question a region (paper, Fig. 11).
+    """Codes of the objects' names and of training and test questions, beside the policy's flights to a test question a
+    region (paper, Fig. 11).
 
     None for a task without test goals.
     """
@@ -153,13 +188,23 @@ def codes_and_trajectories(subject: Subject, shelf: Shelf, walks: dict[int, list
     chosen = [from_farthest(walks[goal]) for goal in one_goal_a_region(env, goals.test_mask)[:MOST_PANELS]]
     if not chosen:
         return None
-    shown = (f"seed {subject.params_seed}, last parameters; the first test question of each region, from the farthest of "
-             f"{subject.run.config.evaluation_starts} evaluation starts; at most {env.episode_length} steps; principal axes of the means")
+    shown = (
+        f"seed {subject.params_seed}, last parameters; the first test question of each region, from the farthest of "
+        f"{subject.run.config.evaluation_starts} evaluation starts; at most {env.episode_length} steps; principal axes "
+        "of the means"
+    )
     height = height_of_panel(shelf, 6.3)
-    figure = new_figure(subject, "goal codes, and flights to test questions", (15, max(6.5, 1.7 + height * len(chosen))), shown=shown)
+    figure = new_figure(
+        subject, "goal codes, and flights to test questions", (15, max(6.5, 1.7 + height * len(chosen))), shown=shown
+    )
     grid = figure.add_gridspec(len(chosen) + 1, 2, height_ratios=[0.7, *[height] * len(chosen)], width_ratios=[1, 1.25])
     legend_row(figure, grid[0, 0], draw_all_codes(subject, figure.add_subplot(grid[1:, 0])), 3)
-    legend_row(figure, grid[0, 1], legend_entries(Patch(facecolor="#CCCCCC", edgecolor="#666666", linewidth=1.8, label="the object is in view")), 5)
+    legend_row(
+        figure,
+        grid[0, 1],
+        legend_entries(Patch(facecolor="#CCCCCC", edgecolor="#666666", linewidth=1.8, label="the object is in view")),
+        5,
+    )
     longest = max(len(walk.nodes) - 1 for walk in chosen)
     panels = [figure.add_subplot(grid[1 + row, 1]) for row in range(len(chosen))]
     for axes, walk in zip(panels, chosen, strict=True):
@@ -177,13 +222,16 @@ def codes_and_trajectories(subject: Subject, shelf: Shelf, walks: dict[int, list
 
 
 def draw_all_codes(subject: Subject, axes: Axes) -> list:
-    """Codes of the names of all objects, and of the questions of training and test, in the colours of their regions; what a legend says of them."""
+    """Codes of the names of all objects, and of the questions of training and test, in the colours of their regions;
+    what a legend says of them."""
     goals = subject.train.env.goals
     which = np.flatnonzero(~np.asarray(goals.validation_mask))
     code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs_of(which)))
     centre, directions, shares = principal_components(code.mean)
     draw_codes(axes, code, goals, which, centre, directions, size=0.8)
-    groups = tuple(group for group in ("train", "test", "other") if group != "other" or len(goals.evaluated) < goals.num_goals)
+    groups = tuple(
+        group for group in ("train", "test", "other") if group != "other" or len(goals.evaluated) < goals.num_goals
+    )
     titles = {"train": "training question", "test": "test question", "other": "name of an object"}
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
@@ -200,18 +248,26 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
     rewards = [reward_of_places(subject, shelf, goal) for goal in goals]
     if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
         return None
-    shown = (f"seed {subject.params_seed}, last parameters; flight from the farthest of {subject.run.config.evaluation_starts} evaluation starts; "
-             "a place's reward is that of its nearest known goal in view, the mean over its images")
+    shown = (
+        f"seed {subject.params_seed}, last parameters; flight from the farthest of "
+        f"{subject.run.config.evaluation_starts} evaluation starts; "
+        "a place's reward is that of its nearest known goal in view, the mean over its images"
+    )
     rows, height = -(-len(goals) // 2), height_of_panel(shelf, 5.0)
     figure = new_figure(subject, "intrinsic reward for training goals", (14, 1.6 + height * rows), shown=shown)
     grid = figure.add_gridspec(rows + 1, 2, height_ratios=[0.3, *[height] * rows])
     in_view = Patch(facecolor="white", edgecolor="black", linewidth=1.8, label="the goal's object is in view")
     legend_row(figure, grid[0, :], legend_entries(in_view, Patch(color=NOTHING, label="no known goal in view")), 6)
-    norm, colours = Normalize(min(np.nanmin(reward) for reward in rewards), 0), colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING)
+    norm, colours = (
+        Normalize(min(np.nanmin(reward) for reward in rewards), 0),
+        colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING),
+    )
     panels = [figure.add_subplot(grid[1 + index // 2, index % 2]) for index in range(len(goals))]
     for axes, goal, reward in zip(panels, goals, rewards, strict=True):
         draw_shelf(axes, env, shelf)
-        tiles = PatchCollection(squares(shelf, np.arange(len(shelf.places))), cmap=colours, norm=norm, linewidths=0, zorder=1)
+        tiles = PatchCollection(
+            squares(shelf, np.arange(len(shelf.places))), cmap=colours, norm=norm, linewidths=0, zorder=1
+        )
         tiles.set_array(np.ma.masked_invalid(reward))
         axes.add_collection(tiles)
         border = outline(shelf, places_in_view(env, shelf, goal))
@@ -224,7 +280,8 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
 
 
 def reward_of_places(subject: Subject, shelf: Shelf, goal: int) -> np.ndarray:
-    """`reward_of_images`, the mean over the images of each place in which a known goal is in view: float [P], NaN where there is none."""
+    """`reward_of_images`, the mean over the images of each place in which a known goal is in view: float [P], NaN where
+    there is none."""
     reward = reward_of_images(subject, goal)
     counts = np.isfinite(reward) & (shelf.place >= 0)
     total, number = (np.bincount(shelf.place[counts], weights, len(shelf.places)) for weights in (reward[counts], None))

@@ -1,4 +1,5 @@
-"""Means over seeds and how sure they are: 95 % intervals of Student's t, and differences of two methods that ran on the same seeds."""
+"""Means over seeds and how sure they are: 95 % intervals of Student's t, and differences of two methods that ran on the
+same seeds."""
 
 import dataclasses
 
@@ -40,7 +41,8 @@ class Interval:
 
 
 def mean_interval(values) -> Interval:
-    """Mean and 95 % confidence interval (Student's t) over the first axis, the seeds: values [seeds, ...] to an interval of arrays [...]."""
+    """Mean and 95 % confidence interval (Student's t) over the first axis, the seeds: values [seeds, ...] to an
+    interval of arrays [...]."""
     values = np.asarray(values, float)
     count = len(values)
     if count == 0:
@@ -53,11 +55,18 @@ def mean_interval(values) -> Interval:
 
 
 def paired_difference(first, second) -> Interval:
-    """Mean of `first - second` and its 95 % interval, for values [seeds, ...] of two methods on the same seeds in the same order.
+    """Mean of `first - second` and its 95 % interval, for values [seeds, ...] of two methods on the same seeds in the
+    same order.
 
-    Seeds share the starts of evaluation and much of their luck, so that the difference is known better than either mean.
+    Seeds share the starts of evaluation and much of their luck, so that the difference is known better than either
+    mean.
     Raises `UserError` if the numbers of seeds differ.
     """
     first, second = np.asarray(first, float), np.asarray(second, float)
-    require(len(first) == len(second), "seeds", (len(first), len(second)), "a paired difference needs the same seeds of both methods")
+    require(
+        len(first) == len(second),
+        "seeds",
+        (len(first), len(second)),
+        "a paired difference needs the same seeds of both methods",
+    )
     return mean_interval(first - second)

@@ -1,4 +1,5 @@
-"""What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is from, what went wrong."""
+"""What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is
+from, what went wrong."""
 
 import json
 from pathlib import Path
@@ -20,11 +21,27 @@ from infogoal_jax.train.program import make_train
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {
-    "train_goal": "training", "validation_goal": "validation", "test_goal": "test", "corrupted_train_goal": "training, corrupted",
+    "train_goal": "training",
+    "validation_goal": "validation",
+    "test_goal": "test",
+    "corrupted_train_goal": "training, corrupted",
     "corrupted_test_goal": "test, corrupted",
 }
-COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}  # Title and decimals.
-FILES = ("config.json", "timing.json", "epochs.csv", "evaluations.csv", "policy", "checkpoint", "evaluation.json", "figures")
+COLUMNS = {
+    "success_rate": ("success rate", 2),
+    "spl": ("SPL", 2),
+    "episode_length": ("steps", 1),
+}  # Title and decimals.
+FILES = (
+    "config.json",
+    "timing.json",
+    "epochs.csv",
+    "evaluations.csv",
+    "policy",
+    "checkpoint",
+    "evaluation.json",
+    "figures",
+)
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
 
 
@@ -39,8 +56,8 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
 
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:
-    """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name: [seeds]} with the names of
-    `evaluation.summarise`."""
+    """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
+    [seeds]} with the names of `evaluation.summarise`."""
     table = Table()
     columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
     for column in ("goals", "code", *(title for title, _ in columns.values())):
@@ -48,14 +65,21 @@ def score_table(scores: dict[str, np.ndarray]) -> Table:
     for goals, goals_title in GOALS.items():
         for suffix, code in CODES.items():
             if f"{goals}{suffix}/success_rate" in scores:
-                cells = [mean_interval(scores[f"{goals}{suffix}/{column}"]).show(decimals) for column, (_, decimals) in columns.items()]
+                cells = [
+                    mean_interval(scores[f"{goals}{suffix}/{column}"]).show(decimals)
+                    for column, (_, decimals) in columns.items()
+                ]
                 table.add_row(goals_title, code, *cells)
     return table
 
 
 def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
     """What corrupted goals are, with a semicolon before; nothing for a task without them."""
-    return f"; corrupted goals: images with a random background of weight {weight:g}" if "corrupted_test_goal/success_rate" in scores else ""
+    return (
+        f"; corrupted goals: images with a random background of weight {weight:g}"
+        if "corrupted_test_goal/success_rate" in scores
+        else ""
+    )
 
 
 def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
@@ -79,23 +103,35 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         num_goals, num_starts = last["first_reached"].shape[1:]
         steps = f"{last['env_steps'].mean():,.0f} {'environment' if acted else 'recorded'} steps a seed"
         corrupted = corruption_in_words(last, run.config.test_corruption)
-        console.print(f"{head}, {steps}\n{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}", style="bold", soft_wrap=True)
+        console.print(
+            f"{head}, {steps}\n{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}",
+            style="bold",
+            soft_wrap=True,
+        )
         console.print(score_table(last))
     else:
-        console.print(f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold")
+        console.print(
+            f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold"
+        )
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
     known = {"train": "training goals", "visited": "goals achieved so far", "all": "all goals"}[run.config.known_goals]
-    protocol = f"only training goals were commanded in training; {known} could enter the representation (known_goals = {run.config.known_goals})"
+    protocol = (
+        f"only training goals were commanded in training; {known} could enter the representation (known_goals "
+        "= "
+        f"{run.config.known_goals})"
+    )
     if run.config.training_corruption:
         protocol += f"; goal images were corrupted while training too, with weight {run.config.training_corruption:g}"
     lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[learners.registry.name_of(run.config.learner)] = f"{numbers} (mean of the last epoch)"
     if times := read_timing(run.folder):
-        lines["time"] = (f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
-                         + f"{times['env_steps_per_second']:,.0f} environment steps/s, " * acted
-                         + f"{times['updates_per_second']:,.0f} updates/s over all seeds")
+        lines["time"] = (
+            f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
+            + f"{times['env_steps_per_second']:,.0f} environment steps/s, " * acted
+            + f"{times['updates_per_second']:,.0f} updates/s over all seeds"
+        )
     lines["files"] = f"{run.folder}: {', '.join(name for name in FILES if (run.folder / name).exists())}"
     for label, text in lines.items():
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
@@ -105,28 +141,57 @@ def learner_numbers(run: Run, epochs: tables.Table) -> str:
     """Beta, accuracy and KL of the last epoch, for the methods that have them."""
     if not epochs.values or not epochs.seeds:
         return ""
-    last, names = epochs.last(), {f"{learners.registry.name_of(run.config.learner)}/{name}": shown for name, shown in LEARNER_NUMBERS.items()}
-    return ", ".join(f"{title} {mean_interval(last[name]).show(decimals)}" for name, (title, decimals) in names.items() if name in last)
+    last, names = (
+        epochs.last(),
+        {f"{learners.registry.name_of(run.config.learner)}/{name}": shown for name, shown in LEARNER_NUMBERS.items()},
+    )
+    return ", ".join(
+        f"{title} {mean_interval(last[name]).show(decimals)}"
+        for name, (title, decimals) in names.items()
+        if name in last
+    )
 
 
 def evaluate_run(
-    folder: Path, starts: int, start_seed: int, test_epsilon: float, corruption: float | None = None, env: Any = None, console: Console | None = None
+    folder: Path,
+    starts: int,
+    start_seed: int,
+    test_epsilon: float,
+    corruption: float | None = None,
+    env: Any = None,
+    console: Console | None = None,
 ) -> dict[str, np.ndarray]:
     """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
 
-    starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random actions, negative for the
-    run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's own; env: the environment if it is loaded already.
-    Returns {name: [seeds]} of the seeds that did not diverge. Raises `UserError` for values out of range, a corruption of goals that are no
-    images, a folder without a run, or damaged parameters.
+    starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random
+    actions, negative for the run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's
+    own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge. Raises
+    `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or damaged
+    parameters.
     """
     require(starts > 0, "starts", starts, "give a whole number greater than 0")
     require(start_seed >= 0, "start_seed", start_seed, "give 0 or more")
-    require(test_epsilon <= 1, "test_epsilon", test_epsilon, "give a share from 0 to 1, or a negative number for the run's own")
-    require(corruption is None or 0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
+    require(
+        test_epsilon <= 1,
+        "test_epsilon",
+        test_epsilon,
+        "give a share from 0 to 1, or a negative number for the run's own",
+    )
+    require(
+        corruption is None or 0 <= corruption <= 1,
+        "corruption",
+        corruption,
+        "give a weight from 0 to 1, for example 0.4",
+    )
     run, console = load_run(folder), console or Console()
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
     has_images = has_image_goals(train.env)
-    require(corruption is None or has_images, "corruption", corruption, f"goals of {run.config.task} are not images; leave it out")
+    require(
+        corruption is None or has_images,
+        "corruption",
+        corruption,
+        f"goals of {run.config.task} are not images; leave it out",
+    )
     weight = run.config.test_corruption if corruption is None else float(corruption)
     params = read_params(run, train)
     epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]
@@ -141,16 +206,31 @@ def evaluate_run(
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
     written = {
-        "epoch": epoch, "starts": starts, "start_seed": start_seed, "test_epsilon": float(epsilon), "corruption": weight if has_images else None,
-        "seeds": seeds, "diverged": diverged, "data": run.data, "metrics": {name: value.tolist() for name, value in scores.items()},
+        "epoch": epoch,
+        "starts": starts,
+        "start_seed": start_seed,
+        "test_epsilon": float(epsilon),
+        "corruption": weight if has_images else None,
+        "seeds": seeds,
+        "diverged": diverged,
+        "data": run.data,
+        "metrics": {name: value.tolist() for name, value in scores.items()},
     }
     files.write_atomically(folder / "evaluation.json", lambda file: file.write((json.dumps(written) + "\n").encode()))
-    protocol = f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
+    protocol = (
+        f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the "
+        "actions random"
+    )
     protocol += corruption_in_words(scores, weight)
     head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
     console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
     console.print(score_table(scores))
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
-    console.print(f"data        {run.data}\nfile        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
+    console.print(
+        f"data        {run.data}\nfile        {folder / 'evaluation.json'}",
+        soft_wrap=True,
+        highlight=False,
+        markup=False,
+    )
     return {name: value for name, value in scores.items() if name != "first_reached"}

@@ -33,10 +33,15 @@ def read(folder: Path, name: str, leave_out=()) -> Table:
     """
     rows = {(row["seed"], row["epoch"]): row for row in files.read_table(folder, name)}
     all_seeds = sorted({seed for seed, _ in rows})
-    epochs = [epoch for epoch in sorted({epoch for _, epoch in rows}) if all((seed, epoch) in rows for seed in all_seeds)]
+    epochs = [
+        epoch for epoch in sorted({epoch for _, epoch in rows}) if all((seed, epoch) in rows for seed in all_seeds)
+    ]
     seeds = [seed for seed in all_seeds if seed not in leave_out]
     if not seeds or not epochs:
         return Table(seeds, np.asarray(epochs, int), {})
     columns = [column for column in rows[seeds[0], epochs[0]] if column not in ("seed", "epoch")]
-    values = {column: np.asarray([[rows[seed, epoch][column] for epoch in epochs] for seed in seeds], float) for column in columns}
+    values = {
+        column: np.asarray([[rows[seed, epoch][column] for epoch in epochs] for seed in seeds], float)
+        for column in columns
+    }
     return Table(seeds, np.asarray(epochs, int), values)

@@ -1,8 +1,9 @@
-"""What `infogoal tune` shows and leaves behind: a line of progress, a table of the best trials, and the files of a search.
+"""What `infogoal tune` shows and leaves behind: a line of progress, a table of the best trials, and the files of a
+search.
 
-    FOLDER/config.json   configuration, seeds, data, versions, and the ranges that were searched
-    FOLDER/trials.jsonl  a line a trial: values, seeds, success and loss of every evaluation
-    FOLDER/best.json     the best trial, with the flags to give to `infogoal train`
+FOLDER/config.json   configuration, seeds, data, versions, and the ranges that were searched
+FOLDER/trials.jsonl  a line a trial: values, seeds, success and loss of every evaluation
+FOLDER/best.json     the best trial, with the flags to give to `infogoal train`
 """
 
 import json
@@ -30,37 +31,68 @@ GROUPS = {"validation": "validation goals", "train": "training goals, for want o
 
 
 def save(result: TuneResult, folder: Path) -> None:
-    """Write what is known so far: FOLDER/trials.jsonl, a line a trial; FOLDER/best.json, with the flags of the best; FOLDER/config.json."""
+    """Write what is known so far: FOLDER/trials.jsonl, a line a trial; FOLDER/best.json, with the flags of the best;
+    FOLDER/config.json."""
     files.make_folder(folder)
-    space = {field: search._asdict() for field, search in search_space(result.config.hyper).items() if field in result.fields}
+    space = {
+        field: search._asdict() for field, search in search_space(result.config.hyper).items() if field in result.fields
+    }
     about = result.description | {"trials": len(result.trials), "space": space}
     lines = [
-        {"trial": trial.number, "preset": trial.number == 0, "values": trial.values, "seeds": result.seeds, "goals": result.group,
-         "epochs": result.epochs, "success": trial.success, "loss": trial.loss, "score": trial.score, "diverged": trial.diverged}
+        {
+            "trial": trial.number,
+            "preset": trial.number == 0,
+            "values": trial.values,
+            "seeds": result.seeds,
+            "goals": result.group,
+            "epochs": result.epochs,
+            "success": trial.success,
+            "loss": trial.loss,
+            "score": trial.score,
+            "diverged": trial.diverged,
+        }
         for trial in result.trials
     ]
     best = result.best
     chosen = {
-        "trial": best.number, "score": best.score, "score_of_preset": result.trials[0].score, "goals": result.group, "epoch": result.epochs[-1],
-        "finished": len(result.epochs) == result.config.num_evaluations, "values": best.values, "task": result.config.task,
-        "flags": train_flags(result.config_of(best)), "command": command_of(result),
-        "compile_seconds": result.compile_seconds, "run_seconds": result.run_seconds,
+        "trial": best.number,
+        "score": best.score,
+        "score_of_preset": result.trials[0].score,
+        "goals": result.group,
+        "epoch": result.epochs[-1],
+        "finished": len(result.epochs) == result.config.num_evaluations,
+        "values": best.values,
+        "task": result.config.task,
+        "flags": train_flags(result.config_of(best)),
+        "command": command_of(result),
+        "compile_seconds": result.compile_seconds,
+        "run_seconds": result.run_seconds,
     }
-    contents = {"config.json": json.dumps(about, indent=2), "trials.jsonl": "\n".join(json.dumps(line) for line in lines),
-                "best.json": json.dumps(chosen, indent=2)}
+    contents = {
+        "config.json": json.dumps(about, indent=2),
+        "trials.jsonl": "\n".join(json.dumps(line) for line in lines),
+        "best.json": json.dumps(chosen, indent=2),
+    }
     for name, text in contents.items():
         files.write_atomically(folder / name, lambda file, text=text: file.write(f"{text}\n".encode()))
 
 
 def read(folder: Path) -> tuple[Run, list[Trial]]:
-    """What a finished search was of, and its trials. Raises `UserError` if FOLDER holds none, or one that cannot be read."""
+    """What a finished search was of, and its trials. Raises `UserError` if FOLDER holds none, or one that cannot be
+    read."""
     path = folder / "trials.jsonl"
     if not path.is_file():
-        raise UserError(f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal tune`")
+        raise UserError(
+            f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal "
+            "tune`"
+        )
     run = load_run(folder)
     try:
         lines = [json.loads(line) for line in path.read_text().splitlines()]
-        trials = [Trial(line["trial"], dict(line["values"]), line["success"], line["loss"], line["diverged"]) for line in lines]
+        trials = [
+            Trial(line["trial"], dict(line["values"]), line["success"], line["loss"], line["diverged"])
+            for line in lines
+        ]
         if not trials or [trial.number for trial in trials] != list(range(len(trials))) or not run.seeds:
             raise ValueError("it should have the trials 0, 1, 2, ... and seeds; of a final there is no final")
         if any(trial.values.keys() != trials[0].values.keys() for trial in trials):
@@ -71,7 +103,10 @@ def read(folder: Path) -> tuple[Run, list[Trial]]:
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: is damaged ({error}); search again, or bring back a copy of the file") from error
     if done < run.config.num_evaluations:
-        raise UserError(f"search = {str(folder)!r}: was stopped after {done} of {run.config.num_evaluations} evaluations; search again to the end")
+        raise UserError(
+            f"search = {str(folder)!r}: was stopped after {done} of {run.config.num_evaluations} evaluations; search "
+            "again to the end"
+        )
     return run, trials
 
 
@@ -82,13 +117,24 @@ def command_of(result: TuneResult) -> str:
 
 @contextmanager
 def watching(config: TrainConfig, trials: int, seeds: int, folder: Path) -> Iterator[Callable[[TuneResult], None]]:
-    """What watches a search: files after each evaluation, and a bar on a terminal, or a line for each evaluation in a log file."""
+    """What watches a search: files after each evaluation, and a bar on a terminal, or a line for each evaluation in a
+    log file."""
     console = Console()
     bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[numbers]}"),
-        console=console, refresh_per_second=2, disable=not console.is_terminal,
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[numbers]}"),
+        console=console,
+        refresh_per_second=2,
+        disable=not console.is_terminal,
     )
-    line = bar.add_task(f"{config.task} {presets.name_of(config)}: {trials} trials x {seeds} seeds", total=config.num_epochs, numbers="compiling")
+    line = bar.add_task(
+        f"{config.task} {presets.name_of(config)}: {trials} trials x {seeds} seeds",
+        total=config.num_epochs,
+        numbers="compiling",
+    )
 
     def watch(result: TuneResult) -> None:
         save(result, folder)
@@ -114,7 +160,8 @@ def print_result(result: TuneResult) -> None:
         table.add_row(name, f"{trial.score:.2f}{lost}", *(f"{value:.4g}" for value in trial.values.values()))
     console.print(table)
     lines = [
-        f"scores      success on {GROUPS[result.group]}, mean of {len(result.seeds)} seeds ({result.seeds[0]} to {result.seeds[-1]}), "
+        f"scores      success on {GROUPS[result.group]}, mean of {len(result.seeds)} seeds ({result.seeds[0]} to "
+        f"{result.seeds[-1]}), "
         f"after epoch {result.epochs[-1]}",
         f"data        {result.description['data']}",
         f"time        {result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running",

@@ -1,4 +1,5 @@
-"""Videos: pictures to an mp4 file through OpenCV, and whole episodes of a Fetch task. No screen and no OpenGL needed."""
+"""Videos: pictures to an mp4 file through OpenCV, and whole episodes of a Fetch task. No screen and no OpenGL
+needed."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -19,9 +20,11 @@ LAST_PICTURE = 25
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25) -> None:
-    """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4. It is written beside its place and renamed: the file is whole or not there.
+    """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4. It is written beside its place and renamed: the
+    file is whole or not there.
 
-    25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is not mp4, or no frames are given.
+    25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is not
+    mp4, or no frames are given.
     """
     path = Path(path)
     require(path.suffix == ".mp4", "path", str(path), "give a file that ends in .mp4")
@@ -32,13 +35,26 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
     try:
         for number, frame in enumerate(frames):
             frame = np.asarray(frame)
-            good = frame.dtype == np.uint8 and frame.ndim == 3 and frame.shape[2] == 3 and frame.shape == (shape or frame.shape)
-            require(good, f"frames[{number}]", f"{frame.dtype} {frame.shape}", f"give uint8 {shape or ('height', 'width', 3)}, all of one size")
+            good = (
+                frame.dtype == np.uint8
+                and frame.ndim == 3
+                and frame.shape[2] == 3
+                and frame.shape == (shape or frame.shape)
+            )
+            require(
+                good,
+                f"frames[{number}]",
+                f"{frame.dtype} {frame.shape}",
+                f"give uint8 {shape or ('height', 'width', 3)}, all of one size",
+            )
             if writer is None:
                 shape = frame.shape
                 writer = cv2.VideoWriter(str(beside), cv2.VideoWriter_fourcc(*"mp4v"), fps, (shape[1], shape[0]))
                 if not writer.isOpened():
-                    raise UserError(f"{path}: could not be written; choose a folder that you may write to, and an OpenCV that encodes mp4v")
+                    raise UserError(
+                        f"{path}: could not be written; choose a folder that you may write to, and an OpenCV that "
+                        "encodes mp4v"
+                    )
             writer.write(frame[..., ::-1])
         require(writer is not None, "frames", "none", "give at least one")
         writer.release()
@@ -57,7 +73,9 @@ def random_policy(state: FetchState, key: jax.Array) -> jax.Array:
 def play_episode(env: Fetch, policy: Policy, key: jax.Array) -> list[FetchState]:
     """The states of one episode, from its start to the step that ends it."""
     reset_key, policy_key = jax.random.split(key)
-    step = jax.jit(Fetch.step)  # The environment is an argument without leaves: what was compiled for a task stays compiled.
+    step = jax.jit(
+        Fetch.step
+    )  # The environment is an argument without leaves: what was compiled for a task stays compiled.
     states = [jax.jit(Fetch.reset)(env, reset_key)]
     while not (states[-1].terminated | states[-1].truncated):
         states.append(step(env, states[-1], policy(states[-1], jax.random.fold_in(policy_key, len(states)))))
@@ -65,9 +83,10 @@ def play_episode(env: Fetch, policy: Policy, key: jax.Array) -> list[FetchState]
 
 
 def episode_video(
-    env: Fetch, policy: Policy, key: jax.Array, path: str | Path, episodes: int = 1, size: tuple[int, int] = (480, 640),
+    env: Fetch, policy: Policy, key: jax.Array, path: str | Path, episodes: int = 1, size: tuple[int, int] = (480, 640)
 ) -> list[FetchState]:
-    """Play episodes and write them as one video at their own speed; the last state of each. policy: (state, key) -> action [4]."""
+    """Play episodes and write them as one video at their own speed; the last state of each. policy: (state, key) ->
+    action [4]."""
     require(episodes > 0, "episodes", episodes, "give at least 1")
     last: list[FetchState] = []
 

@@ -1,4 +1,5 @@
-"""What plans of a house and of a shelf share: episodes of the trained policy on a graph of images, and the intrinsic reward of every image."""
+"""What plans of a house and of a shelf share: episodes of the trained policy on a graph of images, and the intrinsic
+reward of every image."""
 
 import dataclasses
 
@@ -14,7 +15,8 @@ from infogoal_jax.train.rollout import run_episodes
 
 @dataclasses.dataclass(frozen=True)
 class Walk:
-    """One episode of the policy. nodes: int [steps + 1] images that it went through; shortest: steps of a shortest path."""
+    """One episode of the policy. nodes: int [steps + 1] images that it went through; shortest: steps of a shortest
+    path."""
 
     goal: int
     nodes: np.ndarray
@@ -36,7 +38,9 @@ def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
     shortest = jax.device_get(jax.vmap(env.shortest_path)(goal_starts(env, num_starts)))
     walks: dict[int, list[Walk]] = {}
     goals = np.repeat(np.asarray(env.goals.evaluated), num_starts).tolist()
-    for goal, nodes, steps, success, fewest in zip(goals, found.observations, found.steps, found.success, shortest, strict=True):
+    for goal, nodes, steps, success, fewest in zip(
+        goals, found.observations, found.steps, found.success, shortest, strict=True
+    ):
         walks.setdefault(goal, []).append(Walk(goal, nodes[: steps + 1], bool(success), int(fewest)))
     return walks
 
@@ -53,18 +57,28 @@ def one_goal_a_region(env, mask) -> list[int]:
 
 
 def outcome_in_words(env, walk: Walk, longest: int = 44) -> str:
-    """A title: goal (cut where its name has more than so many letters), its region, and in how many steps it was reached."""
-    outcome = f"{'reached' if walk.success else 'not reached'} in {len(walk.nodes) - 1} steps, shortest path {walk.shortest}"
-    return f"{in_words(env.goals.names[walk.goal], longest)} ({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}"
+    """A title: goal (cut where its name has more than so many letters), its region, and in how many steps it was
+    reached."""
+    outcome = (
+        f"{'reached' if walk.success else 'not reached'} in {len(walk.nodes) - 1} steps, shortest path {walk.shortest}"
+    )
+    return (
+        f"{in_words(env.goals.names[walk.goal], longest)} "
+        f"({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}"
+    )
 
 
 def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
-    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN where no goal is in view.
+    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN
+    where no goal is in view.
 
-    The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view takes its place.
+    The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view
+    takes its place.
     """
     env, learner = subject.train.env, subject.train.parts.learner
-    example = InputSpec(env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells)
+    example = InputSpec(
+        env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells
+    )
     state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
     encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.config.batch_size)
     achieved = env.goals_of(jnp.arange(env.num_observations))

@@ -1,1 +1,2 @@
-"""Generated data that stand in for data which cannot be shipped: the house, the cube, the shelf, and crops of photographs for backgrounds."""
+"""Generated data that stand in for data which cannot be shipped: the house, the cube, the shelf, and crops of
+photographs for backgrounds."""

@@ -1,8 +1,9 @@
-"""Pictures of a six-axis arm that holds a Rubik's cube, with the enlarged cube in the lower left, drawn with OpenCV and numpy (no OpenGL).
+"""Pictures of a six-axis arm that holds a Rubik's cube, with the enlarged cube in the lower left, drawn with OpenCV and
+numpy (no OpenGL).
 
-Every surface is flat and has a number. A posture of the arm is drawn once as an image of surface numbers with a depth buffer; the cube is then set
-into it, and the light turns numbers into colours. So the 24 turns of joint 6, and any light, cost one copy and one look-up each.
-Lengths in metres. Pictures are drawn four times larger and averaged down.
+Every surface is flat and has a number. A posture of the arm is drawn once as an image of surface numbers with a depth
+buffer; the cube is then set into it, and the light turns numbers into colours. So the 24 turns of joint 6, and any
+light, cost one copy and one look-up each. Lengths in metres. Pictures are drawn four times larger and averaged down.
 """
 
 import dataclasses
@@ -20,11 +21,21 @@ INSET_DISTANCE = 6.0  # of the inset's own camera from the cube's middle, in edg
 SHOULDER = np.array([0, 0, 0.3991])
 SHIFT = 4  # binary digits of a pixel that OpenCV's polygons keep
 
-WHITE, YELLOW, RED, ORANGE, BLUE, GREEN = (240, 240, 240), (250, 225, 20), (190, 15, 35), (255, 120, 0), (20, 75, 215), (0, 150, 65)
-STICKER_COLOURS = np.array([WHITE, YELLOW, RED, ORANGE, BLUE, GREEN], float)  # RGB, each opposite the next one on a solved cube
+WHITE, YELLOW, RED, ORANGE, BLUE, GREEN = (
+    (240, 240, 240),
+    (250, 225, 20),
+    (190, 15, 35),
+    (255, 120, 0),
+    (20, 75, 215),
+    (0, 150, 65),
+)
+STICKER_COLOURS = np.array(
+    [WHITE, YELLOW, RED, ORANGE, BLUE, GREEN], float
+)  # RGB, each opposite the next one on a solved cube
 PLASTIC = (24, 24, 26)
 
-# Surface numbers: 7 for each face of the cube (six colours and the plastic), then the inset's two, the room's, the arm's.
+# Surface numbers: 7 for each face of the cube (six colours and the plastic), then the inset's two, the room's, the
+# arm's.
 BACKDROP, BORDER = 42, 43
 FLOOR, FLOOR_SHADOW, LEFT_WALL, RIGHT_WALL, STRIPE = 44, 45, 46, 47, 48
 FIRST_OF_ARM = 49
@@ -35,9 +46,11 @@ NOTHING = 65535
 class Scene:
     """What a seed fixes: the camera, the room, the cube's stickers.
 
-    size: pixels of the finished picture. eye [3]; axes [3, 3], rows right, down, forward; focal, centre [2] in pixels of the large picture.
-    room: uint16 [L, L] surface numbers of the empty room, L = 4 size. colours [F, 3] RGB, normals [F, 3] of all surfaces (those that move: at zero
-    joints). stickers: int [6, 3, 3] colour number, faces +x -x +y -y +z -z. parts: of the arm.
+    size: pixels of the finished picture. eye [3]; axes [3, 3], rows right, down, forward; focal, centre [2] in pixels
+    of the large picture.
+    room: uint16 [L, L] surface numbers of the empty room, L = 4 size. colours [F, 3] RGB, normals [F, 3] of all
+    surfaces (those that move: at zero joints). stickers: int [6, 3, 3] colour number, faces +x -x +y -y +z -z. parts:
+    of the arm.
     """
 
     size: int
@@ -59,7 +72,8 @@ class Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Light:
-    """Direction towards the light [..., 3], unit length, and its colour times brightness [..., 3], 1 for plain white light."""
+    """Direction towards the light [..., 3], unit length, and its colour times brightness [..., 3], 1 for plain white
+    light."""
 
     direction: np.ndarray
     colour: np.ndarray
@@ -67,7 +81,8 @@ class Light:
 
 @dataclasses.dataclass(frozen=True)
 class Posture:
-    """The arm without its cube: uint16 [L, L] surface numbers, [L, L] inverse depth (0: the room), normals [F, 3] of all surfaces."""
+    """The arm without its cube: uint16 [L, L] surface numbers, [L, L] inverse depth (0: the room), normals [F, 3] of
+    all surfaces."""
 
     surface: np.ndarray
     inverse_depth: np.ndarray
@@ -84,7 +99,12 @@ def scene(seed: int, size: int) -> Scene:
     axes = np.stack([right, np.cross(-backwards, right), -backwards])
     large = size * OVERSAMPLING
     # The shoulder stands right of and above the middle, because the inset hides the lower left.
-    view = {"eye": SHOULDER + distance * backwards, "axes": axes, "focal": 0.64 * large * distance, "centre": large * np.array([0.57, 0.45])}
+    view = {
+        "eye": SHOULDER + distance * backwards,
+        "axes": axes,
+        "focal": 0.64 * large * distance,
+        "centre": large * np.array([0.57, 0.45]),
+    }
     parts = arm()
     wall, floor, stripe, backdrop = (_muted(random, brightness) for brightness in (205, 150, 120, 190))
     fixed = [PLASTIC] * 42 + [backdrop, (60, 60, 64), floor, floor * 0.72, wall, wall * 0.94, stripe]
@@ -103,18 +123,23 @@ def lights(seed: int, number: int, scene: Scene) -> Light:
     towards = -scene.axes[2]
     azimuth = np.arctan2(towards[1], towards[0]) + np.radians(random.uniform(-65, 65, number))
     elevation = np.radians(random.uniform(25, 65, number))
-    direction = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1)
+    direction = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+    )
     warmth, brightness = random.uniform(-1, 1, (number, 1)), random.uniform(0.72, 1.12, (number, 1))
     return Light(direction, brightness * (1 + warmth * np.array([0.10, 0.0, -0.16])))
 
 
 def draw_posture(scene: Scene, links: np.ndarray) -> Posture:
-    """The arm in the room. `links` [7, 4, 4]: how the base and each of the six links moved from where they are at zero joints."""
+    """The arm in the room. `links` [7, 4, 4]: how the base and each of the six links moved from where they are at zero
+    joints."""
     surface, inverse_depth = scene.room.copy(), np.zeros(scene.room.shape, np.float32)
     normals = scene.normals.copy()
     moved = [part.vertices @ links[part.link, :3, :3].T + links[part.link, :3, 3] for part in scene.parts]
     for vertices in moved:
-        shadow = cv2.convexHull(_fixed_point(scene.project(vertices * [1, 1, 0] - [0, 0, PEDESTAL_HEIGHT])))  # lamps are right above
+        shadow = cv2.convexHull(
+            _fixed_point(scene.project(vertices * [1, 1, 0] - [0, 0, PEDESTAL_HEIGHT]))
+        )  # lamps are right above
         patch = np.zeros(surface.shape, np.uint8)
         cv2.fillConvexPoly(patch, shadow, 1, cv2.LINE_8, SHIFT)
         surface[(patch == 1) & (surface == FLOOR)] = FLOOR_SHADOW
@@ -137,7 +162,9 @@ def draw(scene: Scene, posture: Posture, cube: np.ndarray, light: Light) -> np.n
     normals[:42] = np.repeat(turned, 7, 0)
     polygons = [
         (face, list(zip(pixels, _cube_numbers(scene.stickers, face), strict=True)))
-        for face, pixels in enumerate(_fixed_point(scene.project(CUBE_EDGE * cube_quads() @ cube[:3, :3].T + cube[:3, 3])))
+        for face, pixels in enumerate(
+            _fixed_point(scene.project(CUBE_EDGE * cube_quads() @ cube[:3, :3].T + cube[:3, 3]))
+        )
     ]
     distance = turned @ (cube[:3, 3] - scene.eye) + CUBE_EDGE / 2
     _draw_convex(scene, surface, posture.inverse_depth, turned, distance, polygons, keep_depth=True)
@@ -149,9 +176,11 @@ def draw(scene: Scene, posture: Posture, cube: np.ndarray, light: Light) -> np.n
 
 
 def draw_inset(scene: Scene, rotation: np.ndarray, side: int) -> np.ndarray:
-    """Surface numbers, uint16 [side, side], of the enlarged cube: oriented as the camera sees it, looked at straight, with nothing in front of it.
+    """Surface numbers, uint16 [side, side], of the enlarged cube: oriented as the camera sees it, looked at straight,
+    with nothing in front of it.
 
-    It depends on the orientation alone, not on where the arm holds the cube, so that every orientation looks the same from any posture.
+    It depends on the orientation alone, not on where the arm holds the cube, so that every orientation looks the same
+    from any posture.
     """
     inset = np.full((side, side), BACKDROP, np.uint16)
     turned = face_normals() @ (scene.axes @ rotation).T
@@ -167,7 +196,9 @@ def draw_inset(scene: Scene, rotation: np.ndarray, side: int) -> np.ndarray:
 def inset_pixels(scene: Scene, points: np.ndarray, rotation: np.ndarray, side: int) -> np.ndarray:
     """Where points of the cube [..., 3], in edges from its middle, are in an inset of `side` pixels: [..., 2]."""
     view = points @ (scene.axes @ rotation).T
-    focal = 0.47 * side / np.tan(np.arcsin(np.sqrt(3) / 2 / INSET_DISTANCE))  # the cube's outer sphere fills 94 % of the inset
+    focal = (
+        0.47 * side / np.tan(np.arcsin(np.sqrt(3) / 2 / INSET_DISTANCE))
+    )  # the cube's outer sphere fills 94 % of the inset
     return focal * view[..., :2] / (view[..., 2:] + INSET_DISTANCE) + side / 2
 
 
@@ -177,24 +208,32 @@ def face_normals() -> np.ndarray:
 
 
 def cube_quads() -> np.ndarray:
-    """Corners of each face's plastic and of its nine stickers (row by row), in edges from the cube's middle: [6, 10, 4, 3]."""
+    """Corners of each face's plastic and of its nine stickers (row by row), in edges from the cube's middle: [6, 10, 4,
+    3]."""
     return _QUADS
 
 
 def scramble(random: np.random.Generator) -> np.ndarray:
-    """Colours int [6, 3, 3] of a solvable, scrambled cube of which no two faces, turned in any way, agree in more than five of nine stickers.
+    """Colours int [6, 3, 3] of a solvable, scrambled cube of which no two faces, turned in any way, agree in more than
+    five of nine stickers.
 
-    Sticker [face, row, column] is at row - 1 and column - 1 along the two axes that follow the face's own (x, y, z, x, y).
+    Sticker [face, row, column] is at row - 1 and column - 1 along the two axes that follow the face's own (x, y, z, x,
+    y).
     """
     while True:
-        place = np.array([_sticker_place(face, row, column) for face in range(6) for row in range(3) for column in range(3)])
+        place = np.array(
+            [_sticker_place(face, row, column) for face in range(6) for row in range(3) for column in range(3)]
+        )
         normal = np.repeat(face_normals().astype(int), 9, 0)
         for _ in range(30):
             axis, layer, direction = random.integers(3), random.choice([-1, 1]), random.choice([-1, 1])
             one, other = (axis + 1) % 3, (axis + 2) % 3
             layer = place[:, axis] == layer
             for vectors in (place, normal):
-                vectors[layer, one], vectors[layer, other] = -direction * vectors[layer, other], direction * vectors[layer, one]
+                vectors[layer, one], vectors[layer, other] = (
+                    -direction * vectors[layer, other],
+                    direction * vectors[layer, one],
+                )
         axis = np.abs(normal).argmax(1)
         sticker = np.arange(54)
         face = 2 * axis + (normal[sticker, axis] < 0)
@@ -206,7 +245,9 @@ def scramble(random: np.random.Generator) -> np.ndarray:
 
 def _least_difference(stickers: np.ndarray) -> int:
     """Fewest stickers in which two of the 24 views (six faces, four turns) of single faces differ."""
-    outside = [face if number % 2 == 0 else face.T for number, face in enumerate(stickers)]  # mirrored on the faces that look backwards
+    outside = [
+        face if number % 2 == 0 else face.T for number, face in enumerate(stickers)
+    ]  # mirrored on the faces that look backwards
     views = np.array([np.rot90(face, turn).reshape(-1) for face in outside for turn in range(4)])
     different = (views[:, None] != views).sum(-1)
     return int(different[~np.eye(24, dtype=bool)].min())
@@ -219,10 +260,19 @@ def _sticker_place(face: int, row: int, column: int) -> np.ndarray:
 
 
 def _face_quads(face: int) -> np.ndarray:
-    normal, one, other = face_normals()[face] / 2, np.eye(3)[(face // 2 + 1) % 3] / 3, np.eye(3)[(face // 2 + 2) % 3] / 3
+    normal, one, other = (
+        face_normals()[face] / 2,
+        np.eye(3)[(face // 2 + 1) % 3] / 3,
+        np.eye(3)[(face // 2 + 2) % 3] / 3,
+    )
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     middles = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
-    return np.array([normal + 3 * square @ [one, other], *(normal + (np.array(at) + STICKER_SHARE * square) @ [one, other] for at in middles)])
+    return np.array(
+        [
+            normal + 3 * square @ [one, other],
+            *(normal + (np.array(at) + STICKER_SHARE * square) @ [one, other] for at in middles),
+        ]
+    )
 
 
 _QUADS = np.array([_face_quads(face) for face in range(6)])
@@ -236,7 +286,9 @@ def _muted(random: np.random.Generator, brightness: float) -> np.ndarray:
     return brightness * random.uniform(0.9, 1.05) * (1 + random.uniform(-0.09, 0.09, 3))
 
 
-def _room(large: int, random: np.random.Generator, eye: np.ndarray, axes: np.ndarray, focal: float, centre: np.ndarray) -> np.ndarray:
+def _room(
+    large: int, random: np.random.Generator, eye: np.ndarray, axes: np.ndarray, focal: float, centre: np.ndarray
+) -> np.ndarray:
     """Surface numbers of floor and two walls, by one ray a pixel: uint16 [large, large]."""
     column, row = np.meshgrid(np.arange(large) + 0.5, np.arange(large) + 0.5)
     ray = np.stack([(column - centre[0]) / focal, (row - centre[1]) / focal, np.ones_like(row)], -1) @ axes
@@ -260,8 +312,9 @@ def _fixed_point(pixels: np.ndarray) -> np.ndarray:
 def _draw_convex(scene, surface, inverse_depth, normals, distances, polygons, keep_depth=False) -> None:
     """Set a convex solid into the picture where it is nearest.
 
-    `normals` [F, 3]; `distances` [F], of the faces' planes from the eye along them, negative where the face is seen; `polygons`: of each face its
-    number and its polygons [N, 2] (OpenCV's fixed point) with their surface numbers, later ones on top.
+    `normals` [F, 3]; `distances` [F], of the faces' planes from the eye along them, negative where the face is seen;
+    `polygons`: of each face its number and its polygons [N, 2] (OpenCV's fixed point) with their surface numbers, later
+    ones on top.
     """
     seen = [(face, drawn) for face, drawn in polygons if distances[face] < -1e-9]
     corners = np.concatenate([polygon for _, drawn in seen for polygon, _ in drawn[:1]])
@@ -288,7 +341,8 @@ def _draw_convex(scene, surface, inverse_depth, normals, distances, polygons, ke
 
 
 def _colours(scene: Scene, normals: np.ndarray, light: Light) -> np.ndarray:
-    """Colour of each surface in this light (Lambert's law, with more light from above than from below), four bytes in one number: uint32 [F]."""
+    """Colour of each surface in this light (Lambert's law, with more light from above than from below), four bytes in
+    one number: uint32 [F]."""
     shade = 0.52 + 0.08 * normals[:, 2] + 0.5 * np.maximum(normals @ light.direction, 0)
     colour = np.zeros((len(shade), 4), np.uint8)
     colour[:, :3] = np.clip(np.rint(scene.colours * light.colour * shade[:, None]), 0, 255)

@@ -1,4 +1,5 @@
-"""A synthetic house, photographed and written to disk in the format of the Active Vision Dataset; the one of a seed is kept in the user's cache.
+"""A synthetic house, photographed and written to disk in the format of the Active Vision Dataset; the one of a seed is
+kept in the user's cache.
 
 It stands in for the real dataset, whose licence does not let it be shipped: four rooms along a corridor, the authors'
 24 objects in the authors' rooms (splits.AUTHORS_SPLIT), twelve views from every node of a grid. Files, names and
@@ -32,7 +33,8 @@ from infogoal_jax.stand_ins.house_layout import HEADINGS, House
 GENERATOR_VERSION = 1
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
 LEAST_PIXELS = 4  # objects with fewer visible pixels are not annotated
-# COLMAP's arbitrary unit: positions in image_structs.mat times this are millimetres. Not 1000, so that a reader which forgets it is wrong.
+# COLMAP's arbitrary unit: positions in image_structs.mat times this are millimetres. Not 1000, so that a reader which
+# forgets it is wrong.
 POSITION_SCALE = 800.0
 MATLAB_FIELDS = (
     "image_name t R world_pos direction quat scaled_world_pos image_id camera_id cluster_id "
@@ -43,7 +45,8 @@ MATLAB_FIELDS = (
 def load(seed: int = 0, **reading) -> active_vision.SearchScenes:
     """The house of this seed, from the user's cache; it is built there first if it is not there yet, or damaged.
 
-    reading: what `active_vision.load` takes beside the folder. Building is announced on stderr. A cache that cannot be written to costs only time.
+    reading: what `active_vision.load` takes beside the folder. Building is announced on stderr. A cache that cannot be
+    written to costs only time.
     """
     folder = cached_folder(seed)
     why = "is not in the cache yet"
@@ -54,11 +57,17 @@ def load(seed: int = 0, **reading) -> active_vision.SearchScenes:
             if not check.check_active_vision(folder):
                 raise  # The house is sound: something else is asked of it than it has.
             why = "in the cache is damaged"
-    print(f"infogoal: the dataset {folder.name} {why}; it is built now, which takes ten seconds, and kept as {folder}", file=sys.stderr)
+    print(
+        f"infogoal: the dataset {folder.name} {why}; it is built now, which takes ten seconds, and kept as {folder}",
+        file=sys.stderr,
+    )
     try:
         _build_cached(folder, seed)
     except OSError as error:
-        print(f"infogoal: {folder} cannot be written ({error.strerror or error}); it will be built again next time", file=sys.stderr)
+        print(
+            f"infogoal: {folder} cannot be written ({error.strerror or error}); it will be built again next time",
+            file=sys.stderr,
+        )
         with tempfile.TemporaryDirectory() as elsewhere:
             build_house(elsewhere, seed)
             return active_vision.load(elsewhere, **{"cache_dir": elsewhere} | reading)
@@ -71,7 +80,8 @@ def cached_folder(seed: int = 0) -> Path:
 
 
 def _build_cached(folder: Path, seed: int) -> None:
-    """Build a house beside and rename it, so that `folder` always holds a whole one. Raises `OSError` if the disk refuses."""
+    """Build a house beside and rename it, so that `folder` always holds a whole one. Raises `OSError` if the disk
+    refuses."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
         whole = Path(beside) / folder.name
@@ -123,7 +133,9 @@ def build_house(
     camera = house_render.Camera(image_width, round(image_width * 9 / 16))
     names = [image_name(scene, index) for index in range(len(house.nodes) * HEADINGS)]
     boxes, surfaces = house_boxes.furnish(house, seed)
-    levels = house_render.texture_levels(house_textures.paint(surfaces, [*(r.name for r in house.rooms), "corridor"], seed))
+    levels = house_render.texture_levels(
+        house_textures.paint(surfaces, [*(r.name for r in house.rooms), "corridor"], seed)
+    )
     annotations = _edges(house, names)
     for index, (picture, sightings) in enumerate(_photograph(house, boxes, levels, camera)):
         _, encoded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality))
@@ -171,7 +183,10 @@ def _edges(house: House, names: list[str]) -> dict[str, dict]:
     annotations = {}
     for index, name in enumerate(names):
         node, heading = divmod(index, HEADINGS)
-        leads = {"rotate_ccw": node * HEADINGS + (heading + 1) % HEADINGS, "rotate_cw": node * HEADINGS + (heading - 1) % HEADINGS}
+        leads = {
+            "rotate_ccw": node * HEADINGS + (heading + 1) % HEADINGS,
+            "rotate_cw": node * HEADINGS + (heading - 1) % HEADINGS,
+        }
         for move, target in targets.items():
             leads[move] = target[node, heading] * HEADINGS + heading if target[node, heading] >= 0 else -1
         annotations[name] = {"bounding_boxes": []} | {a: names[leads[a]] if leads[a] >= 0 else "" for a in ACTIONS}
@@ -199,10 +214,23 @@ def _write_image_structs(folder: Path, house: House, camera, names: list[str], a
         world = millimetres / POSITION_SCALE
         edges = annotations[name]
         records[0, index] = (
-            name, -rotation @ world, rotation, world, rotation[2][:, None], _quaternion(heading), millimetres,
-            float(index + 1), 1.0, float(node + 1), edges["rotate_cw"], edges["rotate_ccw"],
-            edges["forward"], edges["backward"], edges["right"], edges["left"],
-        )  # fmt: skip
+            name,
+            -rotation @ world,
+            rotation,
+            world,
+            rotation[2][:, None],
+            _quaternion(heading),
+            millimetres,
+            float(index + 1),
+            1.0,
+            float(node + 1),
+            edges["rotate_cw"],
+            edges["rotate_ccw"],
+            edges["forward"],
+            edges["backward"],
+            edges["right"],
+            edges["left"],
+        )
     import scipy.io  # Only now: it takes a tenth of a second.
 
     content = io.BytesIO()

@@ -1,4 +1,5 @@
-"""The synthetic house as the boxes that are drawn: walls, floors, furniture, pictures and windows, objects, each with its surfaces.
+"""The synthetic house as the boxes that are drawn: walls, floors, furniture, pictures and windows, objects, each with
+its surfaces.
 
 Coordinates are those of the floor plan (house_layout.py), in metres. Surfaces are named; house_textures.py paints them.
 """
@@ -44,7 +45,11 @@ def furnish(house: House, seed: int) -> tuple[house_render.Boxes, list[str]]:
     lower, upper, faces, tile, instance = zip(*blocks, strict=True)
     texture = np.array([[number[name] for name in six] for six in faces])
     boxes = house_render.Boxes(
-        np.array(lower, np.float32), np.array(upper, np.float32), texture, np.array(tile, np.float32), np.array(instance)
+        np.array(lower, np.float32),
+        np.array(upper, np.float32),
+        texture,
+        np.array(tile, np.float32),
+        np.array(instance),
     )
     return boxes, names
 
@@ -71,7 +76,9 @@ def _add_walls(add, house: House) -> None:
         add([x, -half, 0], [x + thick, half, high], f"wall:corridor:{side}", (CORRIDOR_TILE, high))
     for door_side, side, low in (("south", "north", half), ("north", "south", -half - thick / 2)):
         doors = [room.door for room in house.rooms if room.door_side == door_side]
-        wall_with_doors(-thick, house.length + thick, doors, low, low + thick / 2, f"wall:corridor:{side}", (CORRIDOR_TILE, high))
+        wall_with_doors(
+            -thick, house.length + thick, doors, low, low + thick / 2, f"wall:corridor:{side}", (CORRIDOR_TILE, high)
+        )
     for room in house.rooms:
         (left, low), (right, up) = room.lower, room.upper
         wall = {side: f"wall:{room.name}:{side}" for side in house_layout.SIDES}
@@ -142,9 +149,15 @@ def _add_decoration(add, house: House, rng: np.random.Generator) -> None:
     half = house_layout.CORRIDOR_WIDTH / 2
     for side, door_side, wall in (("north", "south", half), ("south", "north", -half)):
         doors = sorted(room.door for room in house.rooms if room.door_side == door_side)
-        stretches = ((0.1, doors[0] - clear), (doors[0] + clear, doors[1] - clear), (doors[1] + clear, house.length - 0.1))
+        stretches = (
+            (0.1, doors[0] - clear),
+            (doors[0] + clear, doors[1] - clear),
+            (doors[1] + clear, house.length - 0.1),
+        )
         for number, (low, up) in enumerate(stretches):
             # About one picture for every two metres of corridor wall.
             cuts = np.linspace(low, up, max(2, round((up - low) / 1.8) + 1))
             for place, (first, last) in enumerate(itertools.pairwise(cuts)):
-                hang(f"picture:corridor:{side}:{number}:{place}", side, first + 0.05, max(last - 0.05, first + 0.3), wall)
+                hang(
+                    f"picture:corridor:{side}:{number}:{place}", side, first + 0.05, max(last - 0.05, first + 0.3), wall
+                )

@@ -1,11 +1,13 @@
-"""What stands in the synthetic house: the furniture of each room, the sizes of the 24 objects of the authors' split, and the ids of all objects."""
+"""What stands in the synthetic house: the furniture of each room, the sizes of the 24 objects of the authors' split,
+and the ids of all objects."""
 
 import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
 class Piece:
-    """A piece of furniture: width along the wall, depth, height in metres; how it is drawn; whether objects stand on it."""
+    """A piece of furniture: width along the wall, depth, height in metres; how it is drawn; whether objects stand on
+    it."""
 
     name: str
     width: float
@@ -75,10 +77,10 @@ INSTANCE_NAMES = """
 advil_liqui_gels aunt_jemima_original_syrup bumblebee_albacore cholula_chipotle_hot_sauce coca_cola_glass_bottle
 crest_complete_minty_fresh crystal_hot_sauce expo_marker_red hersheys_bar honey_bunches_of_oats_honey_roasted
 honey_bunches_of_oats_with_almonds hunts_sauce listerine_green mahatma_rice nature_valley_granola_thins_dark_chocolate
-nutrigrain_harvest_blueberry_bliss pepto_bismol pringles_bbq progresso_new_england_clam_chowder quaker_chewy_low_fat_chocolate_chunk
-red_bull softsoap_clear softsoap_gold softsoap_white spongebob_squarepants_fruit_snaks
-tapatio_hot_sauce vo5_tea_therapy_healthful_green_tea_smoothing_shampoo
-nature_valley_sweet_and_salty_nut_almond nature_valley_sweet_and_salty_nut_cashew nature_valley_sweet_and_salty_nut_peanut
-nature_valley_sweet_and_salty_nut_roasted_mix_nut paper_plate red_cup
+nutrigrain_harvest_blueberry_bliss pepto_bismol pringles_bbq progresso_new_england_clam_chowder
+quaker_chewy_low_fat_chocolate_chunk red_bull softsoap_clear softsoap_gold softsoap_white
+spongebob_squarepants_fruit_snaks tapatio_hot_sauce vo5_tea_therapy_healthful_green_tea_smoothing_shampoo
+nature_valley_sweet_and_salty_nut_almond nature_valley_sweet_and_salty_nut_cashew
+nature_valley_sweet_and_salty_nut_peanut nature_valley_sweet_and_salty_nut_roasted_mix_nut paper_plate red_cup
 """.split()
 INSTANCE_IDS = {name: identity for identity, name in enumerate(INSTANCE_NAMES, 1)}

@@ -51,7 +51,8 @@ class Furniture:
 
 @dataclasses.dataclass(frozen=True)
 class PlacedObject:
-    """An object on a piece of furniture: the middle of its foot [3], its size [3] along x, y, z, its form and carrier."""
+    """An object on a piece of furniture: the middle of its foot [3], its size [3] along x, y, z, its form and
+    carrier."""
 
     name: str
     room: str
@@ -81,7 +82,9 @@ def layout(seed: int, node_spacing: float = 0.6) -> House:
         house = _draw(rng, node_spacing)
         if house is not None:
             return house
-    raise UserError(f"node_spacing = {node_spacing}: no house found that a robot can pass; try another seed, or 0.6 metres")
+    raise UserError(
+        f"node_spacing = {node_spacing}: no house found that a robot can pass; try another seed, or 0.6 metres"
+    )
 
 
 def move_targets(house: House) -> dict[str, np.ndarray]:
@@ -157,7 +160,9 @@ def _draw_rooms(rng: np.random.Generator, length: float, columns: np.ndarray) ->
         for place, (left, right) in enumerate(((0.0, middle - CLOSET_WIDTH / 2), (middle + CLOSET_WIDTH / 2, length))):
             fits = columns[(columns > left + DOOR_WIDTH / 2 + 0.1) & (columns < right - DOOR_WIDTH / 2 - 0.1)]
             # A door in the middle of a column of nodes: the robot passes it on the grid.
-            rooms.append(Room(str(names[2 * row + place]), (left, low), (right, high), float(rng.choice(fits)), door_side))
+            rooms.append(
+                Room(str(names[2 * row + place]), (left, low), (right, high), float(rng.choice(fits)), door_side)
+            )
     return rooms
 
 
@@ -281,7 +286,9 @@ def _all_in_reach(objects, furniture, nodes, spacing: float) -> bool:
         away = nodes - placed.foot[:2]
         distance = np.linalg.norm(away, axis=1)
         middle = (carrier.lower + carrier.upper) / 2
-        in_front = np.ones(len(nodes), bool) if not carrier.side else (away * np.sign(placed.foot[:2] - middle)).max(1) > 0
+        in_front = (
+            np.ones(len(nodes), bool) if not carrier.side else (away * np.sign(placed.foot[:2] - middle)).max(1) > 0
+        )
         if ((distance < 1.6) & in_front).sum() < wanted:
             return False
     return True

@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 
 TEXTURE_SIZE = 128
-LEVELS = 6  # a texture is stored at full size and averaged over 2, 4, ... 32 texels, so that far patterns do not flicker
+LEVELS = (
+    6  # a texture is stored at full size and averaged over 2, 4, ... 32 texels, so that far patterns do not flicker
+)
 NEAR = 0.05
 # How bright the faces -x, +x, -y, +y, -z, +z are: a light from one side makes corners visible in grey.
 FACE_LIGHT = np.array([0.80, 0.95, 0.88, 1.0, 0.70, 1.0], np.float32)
@@ -173,7 +175,8 @@ def _shade(boxes, levels, camera, position, directions, depth, nearest, axis) ->
 
 
 def _sightings(boxes: Boxes, instance: np.ndarray, outline: np.ndarray, counts: np.ndarray) -> list[Sighting]:
-    """Every object with visible pixels. The whole outline is the projected hull of its boxes, also outside the frame."""
+    """Every object with visible pixels. The whole outline is the projected hull of its boxes, also outside the
+    frame."""
     sightings = []
     for number in np.unique(instance[instance > 0]):
         rows, columns = np.nonzero(instance == number)

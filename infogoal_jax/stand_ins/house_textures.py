@@ -1,8 +1,8 @@
 """Generated pictures for the surfaces of the synthetic house: walls, floors, furniture, pictures, and object labels.
 
 A surface is named by a string ("wall:kitchen:north", "object:hersheys_bar"); `paint` draws a set of them. The rooms
-must differ in grey at 32 x 32 pixels, so every wall of the house has its own pattern and brightness. No photographs and no brand artwork:
-a label is a colour, a pattern and the printed name.
+must differ in grey at 32 x 32 pixels, so every wall of the house has its own pattern and brightness. No photographs and
+no brand artwork: a label is a colour, a pattern and the printed name.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""A generated stand-in for the paper's drone recordings (Sec. V-A.4): a camera flies in front of a shelf with 24 objects, in steps of 20 cm.
+"""A generated stand-in for the paper's drone recordings (Sec. V-A.4): a camera flies in front of a shelf with 24
+objects, in steps of 20 cm.
 
-The shelf is long: from a random start a random policy finds an object in fewer than three of ten flights of 50 steps, and a shortest path always can.
-An object counts as detected if its box lies in the image with all of its corners.
+The shelf is long: from a random start a random policy finds an object in fewer than three of ten flights of 50 steps,
+and a shortest path always can. An object counts as detected if its box lies in the image with all of its corners.
 """
 
 from collections.abc import Callable
@@ -32,13 +33,20 @@ SLOTS = 3
 FLIGHT_LENGTH, MIN_FLIGHTS = 50, 400
 """Moves in a recorded flight, and flights at least."""
 VIEWS, DRIFT, ROLL, BLUR = 4, 0.03, 0.03, 14.0
-"""Of a hovering drone: images of each place; standard deviations of its drift (m), its roll (radians) and its movement (pixels of the stream)."""
+"""Of a hovering drone: images of each place; standard deviations of its drift (m), its roll (radians) and its movement
+(pixels of the stream)."""
 
 
-def build(seed: int = 0, hovering: bool = False, size: tuple[int, int] = (48, 64), progress: Callable[[float], None] | None = None) -> FrameDataset:
+def build(
+    seed: int = 0,
+    hovering: bool = False,
+    size: tuple[int, int] = (48, 64),
+    progress: Callable[[float], None] | None = None,
+) -> FrameDataset:
     """The dataset of this seed: which object stands where, colours of walls and boards, and flights follow from it.
 
-    hovering: several images of each place, from a drone that drifts, rolls and blurs them. size: height and width of the images.
+    hovering: several images of each place, from a drone that drifts, rolls and blurs them. size: height and width of
+    the images.
     """
     random = np.random.default_rng([seed, GENERATOR_VERSION])
     places = furnish(random)
@@ -50,7 +58,11 @@ def build(seed: int = 0, hovering: bool = False, size: tuple[int, int] = (48, 64
     centre = (FIRST + STEP * np.stack([column, row], axis=-1))[state]
     frames, detected = [], []
     for number, place in enumerate(centre):
-        drift, roll, blur = (random.normal(0, DRIFT, 2), random.normal(0, ROLL), random.normal(0, BLUR, 2)) if hovering else (0.0, 0.0, None)
+        drift, roll, blur = (
+            (random.normal(0, DRIFT, 2), random.normal(0, ROLL), random.normal(0, BLUR, 2))
+            if hovering
+            else (0.0, 0.0, None)
+        )
         view = shelf_render.camera(place + drift, roll, SIZE)
         frames.append(shelf_render.see(wall, view, size, blur))
         detected.append([in_view(view, box) for box in boxes(places)])
@@ -60,18 +72,30 @@ def build(seed: int = 0, hovering: bool = False, size: tuple[int, int] = (48, 64
     flights = record_trajectories(table, random)
     images = np.array([np.flatnonzero(state == place) for place in range(COLUMNS * ROWS)])
     return FrameDataset(
-        frames=np.stack(frames), state=state.astype(np.int32), actions=ACTIONS, **as_frames(flights, images, random),
+        frames=np.stack(frames),
+        state=state.astype(np.int32),
+        actions=ACTIONS,
+        **as_frames(flights, images, random),
         about={
-            "name": f"a generated shelf of {SIZE[0]:g} x {SIZE[1]:g} m{', seen by a hovering drone' if hovering else ''}", "stand_in": True,
-            "made_by": f"infogoal data build shelf --seed {seed}{' --hovering' if hovering else ''}", "seed": seed, "hovering": hovering,
-            "generator": GENERATOR_VERSION, "width_m": float(SIZE[0]), "height_m": float(SIZE[1]),
+            "name": f"a generated shelf of {SIZE[0]:g} x {SIZE[1]:g} "
+            f"m{', seen by a hovering drone' if hovering else ''}",
+            "stand_in": True,
+            "made_by": f"infogoal data build shelf --seed {seed}{' --hovering' if hovering else ''}",
+            "seed": seed,
+            "hovering": hovering,
+            "generator": GENERATOR_VERSION,
+            "width_m": float(SIZE[0]),
+            "height_m": float(SIZE[1]),
         },
-        position=centre.astype(np.float32), detected=np.array(detected), objects=tuple(places),
+        position=centre.astype(np.float32),
+        detected=np.array(detected),
+        objects=tuple(places),
     )
 
 
 def furnish(random: np.random.Generator) -> dict[str, np.ndarray]:
-    """Where each object stands: its left end and its foot (m). Each stands in its own region, on a board and in a slot drawn at random."""
+    """Where each object stands: its left end and its foot (m). Each stands in its own region, on a board and in a slot
+    drawn at random."""
     asked, places = questions.load(questions.SHIPPED), {}
     for region, room in enumerate(asked.room_names):
         names = [name for name, its in zip(asked.objects, asked.rooms, strict=True) if its == region]
@@ -89,7 +113,9 @@ def boxes(places: dict[str, np.ndarray]) -> list[np.ndarray]:
     found = []
     for name, (left, foot) in places.items():
         width, height = DRAWINGS[name][0] / 100, DRAWINGS[name][1] / 100
-        found.append(np.array([[left, foot], [left + width, foot], [left + width, foot + height], [left, foot + height]]))
+        found.append(
+            np.array([[left, foot], [left + width, foot], [left + width, foot + height], [left, foot + height]])
+        )
     return found
 
 
@@ -101,13 +127,18 @@ def in_view(view: np.ndarray, box: np.ndarray) -> bool:
 
 def moves() -> np.ndarray:
     """Where each action leads from each place, int [S, A]; its own index at the edge."""
-    place = np.stack([np.arange(COLUMNS * ROWS) % COLUMNS, np.arange(COLUMNS * ROWS) // COLUMNS], axis=-1)[:, None] + STEPS
+    place = (
+        np.stack([np.arange(COLUMNS * ROWS) % COLUMNS, np.arange(COLUMNS * ROWS) // COLUMNS], axis=-1)[:, None] + STEPS
+    )
     inside = ((place >= 0) & (place < [COLUMNS, ROWS])).all(-1)
     return np.where(inside, place @ [1, COLUMNS], np.arange(COLUMNS * ROWS)[:, None])
 
 
-def record_trajectories(table: np.ndarray, random: np.random.Generator, length: int = FLIGHT_LENGTH, at_least: int = MIN_FLIGHTS) -> list[np.ndarray]:
-    """Flights [length, 3] of place, action and next place, as if flown by hand: mostly straight on, until every move that exists was made.
+def record_trajectories(
+    table: np.ndarray, random: np.random.Generator, length: int = FLIGHT_LENGTH, at_least: int = MIN_FLIGHTS
+) -> list[np.ndarray]:
+    """Flights [length, 3] of place, action and next place, as if flown by hand: mostly straight on, until every move
+    that exists was made.
 
     table: int [S, A], its own index where there is no move. A flight begins with a move that was made least often.
     """
@@ -127,13 +158,23 @@ def record_trajectories(table: np.ndarray, random: np.random.Generator, length: 
 
 
 def as_frames(flights: list[np.ndarray], images: np.ndarray, random: np.random.Generator) -> dict[str, np.ndarray]:
-    """The moves of a dataset for flights between places; each place that is passed is seen in one of its images [S, V], drawn at random."""
-    columns: dict[str, list] = {name: [] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")}
+    """The moves of a dataset for flights between places; each place that is passed is seen in one of its images [S, V],
+    drawn at random."""
+    columns: dict[str, list] = {
+        name: [] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
+    }
     for number, flight in enumerate(flights):
         passed = np.append(flight[:, 0], flight[-1, 2])
         seen = images[passed, random.integers(images.shape[1], size=len(passed))]
         length = len(flight)
-        rows = (seen[:-1], flight[:, 1], seen[1:], np.full(length, number), np.arange(length), np.arange(length) == length - 1)
+        rows = (
+            seen[:-1],
+            flight[:, 1],
+            seen[1:],
+            np.full(length, number),
+            np.arange(length),
+            np.arange(length) == length - 1,
+        )
         for column, values in zip(columns.values(), rows, strict=True):
             column.append(values)
     moved = {name: np.concatenate(parts).astype(np.int32) for name, parts in columns.items()}

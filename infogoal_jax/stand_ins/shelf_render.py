@@ -1,4 +1,5 @@
-"""Drawing the generated shelf with OpenCV: one large picture of the whole wall, and what a camera in front of it sees of it.
+"""Drawing the generated shelf with OpenCV: one large picture of the whole wall, and what a camera in front of it sees
+of it.
 
 The camera is that of the drone's video stream: 960 x 720 pixels, 55.0 by 42.8 degrees, one metre away.
 """
@@ -23,10 +24,17 @@ BOARD = 0.03
 """Thickness of boards and uprights, m."""
 
 
-def draw_wall(size: np.ndarray, boards: list[float], uprights: np.ndarray, places: dict[str, np.ndarray], random: np.random.Generator) -> np.ndarray:
+def draw_wall(
+    size: np.ndarray,
+    boards: list[float],
+    uprights: np.ndarray,
+    places: dict[str, np.ndarray],
+    random: np.random.Generator,
+) -> np.ndarray:
     """The whole wall with its shelf and objects, uint8 RGB [H, W, 3]; row 0 is the top.
 
-    size: width and height of the shelf, m; boards: heights of their upper sides; uprights: x of each; places: left end and foot of each object.
+    size: width and height of the shelf, m; boards: heights of their upper sides; uprights: x of each; places: left end
+    and foot of each object.
     """
     width, height = np.round((size + 2 * MARGIN) * PIXELS_PER_METRE).astype(int)
     wall = wallpaper(height, width, random)
@@ -42,7 +50,8 @@ def draw_wall(size: np.ndarray, boards: list[float], uprights: np.ndarray, place
 
 
 def wallpaper(height: int, width: int, random: np.random.Generator) -> np.ndarray:
-    """A painted wall, uint8 [height, width, 3]: colours that change slowly, and spots by which one place is told from another."""
+    """A painted wall, uint8 [height, width, 3]: colours that change slowly, and spots by which one place is told from
+    another."""
     coarse = random.uniform(0, 1, (5, 14, 3)) * 70 + random.uniform(60, 150, 3)
     wall = cv2.resize(coarse.astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
     wall = np.clip(wall, 0, 255).astype(np.uint8)
@@ -78,7 +87,8 @@ def paste(wall: np.ndarray, picture: np.ndarray, place: np.ndarray, size: np.nda
 
 
 def camera(centre: np.ndarray, roll: float, size: np.ndarray) -> np.ndarray:
-    """The affine map [2, 3] from pixels of the wall to those of the video stream, for a camera before `centre` (m), turned by `roll` (radians)."""
+    """The affine map [2, 3] from pixels of the wall to those of the video stream, for a camera before `centre` (m),
+    turned by `roll` (radians)."""
     column, row = pixel_of(centre, size)
     turn = cv2.getRotationMatrix2D((float(column), float(row)), np.rad2deg(roll), 1.0)
     turn[:, 2] += np.array([STREAM[1] / 2 - column, STREAM[0] / 2 - row])
@@ -86,10 +96,13 @@ def camera(centre: np.ndarray, roll: float, size: np.ndarray) -> np.ndarray:
 
 
 def see(wall: np.ndarray, view: np.ndarray, size: tuple[int, int], blur: np.ndarray | None = None) -> np.ndarray:
-    """What the camera sees, uint8 [height, width, 3] of this size. blur: movement while the shutter is open, pixels of the stream [2]; None: none."""
+    """What the camera sees, uint8 [height, width, 3] of this size. blur: movement while the shutter is open, pixels of
+    the stream [2]; None: none."""
     image = cv2.warpAffine(wall, view, STREAM[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     if blur is not None:
-        image = cv2.resize(image, None, fx=1 / COARSER, fy=1 / COARSER, interpolation=cv2.INTER_AREA)  # Blurring 720 rows takes ten times as long.
+        image = cv2.resize(
+            image, None, fx=1 / COARSER, fy=1 / COARSER, interpolation=cv2.INTER_AREA
+        )  # Blurring 720 rows takes ten times as long.
         blur = blur / COARSER
         length = int(np.ceil(np.abs(blur).max())) | 1
         kernel = np.zeros((length, length), np.float32)

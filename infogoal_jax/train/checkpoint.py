@@ -20,10 +20,13 @@ def is_key(leaf: Any) -> bool:
 
 
 def save(path: Path, header: dict[str, Any], tree: Any) -> None:
-    """Write a pytree of arrays (typed keys included) with a header of JSON values. The old file stays until the new one is whole."""
+    """Write a pytree of arrays (typed keys included) with a header of JSON values. The old file stays until the new one
+    is whole."""
     plain = jax.tree.map(lambda leaf: jax.device_get(jax.random.key_data(leaf) if is_key(leaf) else leaf), tree)
     payload = flax.serialization.to_bytes(plain)
-    first_line = json.dumps({"format": FORMAT, "sha256": hashlib.sha256(payload).hexdigest(), "bytes": len(payload), **header})
+    first_line = json.dumps(
+        {"format": FORMAT, "sha256": hashlib.sha256(payload).hexdigest(), "bytes": len(payload), **header}
+    )
 
     def write(file):
         file.write(first_line.encode() + b"\n")
@@ -33,14 +36,22 @@ def save(path: Path, header: dict[str, Any], tree: Any) -> None:
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The header and the payload of a checkpoint, checked against each other. Raises `UserError` for a file that is not whole."""
+    """The header and the payload of a checkpoint, checked against each other. Raises `UserError` for a file that is not
+    whole."""
     try:
         first_line, _, payload = path.read_bytes().partition(b"\n")
     except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no checkpoint; give the folder of a run that got past its first evaluation") from error
+        raise UserError(
+            f"{path}: there is no checkpoint; give the folder of a run that got past its first evaluation"
+        ) from error
     except OSError as error:
-        raise UserError(f"{path}: could not be read ({error.strerror}); give the folder of a run whose files you may read") from error
-    damaged = UserError(f"{path}: this checkpoint is damaged or was not written by infogoal; train again, or bring back a copy of the file")
+        raise UserError(
+            f"{path}: could not be read ({error.strerror}); give the folder of a run whose files you may read"
+        ) from error
+    damaged = UserError(
+        f"{path}: this checkpoint is damaged or was not written by infogoal; train again, or bring back a copy of the "
+        "file"
+    )
     try:
         header = json.loads(first_line)
     except ValueError as error:
@@ -53,13 +64,19 @@ def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 def load(path: Path, template: Any) -> tuple[dict[str, Any], Any]:
-    """The header and the pytree of a checkpoint. template: a pytree of the same structure (shapes are enough), as `jax.eval_shape` gives it.
+    """The header and the pytree of a checkpoint. template: a pytree of the same structure (shapes are enough), as
+    `jax.eval_shape` gives it.
 
     Raises `UserError` if the file is damaged, or holds arrays of other shapes: it belongs to another configuration.
     """
     header, payload = read_header(path)
-    plain_template = jax.tree.map(lambda leaf: jax.eval_shape(jax.random.key_data, leaf) if is_key(leaf) else leaf, template)
-    other = UserError(f"{path}: this checkpoint belongs to another configuration; train with the configuration in {path.parent / 'config.json'}")
+    plain_template = jax.tree.map(
+        lambda leaf: jax.eval_shape(jax.random.key_data, leaf) if is_key(leaf) else leaf, template
+    )
+    other = UserError(
+        f"{path}: this checkpoint belongs to another configuration; train with the configuration in "
+        f"{path.parent / 'config.json'}"
+    )
     try:
         plain = flax.serialization.from_bytes(plain_template, payload)
     except ValueError as error:
@@ -67,4 +84,6 @@ def load(path: Path, template: Any) -> tuple[dict[str, Any], Any]:
     for expected, found in zip(jax.tree.leaves(plain_template), jax.tree.leaves(plain), strict=True):
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise other
-    return header, jax.tree.map(lambda like, leaf: jax.random.wrap_key_data(leaf) if is_key(like) else leaf, template, plain)
+    return header, jax.tree.map(
+        lambda like, leaf: jax.random.wrap_key_data(leaf) if is_key(like) else leaf, template, plain
+    )

@@ -1,7 +1,8 @@
-"""Which tasks, methods and agents go together. Every refusal stands here once, for training and for the table of `infogoal methods`.
+"""Which tasks, methods and agents go together. Every refusal stands here once, for training and for the table of
+`infogoal methods`.
 
-Rules look at the parts of a configuration and at a few traits of its task, which are known before anything is loaded or compiled; of an
-environment that was loaded, or made by hand, `traits_seen` reads them off.
+Rules look at the parts of a configuration and at a few traits of its task, which are known before anything is loaded or
+compiled; of an environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,8 +24,10 @@ STEERING = ("hrac",)
 class Traits(NamedTuple):
     """What decides what a task can be combined with.
 
-    finite_goals: whether goals are a finite set; image_goals: whether they are images; moves: whether an action is a choice among a few;
-    finite_observations: whether there is a list of all that can be seen; recorded: whether learning is from recorded moves alone;
+    finite_goals: whether goals are a finite set; image_goals: whether they are images; moves: whether an action is a
+    choice among a few;
+    finite_observations: whether there is a list of all that can be seen; recorded: whether learning is from recorded
+    moves alone;
     target_states: whether a low level could be sent somewhere.
     """
 
@@ -37,11 +40,23 @@ class Traits(NamedTuple):
 
 
 TRAITS: dict[type, Callable[[Any], Traits]] = {
-    ObjectSearchConfig: lambda env: Traits(True, image_goals=False, moves=True, finite_observations=True, recorded=False, target_states=False),
-    EmbodiedQAConfig: lambda env: Traits(True, image_goals=False, moves=True, finite_observations=True, recorded=True, target_states=False),
-    ObjectManipulationConfig: lambda env: Traits(True, image_goals=True, moves=True, finite_observations=False, recorded=False, target_states=True),
-    FetchConfig: lambda env: Traits(env.goals == "images", env.goals == "images", moves=False, finite_observations=False, recorded=False,
-                                    target_states=True),
+    ObjectSearchConfig: lambda env: Traits(
+        True, image_goals=False, moves=True, finite_observations=True, recorded=False, target_states=False
+    ),
+    EmbodiedQAConfig: lambda env: Traits(
+        True, image_goals=False, moves=True, finite_observations=True, recorded=True, target_states=False
+    ),
+    ObjectManipulationConfig: lambda env: Traits(
+        True, image_goals=True, moves=True, finite_observations=False, recorded=False, target_states=True
+    ),
+    FetchConfig: lambda env: Traits(
+        env.goals == "images",
+        env.goals == "images",
+        moves=False,
+        finite_observations=False,
+        recorded=False,
+        target_states=True,
+    ),
 }
 """Traits of each kind of task by its configuration. A task that is not listed is with_rewards once it is loaded."""
 
@@ -49,13 +64,18 @@ TRAITS: dict[type, Callable[[Any], Traits]] = {
 def traits_seen(env) -> Traits:
     """The traits of an environment that was loaded or made by hand."""
     return Traits(
-        finite_goals=env.goals is not None, image_goals=env.train_backgrounds is not None, moves=env.discrete,
-        finite_observations=env.num_observations is not None, recorded=env.recorded is not None, target_states=env.has_target_states,
+        finite_goals=env.goals is not None,
+        image_goals=env.train_backgrounds is not None,
+        moves=env.discrete,
+        finite_observations=env.num_observations is not None,
+        recorded=env.recorded is not None,
+        target_states=env.has_target_states,
     )
 
 
 class Refusal(NamedTuple):
-    """Why a configuration makes no sense: the field that is to blame and its value, the reason in few words, and what to give instead."""
+    """Why a configuration makes no sense: the field that is to blame and its value, the reason in few words, and what
+    to give instead."""
 
     field: str
     value: Any
@@ -82,21 +102,44 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     """Everything that speaks against this configuration of a task with these traits."""
     agent = agents.registry.name_of(config.agent)
     if not traits.finite_goals:
-        yield Refusal("env.goals", getattr(config.env, "goals", None), f"training {config.task} needs a finite set of goals", "give images")
+        yield Refusal(
+            "env.goals",
+            getattr(config.env, "goals", None),
+            f"training {config.task} needs a finite set of goals",
+            "give images",
+        )
     if agent in STEERING and not traits.target_states:
-        yield Refusal("agent", agent, "there are no target states that a low level could be sent to",
-                      "give dqn, or cql for recorded moves")
+        yield Refusal(
+            "agent",
+            agent,
+            "there are no target states that a low level could be sent to",
+            "give dqn, or cql for recorded moves",
+        )
     if agent not in STEERING and not traits.moves:
-        yield Refusal("agent", agent, f"{config.task} is not acted in by a choice among a few moves", f"give {' or '.join(STEERING)}")
+        yield Refusal(
+            "agent",
+            agent,
+            f"{config.task} is not acted in by a choice among a few moves",
+            f"give {' or '.join(STEERING)}",
+        )
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, agent, traits)
     if config.training_corruption and not traits.image_goals:
-        yield Refusal("training_corruption", config.training_corruption, f"goals of {config.task} are not images, which alone can be corrupted",
-                      "give 0")
+        yield Refusal(
+            "training_corruption",
+            config.training_corruption,
+            f"goals of {config.task} are not images, which alone can be corrupted",
+            "give 0",
+        )
     if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
-        yield Refusal("stop_encoder_gradient", True, f"nothing else than the agent's loss trains the goal encoder of learner "
-                      f"{learners.registry.name_of(config.learner)!r}", "give False, or another learner")
+        yield Refusal(
+            "stop_encoder_gradient",
+            True,
+            f"nothing else than the agent's loss trains the goal encoder of learner "
+            f"{learners.registry.name_of(config.learner)!r}",
+            "give False, or another learner",
+        )
 
 
 def refusals_of_explorer(explorer: str, agent: str, traits: Traits) -> Iterator[Refusal]:
@@ -110,7 +153,8 @@ def refusals_of_explorer(explorer: str, agent: str, traits: Traits) -> Iterator[
 
 
 def reasons_against(config: TrainConfig, env: Any = None) -> list[Refusal]:
-    """Everything that speaks against training this configuration, from its parts alone, or as the environment `env` shows it; empty: nothing does."""
+    """Everything that speaks against training this configuration, from its parts alone, or as the environment `env`
+    shows it; empty: nothing does."""
     if env is not None:
         return list(refusals(config, traits_seen(env)))
     known = TRAITS.get(type(config.env))

@@ -1,4 +1,5 @@
-"""How programs are compiled: options that save time on each kind of device, and a folder in which compiled programs outlive their process."""
+"""How programs are compiled: options that save time on each kind of device, and a folder in which compiled programs
+outlive their process."""
 
 import os
 from pathlib import Path
@@ -6,22 +7,23 @@ from pathlib import Path
 import jax
 
 OPTIONS = {"cpu": {"xla_backend_optimization_level": 1}}
-"""Measured on object search and FetchReach: with LLVM's first level a CPU compiles in two thirds of the time and runs as fast as with the third; the
-level below runs two to four times as long. On an H200 no option was found that helps."""
+"""Measured on object search and FetchReach: with LLVM's first level a CPU compiles in two thirds of the time and runs
+as fast as with the third; the level below runs two to four times as long. On an H200 no option was found that helps."""
 
 
 def compiler_options() -> dict[str, int]:
-    """Options for `jax.jit(..., compiler_options=...)` on the devices in use, without those that the user's XLA_FLAGS name."""
+    """Options for `jax.jit(..., compiler_options=...)` on the devices in use, without those that the user's XLA_FLAGS
+    name."""
     flags = os.environ.get("XLA_FLAGS", "")
     return {name: value for name, value in OPTIONS.get(jax.default_backend(), {}).items() if name not in flags}
 
 
 def use_compilation_cache(folder: str | Path | None = None) -> Path | None:
-    """Keep compiled programs on disk, for every process that calls this and for CPUs and GPUs alike; a second start of the same program then takes
-    seconds.
+    """Keep compiled programs on disk, for every process that calls this and for CPUs and GPUs alike; a second start of
+    the same program then takes seconds.
 
-    folder: None for $XDG_CACHE_HOME/infogoal/jax, or ~/.cache/infogoal/jax. The command line calls this; an import never does. Returns the folder, or
-    None where it cannot be written to, which costs the cache and nothing else.
+    folder: None for $XDG_CACHE_HOME/infogoal/jax, or ~/.cache/infogoal/jax. The command line calls this; an import
+    never does. Returns the folder, or None where it cannot be written to, which costs the cache and nothing else.
     """
     folder = Path(folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal" / "jax")
     try:

@@ -1,4 +1,5 @@
-"""What the networks see while training: features of states, and the inputs of goals as they are corrupted and augmented."""
+"""What the networks see while training: features of states, and the inputs of goals as they are corrupted and
+augmented."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +22,9 @@ def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
 
 
 def training_view(parts, env, augmented: bool) -> View | None:
-    """How the inputs of goals look while training: as they are, or under a background, and in updates as the learner augments them."""
+    """How the inputs of goals look while training: as they are, or under a background, and in updates as the learner
+    augments them."""
+
     def view(key, inputs):
         corrupt_key, augment_key = jax.random.split(key)
         if parts.config.training_corruption:

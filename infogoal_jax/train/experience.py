@@ -1,4 +1,5 @@
-"""What the updates of an epoch sample from: the replay buffer, what was achieved in it, and the tables of relabelling and exploration."""
+"""What the updates of an epoch sample from: the replay buffer, what was achieved in it, and the tables of relabelling
+and exploration."""
 
 from typing import Any
 
@@ -18,11 +19,14 @@ from infogoal_jax.train.state import TrainState
 class Experience:
     """What an epoch's updates sample from; fixed while they run.
 
-    buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved: bool [R, T + 1];
-    known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives; dissimilarity: bool [N, N].
-    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode in every update; or None.
-    relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus: float32 [K, A] of each
-    observation and action; None without such a part.
+    buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved:
+    bool [R, T + 1];
+    known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives;
+    dissimilarity: bool [N, N].
+    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to
+    encode in every update; or None.
+    relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus:
+    float32 [K, A] of each observation and action; None without such a part.
     """
 
     buffer: Trajectories
@@ -39,7 +43,8 @@ class Experience:
 
 
 def usable_mask(config, env) -> jax.Array:
-    """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved: bool [N]."""
+    """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved:
+    bool [N]."""
     return env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
 
 
@@ -53,12 +58,18 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
     offline, usable = env.recorded is not None, usable_mask(parts.config, env)
     buffer = env.recorded if offline else state.buffer
-    written = jnp.arange(buffer.valid.shape[0]) < (buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs)
+    written = jnp.arange(buffer.valid.shape[0]) < (
+        buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs
+    )
     goals = usable_goals(env, buffer.record, usable)
     achieved = (goals >= 0).any(-1) & written[:, None]
     achieved_count = replay.running_count(achieved)
     known = jnp.ones_like(usable) if parts.config.known_goals == "all" else usable & state.seen
-    codes = encode_all(parts.learner, state.params["goal"], env.goals) if env.goals.num_goals > parts.config.batch_size else None
+    codes = (
+        encode_all(parts.learner, state.params["goal"], env.goals)
+        if env.goals.num_goals > parts.config.batch_size
+        else None
+    )
     bonus = table = learner_table = None
     if parts.relabelling is not None or parts.learner_relabelling is not None:
         achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
@@ -67,18 +78,38 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         learner_table = None if parts.learner_relabelling is None else parts.learner_relabelling.prepare(context)
     if parts.explorer is not None:
         features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
-        bonus, explored = parts.explorer.compute_bonus(state.params["explorer"], state.explorer, features, buffer, written, hyper.discount)
+        bonus, explored = parts.explorer.compute_bonus(
+            state.params["explorer"], state.explorer, features, buffer, written, hyper.discount
+        )
         state = state.replace(explorer=explored)
     return Experience(
-        buffer=buffer, decision_count=replay.running_count(buffer.valid & buffer.decided), achieved=achieved, achieved_count=achieved_count,
-        known=known, usable=usable, dissimilarity=state.dissimilarity, codes=codes,
-        relabelling=table, learner_relabelling=learner_table, bonus=bonus,
+        buffer=buffer,
+        decision_count=replay.running_count(buffer.valid & buffer.decided),
+        achieved=achieved,
+        achieved_count=achieved_count,
+        known=known,
+        usable=usable,
+        dissimilarity=state.dissimilarity,
+        codes=codes,
+        relabelling=table,
+        learner_relabelling=learner_table,
+        bonus=bonus,
     ), state
 
 
-def relabelling_context(parts, state: TrainState, number, hyper, env, rows: Trajectories, written, achievements: Achievements,
-                        codes: GoalCode | None) -> Context:
-    """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are few."""
+def relabelling_context(
+    parts,
+    state: TrainState,
+    number,
+    hyper,
+    env,
+    rows: Trajectories,
+    written,
+    achievements: Achievements,
+    codes: GoalCode | None,
+) -> Context:
+    """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are
+    few."""
     learner, agent = parts.learner, parts.agent
 
     def positions():
@@ -88,7 +119,18 @@ def relabelling_context(parts, state: TrainState, number, hyper, env, rows: Traj
 
     def value(observation, goal):
         features = encode_states(parts, state.params, env, goal.shape[0])(observation)
-        code = conditioned(learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features)
+        code = conditioned(
+            learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features
+        )
         return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
 
-    return Context(rows, written, achievements, positions, value, env.reached, hyper.discount, number * parts.config.updates_per_epoch)
+    return Context(
+        rows,
+        written,
+        achievements,
+        positions,
+        value,
+        env.reached,
+        hyper.discount,
+        number * parts.config.updates_per_epoch,
+    )

@@ -1,12 +1,13 @@
-"""Files of a run that survive a crash at any moment: written beside, synced and renamed, or appended and cut back to the last checkpoint.
+"""Files of a run that survive a crash at any moment: written beside, synced and renamed, or appended and cut back to
+the last checkpoint.
 
-    RUN/config.json              the resolved configuration, seeds, dataset and versions
-    RUN/checkpoint               everything that training carries, for all seeds
-    RUN/policy                   parameters alone, of the same epoch
-    RUN/timing.json              seconds compiling and running, and rates, of the last session
-    RUN/epochs.csv, .jsonl       a line for each seed and epoch
-    RUN/evaluations.csv, .jsonl  a line for each seed and evaluation
-    RUN/evaluation.json          what `infogoal evaluate` found last; RUN/figures/ what `infogoal report` drew
+RUN/config.json              the resolved configuration, seeds, dataset and versions
+RUN/checkpoint               everything that training carries, for all seeds
+RUN/policy                   parameters alone, of the same epoch
+RUN/timing.json              seconds compiling and running, and rates, of the last session
+RUN/epochs.csv, .jsonl       a line for each seed and epoch
+RUN/evaluations.csv, .jsonl  a line for each seed and evaluation
+RUN/evaluation.json          what `infogoal evaluate` found last; RUN/figures/ what `infogoal report` drew
 """
 
 import csv
@@ -23,7 +24,8 @@ TABLES = ("epochs", "evaluations")
 
 
 def write_atomically(path: Path, write: Callable[[object], None]) -> None:
-    """Write a file so that `path` holds either its old or its whole new content, whatever happens. Raises `UserError` if the disk refuses."""
+    """Write a file so that `path` holds either its old or its whole new content, whatever happens. Raises `UserError`
+    if the disk refuses."""
     try:
         archives.replace_file(path, write)
     except OSError as error:
@@ -31,7 +33,8 @@ def write_atomically(path: Path, write: Callable[[object], None]) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a run, if it is not there. Raises `UserError` if the disk refuses, or a file stands in the way."""
+    """Make the folder of a run, if it is not there. Raises `UserError` if the disk refuses, or a file stands in the
+    way."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -48,8 +51,10 @@ def disk_error(path: Path, error: OSError) -> UserError:
         errno.ENOTDIR: "choose a path that does not lead through a file",
         errno.EEXIST: "choose another folder; a file stands there",
     }.get(error.errno, "look at the disk")
-    return UserError(f"{path}: could not be written ({error.strerror or error}): {remedy}. What was there before is unchanged; "
-                     "a run with a checkpoint goes on with --resume")
+    return UserError(
+        f"{path}: could not be written ({error.strerror or error}): {remedy}. What was there before is unchanged; "
+        "a run with a checkpoint goes on with --resume"
+    )
 
 
 def scalar_columns(rows: list[dict]) -> list[str]:
@@ -58,7 +63,8 @@ def scalar_columns(rows: list[dict]) -> list[str]:
 
 
 def append_rows(folder: Path, table: str, rows: list[dict]) -> None:
-    """Add rows to both files of a table and sync them. Numbers are written in full, so that equal bits give equal files."""
+    """Add rows to both files of a table and sync them. Numbers are written in full, so that equal bits give equal
+    files."""
     if not rows:
         return
     columns = scalar_columns(rows)
@@ -92,8 +98,12 @@ def cut_back(folder: Path, epoch: int) -> None:
             continue
         kept = [row for row in read_lines(path) if row["epoch"] <= epoch]
         columns = scalar_columns(kept) if kept else []
-        write_atomically(path, lambda file, kept=kept: file.writelines((json.dumps(row) + "\n").encode() for row in kept))
-        write_atomically(folder / f"{table}.csv", lambda file, kept=kept, columns=columns: file.write(csv_bytes(kept, columns)))
+        write_atomically(
+            path, lambda file, kept=kept: file.writelines((json.dumps(row) + "\n").encode() for row in kept)
+        )
+        write_atomically(
+            folder / f"{table}.csv", lambda file, kept=kept, columns=columns: file.write(csv_bytes(kept, columns))
+        )
 
 
 def csv_bytes(rows: list[dict], columns: list[str]) -> bytes:

@@ -1,4 +1,5 @@
-"""A robot steered by subgoals: the environment that the high level of HRAC acts in, with the frozen low level inside (Sec. V-C of the paper)."""
+"""A robot steered by subgoals: the environment that the high level of HRAC acts in, with the frozen low level inside
+(Sec. V-C of the paper)."""
 
 from typing import Any
 
@@ -34,9 +35,11 @@ def of_env(name: str) -> property:
 
 @flax.struct.dataclass
 class SubgoalEnv(Environment):
-    """An environment whose actions are subgoals, each followed for `interval` steps by a frozen policy over target states.
+    """An environment whose actions are subgoals, each followed for `interval` steps by a frozen policy over target
+    states.
 
-    A step is still one step of the environment inside; the action of a step between two decisions is not looked at. A pytree.
+    A step is still one step of the environment inside; the action of a step between two decisions is not looked at. A
+    pytree.
     """
 
     env: Any
@@ -54,7 +57,11 @@ class SubgoalEnv(Environment):
     discrete = False
     has_target_states = True
     goals, episode_length, recorded = of_env("goals"), of_env("episode_length"), of_env("recorded")
-    num_observations, num_cells, goal_positions = of_env("num_observations"), of_env("num_cells"), of_env("goal_positions")
+    num_observations, num_cells, goal_positions = (
+        of_env("num_observations"),
+        of_env("num_cells"),
+        of_env("goal_positions"),
+    )
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")
     has_shortest_path, unwrapped = of_env("has_shortest_path"), of_env("unwrapped")
     render, reached, goals_of, cell_of = of_env("render"), of_env("reached"), of_env("goals_of"), of_env("cell_of")
@@ -108,8 +115,11 @@ class SubgoalEnv(Environment):
 
 
 def steer(env, config) -> SubgoalEnv:
-    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be used."""
-    from infogoal_jax.train.low_level import file as low_level_file  # With it comes MuJoCo, which takes half a second that no other task needs.
+    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
+    used."""
+    from infogoal_jax.train.low_level import (
+        file as low_level_file,
+    )  # With it comes MuJoCo, which takes half a second that no other task needs.
 
     require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
     if isinstance(env.space, JointSpace):

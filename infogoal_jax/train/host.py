@@ -21,7 +21,15 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.presets.saved import to_dict
 from infogoal_jax.train import checkpoint, files
 from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.devices import bytes_of, chunk_over_seeds, device_memory, over_seeds, seed_mesh, seeds_at_once, working_bytes
+from infogoal_jax.train.devices import (
+    bytes_of,
+    chunk_over_seeds,
+    device_memory,
+    over_seeds,
+    seed_mesh,
+    seeds_at_once,
+    working_bytes,
+)
 from infogoal_jax.train.program import Train, make_train
 
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
@@ -46,7 +54,8 @@ Listener = Callable[[Progress], None]
 
 @dataclasses.dataclass
 class Sweep:
-    """A finished or stopped run. diverged: seeds whose metrics stopped being finite, with the epoch; stopped: by Ctrl-C before the end."""
+    """A finished or stopped run. diverged: seeds whose metrics stopped being finite, with the epoch; stopped: by Ctrl-C
+    before the end."""
 
     folder: Path
     train: Train
@@ -72,7 +81,8 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signal() -> Iterator[StopRequest]:
-    """Turn Ctrl-C and SIGTERM into a request that the loop reads between chunks. Outside the main thread nothing is changed."""
+    """Turn Ctrl-C and SIGTERM into a request that the loop reads between chunks. Outside the main thread nothing is
+    changed."""
     request = StopRequest()
     try:
         before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -88,8 +98,15 @@ def stop_on_signal() -> Iterator[StopRequest]:
 def describe(config: TrainConfig, env: Any, seeds: list[int]) -> dict[str, Any]:
     """What config.json says beside the configuration: seeds, data and versions."""
     return {
-        "config": to_dict(config), "seeds": seeds, "data": env.source,
-        "versions": {"infogoal_jax": infogoal_jax.__version__, "jax": jax.__version__, "numpy": np.__version__, "python": platform.python_version()},
+        "config": to_dict(config),
+        "seeds": seeds,
+        "data": env.source,
+        "versions": {
+            "infogoal_jax": infogoal_jax.__version__,
+            "jax": jax.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
         "device": str(jax.devices()[0].device_kind),
     }
 
@@ -99,12 +116,14 @@ def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> 
     names = sorted(metrics)
     return [
         {"seed": seed, "epoch": int(number)} | {name: metrics[name][i, j].tolist() for name in names}
-        for j, number in enumerate(epoch_numbers) for i, seed in enumerate(seeds)
+        for j, number in enumerate(epoch_numbers)
+        for i, seed in enumerate(seeds)
     ]
 
 
 def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
-    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table `epochs`."""
+    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table
+    `epochs`."""
     diverged: dict[int, int] = {}
     for row in rows:
         if any(not math.isfinite(row[name]) for name in WATCHED):
@@ -124,24 +143,43 @@ def differences(first: dict, second: dict, prefix: str = "") -> list[str]:
     return found
 
 
-def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = False, listeners: tuple[Listener, ...] = (), env: Any = None) -> Sweep:
+def run(
+    config: TrainConfig,
+    seeds: list[int],
+    folder: Path,
+    resume: bool = False,
+    listeners: tuple[Listener, ...] = (),
+    env: Any = None,
+) -> Sweep:
     """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its checkpoint.
 
-    Raises `UserError` before any compilation for a folder that holds another run, a damaged checkpoint, or one of another configuration.
+    Raises `UserError` before any compilation for a folder that holds another run, a damaged checkpoint, or one of
+    another configuration.
     """
     require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
     require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
-    require(min(seeds) >= 0 and max(seeds) < 2**32, "seeds", f"{min(seeds)} to {max(seeds)}", "give seeds from 0 to below 2^32 (--first-seed)")
+    require(
+        min(seeds) >= 0 and max(seeds) < 2**32,
+        "seeds",
+        f"{min(seeds)} to {max(seeds)}",
+        "give seeds from 0 to below 2^32 (--first-seed)",
+    )
     saved = folder / "checkpoint"
     if not resume and (saved.exists() or (folder / "policy").exists()):
-        raise UserError(f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder")
+        raise UserError(
+            f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder"
+        )
     train = make_train(config, env)
     mesh = seed_mesh(len(seeds))
-    by_seed, everywhere = (jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ()))
+    by_seed, everywhere = (
+        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
+    )
     keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
     one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
     memory = min(device_memory(device) for device in mesh.devices.flat)
-    at_once = seeds_at_once(bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds) // mesh.size, memory, mesh.size)
+    at_once = seeds_at_once(
+        bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds) // mesh.size, memory, mesh.size
+    )
     states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
     description = describe(config, train.env, seeds)
     done, states = 0, None
@@ -151,17 +189,27 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
         states = jax.device_put(states, by_seed)
     files.make_folder(folder)
     files.cut_back(folder, done)
-    files.write_atomically(folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode()))
+    files.write_atomically(
+        folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode())
+    )
 
     started = time.perf_counter()
     shared = jax.device_put((config.hyper, train.env), everywhere)
     if states is None:
-        initial = jax.jit(over_seeds(train.initial, len(seeds), at_once, mesh), out_shardings=by_seed, compiler_options=compiler_options())
+        initial = jax.jit(
+            over_seeds(train.initial, len(seeds), at_once, mesh),
+            out_shardings=by_seed,
+            compiler_options=compiler_options(),
+        )
         states = initial(jax.device_put(keys, by_seed), *shared)
 
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        chunk = jax.jit(chunk_over_seeds(train.chunk, len(seeds), at_once, mesh), donate_argnums=0, compiler_options=compiler_options())
+        chunk = jax.jit(
+            chunk_over_seeds(train.chunk, len(seeds), at_once, mesh),
+            donate_argnums=0,
+            compiler_options=compiler_options(),
+        )
         compiled = chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())
@@ -179,30 +227,47 @@ def run(config: TrainConfig, seeds: list[int], folder: Path, resume: bool = Fals
             checkpoint.save(saved, {"epoch": done, **description}, states)
             checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
             timing = {
-                "compile_seconds": compile_seconds, "run_seconds": run_seconds,
+                "compile_seconds": compile_seconds,
+                "run_seconds": run_seconds,
                 "env_steps_per_second": (int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
                 "updates_per_second": this_session * config.updates_per_epoch * len(seeds) / run_seconds,
             }
-            files.write_atomically(folder / "timing.json", lambda file, timing=timing: file.write((json.dumps(timing) + "\n").encode()))
+            files.write_atomically(
+                folder / "timing.json", lambda file, timing=timing: file.write((json.dumps(timing) + "\n").encode())
+            )
             for listener in listeners:
-                listener(Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing))
+                listener(
+                    Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing)
+                )
         stopped = done < config.num_epochs
-    checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)  # Again, if a kill came between the two files.
+    checkpoint.save(
+        folder / "policy", {"epoch": done, **description}, states.params
+    )  # Again, if a kill came between the two files.
     diverged = diverged_seeds(files.read_table(folder, "epochs"))
     return Sweep(folder, train, jax.device_get(states.params), diverged, stopped, compile_seconds, run_seconds)
 
 
 def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
-    """The header and states of a checkpoint, if it is of this configuration; a longer `num_epochs` is all that may differ."""
+    """The header and states of a checkpoint, if it is of this configuration; a longer `num_epochs` is all that may
+    differ."""
     header, _ = checkpoint.read_header(saved)
     described = (header, json.loads(json.dumps(description)))
     then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in described)
     unknown = sorted(now.keys() - then.keys())
     if unknown:
-        raise UserError(f"{saved}: written by an earlier version, which has no {', '.join(unknown)}; it cannot be resumed: start a new run")
+        raise UserError(
+            f"{saved}: written by an earlier version, which has no {', '.join(unknown)}; it cannot be resumed: start a "
+            "new run"
+        )
     different = differences(then, now)
     if different:
-        raise UserError(f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or start a new run")
+        raise UserError(
+            f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or "
+            "start a new run"
+        )
     if header["epoch"] > description["config"]["num_epochs"]:
-        raise UserError(f"num_epochs = {description['config']['num_epochs']}: the run is already at epoch {header['epoch']}; give at least that")
+        raise UserError(
+            f"num_epochs = {description['config']['num_epochs']}: the run is already at epoch {header['epoch']}; give "
+            "at least that"
+        )
     return checkpoint.load(saved, states_shape)

@@ -58,14 +58,23 @@ def make_listeners(
             if not sessions:
                 sessions.append(weights_and_biases.init(project=wandb, dir=str(folder.parent), name=folder.name))
                 closing.append(sessions[0].finish)
-            sessions[0].log(seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch)
+            sessions[0].log(
+                seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch
+            )
 
         listeners.append(log)
     bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[numbers]}"),
-        console=Console(), refresh_per_second=2,
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[numbers]}"),
+        console=Console(),
+        refresh_per_second=2,
     )
-    line = bar.add_task(f"{config.task} {presets.name_of(config)} x {num_seeds}", total=config.num_epochs, numbers="compiling")
+    line = bar.add_task(
+        f"{config.task} {presets.name_of(config)} x {num_seeds}", total=config.num_epochs, numbers="compiling"
+    )
 
     def advance(progress: host.Progress):
         means = seed_means(progress.evaluations)

@@ -1,4 +1,5 @@
-"""The parts of a program: learner, agent, relabelling, explorer and state encoder of a configuration, and the environment that goes with them."""
+"""The parts of a program: learner, agent, relabelling, explorer and state encoder of a configuration, and the
+environment that goes with them."""
 
 from typing import Any, NamedTuple
 
@@ -55,15 +56,25 @@ def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
     seen = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
     if seen.ndim > 1:
-        require(seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0, "state_encoder.patch", size.patch,
-                f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}")
-    return networks.VectorEncoder(size.features) if seen.ndim == 1 else networks.PatchEncoder(size.patch, size.channels, size.features)
+        require(
+            seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0,
+            "state_encoder.patch",
+            size.patch,
+            f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}",
+        )
+    return (
+        networks.VectorEncoder(size.features)
+        if seen.ndim == 1
+        else networks.PatchEncoder(size.patch, size.channels, size.features)
+    )
 
 
 def load_environment(config: TrainConfig, env: Any = None):
-    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions are subgoals.
+    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions
+    are subgoals.
 
-    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is not made for.
+    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is
+    not made for.
     """
     if env is None:
         check_combination(config)
@@ -77,8 +88,16 @@ def load_environment(config: TrainConfig, env: Any = None):
 
 def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
     """Raise `UserError` where float hyperparameters are not those of the configuration's parts."""
-    for registered, own, given in ((learners.registry, config.learner, hyper.learner), (agents.registry, config.agent, hyper.agent)):
+    for registered, own, given in (
+        (learners.registry, config.learner, hyper.learner),
+        (agents.registry, config.agent, hyper.agent),
+    ):
         needed = registered.entry_of(own).hyper
-        require(type(given) is needed, f"hyper.{registered.kind}", type(given).__name__,
-                f"{registered.kind} {registered.name_of(own)!r} needs {needed.__name__}; change fields of config.hyper, or take "
-                "presets.default_hyperparameters")
+        require(
+            type(given) is needed,
+            f"hyper.{registered.kind}",
+            type(given).__name__,
+            f"{registered.kind} {registered.name_of(own)!r} needs {needed.__name__}; change fields of config.hyper, or "
+            "take "
+            "presets.default_hyperparameters",
+        )

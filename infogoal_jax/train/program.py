@@ -6,7 +6,8 @@
 
 Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
-The command line runs the same `chunk` between checkpoints. Nothing here calls back to Python, reads a file or keeps state.
+The command line runs the same `chunk` between checkpoints. Nothing here calls back to Python, reads a file or keeps
+state.
 """
 
 import dataclasses
@@ -65,7 +66,8 @@ class Train:
 
 
 def make_train(config: TrainConfig, env: Any = None) -> Train:
-    """The training function of this configuration. `env`: an environment already loaded; None loads the one that the configuration names."""
+    """The training function of this configuration. `env`: an environment already loaded; None loads the one that the
+    configuration names."""
     env = load_environment(config, env)
     parts = make_parts(config, env)
     learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
@@ -78,15 +80,29 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
         params["goal"], learner_state = learner.init(
-            keys[0], InputSpec(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner)
-        code = conditioned(learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]).mean[0]
+            keys[0], InputSpec(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner
+        )
+        code = conditioned(
+            learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]
+        ).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:
-            params["explorer"], explorer_state = parts.explorer.init(jax.random.fold_in(keys[2], 1), features, env.action_size)
+            params["explorer"], explorer_state = parts.explorer.init(
+                jax.random.fold_in(keys[2], 1), features, env.action_size
+            )
         state = TrainState(
-            params=params, target_params=params, optimizer_state=parts.optimizer.init(ravel_pytree(params)[0]), learner=learner_state,
-            agent=agent_state, explorer=explorer_state, dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
-            seen=jnp.zeros(env.goals.num_goals, bool), buffer=None, env_states=None, key=key, env_steps=jnp.zeros((), jnp.int32),
+            params=params,
+            target_params=params,
+            optimizer_state=parts.optimizer.init(ravel_pytree(params)[0]),
+            learner=learner_state,
+            agent=agent_state,
+            explorer=explorer_state,
+            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
+            seen=jnp.zeros(env.goals.num_goals, bool),
+            buffer=None,
+            env_states=None,
+            key=key,
+            env_steps=jnp.zeros((), jnp.int32),
         )
         if env.recorded is not None:
             return update_statistics(parts, state, env.recorded, env)
@@ -107,9 +123,12 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         return state, metrics | {"env_steps": state.env_steps}
 
     def chunk(state: TrainState, numbers, hyper, env):
-        """Epochs `numbers` (int32 [E], not batched over seeds), then an evaluation: (state, {name: [E]}, {name: evaluation})."""
+        """Epochs `numbers` (int32 [E], not batched over seeds), then an evaluation: (state, {name: [E]}, {name:
+        evaluation})."""
         state, epoch_metrics = jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
-        metrics = evaluate(env, test_policies(parts, state.params, hyper, env, config.evaluation_starts), config.evaluation_starts)
+        metrics = evaluate(
+            env, test_policies(parts, state.params, hyper, env, config.evaluation_starts), config.evaluation_starts
+        )
         return state, epoch_metrics, metrics | {"env_steps": state.env_steps}
 
     return Train(config, env, initial, chunk, partial(test_policies, parts), partial(experience_of, parts), parts)

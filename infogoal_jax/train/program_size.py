@@ -8,7 +8,10 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 def operations(program: Jaxpr | ClosedJaxpr) -> int:
     """Equations of a jaxpr, with those of inner functions and loop bodies counted wherever they stand."""
     jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
-    return sum(1 + sum(operations(inner) for value in equation.params.values() for inner in inner_programs(value)) for equation in jaxpr.eqns)
+    return sum(
+        1 + sum(operations(inner) for value in equation.params.values() for inner in inner_programs(value))
+        for equation in jaxpr.eqns
+    )
 
 
 def inner_programs(parameter) -> Iterator[Jaxpr | ClosedJaxpr]:

@@ -1,4 +1,5 @@
-"""Collecting experience and running evaluation episodes: the batched environment inside a scan, under a policy that is fixed for its length."""
+"""Collecting experience and running evaluation episodes: the batched environment inside a scan, under a policy that is
+fixed for its length."""
 
 from collections.abc import Callable
 
@@ -29,8 +30,13 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         fresh = jax.vmap(env.reset)(jax.random.split(reset_key, num_envs))
         following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
         outcome = {
-            "observation": env.observe(states), "record": env.achieved(states), "action": actions, "goal": states.goal,
-            "valid": ~finished & ~stepped.diverged, "terminated": ~finished & stepped.terminated, "truncated": ~finished & stepped.truncated,
+            "observation": env.observe(states),
+            "record": env.achieved(states),
+            "action": actions,
+            "goal": states.goal,
+            "valid": ~finished & ~stepped.diverged,
+            "terminated": ~finished & stepped.terminated,
+            "truncated": ~finished & stepped.truncated,
             "decided": env.decides(states),
         }
         return following, outcome
@@ -45,10 +51,18 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
 
 def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
     """The shapes of the rows that `collect` returns, without tracing the environment's step."""
+
     def row(states):
         actions = policy(env.observe(states), states.goal, jax.random.key(0))
         flag = states.terminated
-        steps = {"action": actions, "goal": states.goal, "valid": flag, "terminated": flag, "truncated": flag, "decided": flag}
+        steps = {
+            "action": actions,
+            "goal": states.goal,
+            "valid": flag,
+            "terminated": flag,
+            "truncated": flag,
+            "decided": flag,
+        }
         ends = {"observation": env.observe(states), "record": env.achieved(states)}
         steps = jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps)
         ends = jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends)
@@ -78,14 +92,16 @@ class Episodes:
 
 
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
-    """One episode for a desired goal, int32, from a start drawn from the key; without the axis of episodes. Compile it with `jax.jit`."""
+    """One episode for a desired goal, int32, from a start drawn from the key; without the axis of episodes. Compile it
+    with `jax.jit`."""
     start_key, act_key = jax.random.split(key)
     starts = jax.vmap(env.reset_to)(start_key[None], jnp.asarray(goal, jnp.int32)[None])
     return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
 
 
 def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
-    """One episode from each of the E start states, to its end. The key is shared by all: nothing is drawn from seeds."""
+    """One episode from each of the E start states, to its end. The key is shared by all: nothing is drawn from
+    seeds."""
 
     def step(states, step_key):
         finished = states.terminated | states.truncated
@@ -94,5 +110,7 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
         return following, env.observe(following)
 
     states, observations = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))
-    observations = jax.tree.map(lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations)
+    observations = jax.tree.map(
+        lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations
+    )
     return Episodes(steps=states.time, success=states.terminated, observations=observations)

@@ -1,4 +1,5 @@
-"""What one update learns from: transitions, some of them under other goals, with rewards, and goal pairs for the learner."""
+"""What one update learns from: transitions, some of them under other goals, with rewards, and goal pairs for the
+learner."""
 
 import flax.struct
 import jax
@@ -15,7 +16,8 @@ CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
 @flax.struct.dataclass
 class RelabelledBatch:
-    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their rewards, as changes.
+    """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their
+    rewards, as changes.
 
     goal, next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
     """
@@ -29,12 +31,16 @@ class RelabelledBatch:
 
 @flax.struct.dataclass
 class Sample:
-    """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside of the loop over updates.
+    """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside
+    of the loop over updates.
 
-    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K], the known goals that were
-    achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known ones, as many as the learner asks for.
-    bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B]; None without an explorer.
-    relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what the agent sees.
+    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K],
+    the known goals that were achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known
+    ones, as many as the learner asks for.
+    bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B];
+    None without an explorer.
+    relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what
+    the agent sees.
     """
 
     transitions: Transitions
@@ -54,7 +60,9 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     candidates = parts.config.batch_size * (1 if parts.relabelling is None else parts.relabelling.candidates)
     row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
-        goal = buffer.goal[row, step]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
+        goal = buffer.goal[
+            row, step
+        ]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
     if parts.relabelling is not None:
         row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
     drawn = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
@@ -62,17 +70,28 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(spec, env, experience, pair_key))
     if spec.num_goals:
-        drawn = drawn.replace(goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,)))
+        drawn = drawn.replace(
+            goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,))
+        )
     if parts.learner_relabelling is not None:
-        other = parts.learner_relabelling.relabel(jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal)
-        relabelled = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached))
-        kept = {name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")}
+        other = parts.learner_relabelling.relabel(
+            jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal
+        )
+        relabelled = with_rewards(
+            env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached)
+        )
+        kept = {
+            name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")
+        }
         drawn = drawn.replace(relabelled=RelabelledBatch(**kept, external=relabelled.external))
     if parts.explorer is not None:
         taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
         place = row[:, None], taken
         bonus = experience.bonus[buffer.observation[place], buffer.action[place]]
-        drawn = drawn.replace(bonus=bonus, move=(buffer.observation[row, step], buffer.action[row, step], buffer.observation[row, step + 1]))
+        drawn = drawn.replace(
+            bonus=bonus,
+            move=(buffer.observation[row, step], buffer.action[row, step], buffer.observation[row, step + 1]),
+        )
     return drawn
 
 
@@ -82,24 +101,34 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
     records = replay.sample_within_window(
         keys[0], experience.buffer, experience.achieved, experience.achieved_count, spec.num_pairs, spec.window
     )
-    anchor, positive = (goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable)) for k, record in zip(keys[1:3], records, strict=True))
-    any_achieved = experience.achieved_count[-1] > 0  # Else the draw has nothing to choose from, and returned a row not written yet.
+    anchor, positive = (
+        goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable))
+        for k, record in zip(keys[1:3], records, strict=True)
+    )
+    any_achieved = (
+        experience.achieved_count[-1] > 0
+    )  # Else the draw has nothing to choose from, and returned a row not written yet.
     positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)
     anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
     contrast = jnp.broadcast_to(anchor[:, None], (spec.num_pairs, spec.num_negatives))
     if not spec.anchored:
         contrast = goal_pairs.choose_from_mask(keys[3], experience.known, contrast.shape)
     if spec.dissimilar:
-        negative, negative_weight = goal_pairs.sample_negatives(keys[4], experience.dissimilarity, experience.known, contrast)
-    else:  # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
+        negative, negative_weight = goal_pairs.sample_negatives(
+            keys[4], experience.dissimilarity, experience.known, contrast
+        )
+    # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
+    else:
         negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
         negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 
-def with_relabelled_goals(relabelling, experience: Experience, key: jax.Array, row: jax.Array,
-                          step: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that they are given."""
+def with_relabelled_goals(
+    relabelling, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
+    they are given."""
     relabel_key, choose_key = jax.random.split(key)
     goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, experience.buffer.goal[row, step])
     if relabelling.choose is None:
@@ -115,5 +144,6 @@ def with_rewards(env, experience: Experience, transitions: Transitions) -> Sampl
 
 
 def draws_at_once(parts, count: int) -> int:
-    """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates, whose tables take memory."""
+    """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates,
+    whose tables take memory."""
     return count if parts.relabelling is None or parts.relabelling.choose is None else min(count, CHOICES_AT_ONCE)

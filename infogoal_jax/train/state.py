@@ -20,8 +20,10 @@ def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
 class TrainState:
     """Everything that training carries from epoch to epoch, for one seed.
 
-    params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer: their states;
-    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Trajectories; env_states: [num_envs]; both None offline.
+    params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer:
+    their states;
+    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Trajectories; env_states: [num_envs]; both None
+    offline.
     key: the seed's key, never consumed; env_steps: int32, collected or recorded.
     """
 
@@ -41,7 +43,8 @@ class TrainState:
 
 @flax.struct.dataclass
 class TrainResult:
-    """metrics: evaluations, {name: [num_evaluations, ...]}; epochs: {name: [num_epochs]}; params: the last parameters; state: to go on from."""
+    """metrics: evaluations, {name: [num_evaluations, ...]}; epochs: {name: [num_epochs]}; params: the last parameters;
+    state: to go on from."""
 
     metrics: dict[str, jax.Array]
     epochs: dict[str, jax.Array]

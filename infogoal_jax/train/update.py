@@ -1,4 +1,5 @@
-"""One gradient update (Algorithm 1, lines 16 to 22): encode a sample, add the losses, step, then beta and the targets."""
+"""One gradient update (Algorithm 1, lines 16 to 22): encode a sample, add the losses, step, then beta and the
+targets."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,9 +19,11 @@ from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
 
 
-def returns(parts, params, learner_state, env, hyper, experience: Experience, drawn: Sample) -> tuple[jax.Array, Any, dict]:
-    """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16). Then the learner's state, and
-    metrics."""
+def returns(
+    parts, params, learner_state, env, hyper, experience: Experience, drawn: Sample
+) -> tuple[jax.Array, Any, dict]:
+    """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16).
+    Then the learner's state, and metrics."""
     batch, external = drawn.transitions, drawn.external
     if experience.codes is None:
         encode = encode_goals(parts.learner, jax.lax.stop_gradient(params["goal"]), env.goals, parts.config.batch_size)
@@ -32,7 +35,10 @@ def returns(parts, params, learner_state, env, hyper, experience: Experience, dr
     if drawn.bonus is not None:
         step_reward += hyper.bonus_weight * drawn.bonus
     taken = batch.mask.sum()
-    metrics = {"external_reward": (external * batch.mask).sum() / taken, "intrinsic_reward": (intrinsic * batch.mask).sum() / taken}
+    metrics = {
+        "external_reward": (external * batch.mask).sum() / taken,
+        "intrinsic_reward": (intrinsic * batch.mask).sum() / taken,
+    }
     return discounted(step_reward, batch, hyper), learner_state, metrics
 
 
@@ -47,15 +53,25 @@ def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
 
 
 def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, view_key, key) -> AgentBatch:
-    """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way before and after the step."""
+    """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way
+    before and after the step."""
     keys = jax.random.split(key, 3)
-    see, see_by_target = (encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params))
-    encoded = encode_commanded if parts.relabelling is None else encode_goals  # Relabelled goals are any, and not among those commanded.
+    see, see_by_target = (
+        encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
+    )
+    encoded = (
+        encode_commanded if parts.relabelling is None else encode_goals
+    )  # Relabelled goals are any, and not among those commanded.
     view = training_view(parts, env, augmented=True)
     code, target_code = (
-        encoded(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)(batch.goal) for given in (params, target_params)
+        encoded(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)(batch.goal)
+        for given in (params, target_params)
     )
-    features, next_features, target_features = see(batch.observation), see(batch.next_observation), see_by_target(batch.next_observation)
+    features, next_features, target_features = (
+        see(batch.observation),
+        see(batch.next_observation),
+        see_by_target(batch.next_observation),
+    )
     next_code = conditioned(parts.learner, params["goal"], code, next_features)
     target_code = conditioned(parts.learner, target_params["goal"], target_code, target_features)
     code = conditioned(parts.learner, params["goal"], code, features)
@@ -78,12 +94,15 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
 
 
 def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
-    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps relabelled; with the environment's reward alone."""
+    """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps relabelled; with the
+    environment's reward alone."""
     if drawn.relabelled is None:
         reward = discounted(drawn.external, drawn.transitions, hyper)
         return drawn.transitions.goal, Steps(codes.features, codes.next_features, reward, codes.discount)
     relabelled = drawn.relabelled
-    following = jax.lax.stop_gradient(encode_states(parts, params, env, 2 * parts.config.batch_size)(relabelled.next_observation))
+    following = jax.lax.stop_gradient(
+        encode_states(parts, params, env, 2 * parts.config.batch_size)(relabelled.next_observation)
+    )
     reward = discounted(relabelled.external, relabelled, hyper)
     return relabelled.goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
 
@@ -91,12 +110,15 @@ def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBa
 def moves_of(parts, env, params, target_params, move: tuple) -> Moves:
     """Single steps (observation, action, next observation) [B] as an explorer sees them."""
     observation, action, following = move
-    see, see_by_target = (encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params))
+    see, see_by_target = (
+        encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
+    )
     return Moves(see(observation), action, jax.lax.stop_gradient(see_by_target(following)))
 
 
 def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Array]:
-    """Shares of the positive pairs whose two goals lie in one region (two different goals), and in different regions."""
+    """Shares of the positive pairs whose two goals lie in one region (two different goals), and in different
+    regions."""
     total = jnp.maximum(pairs.positive_weight.sum(), 1.0)
     same = regions[pairs.anchor] == regions[pairs.positive]
     within = ((same & (pairs.anchor != pairs.positive)) * pairs.positive_weight).sum() / total
@@ -109,7 +131,8 @@ def named(part: str, metrics: dict) -> dict:
 
 
 def update(parts, env, hyper, experience: Experience, restore: Callable, state, drawn: Sample, key: jax.Array):
-    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by part.
+    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by
+    part.
 
     Parameters and targets of the state are vectors, `restore` makes trees of them.
     """
@@ -117,20 +140,43 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
     loss_key, code_key, agent_key, view_key = jax.random.split(key, 4)
     batch, pairs = drawn.transitions, drawn.pairs
     targets = restore(state.target_params)
-    reward, learner_state, reward_metrics = returns(parts, restore(state.params), state.learner, env, hyper, experience, drawn)
+    reward, learner_state, reward_metrics = returns(
+        parts, restore(state.params), state.learner, env, hyper, experience, drawn
+    )
 
     def total_loss(vector):
         params = restore(vector)
-        encode = encode_goals(learner, params["goal"], env.goals, parts.config.batch_size, training_view(parts, env, augmented=True), view_key)
+        encode = encode_goals(
+            learner,
+            params["goal"],
+            env.goals,
+            parts.config.batch_size,
+            training_view(parts, env, augmented=True),
+            view_key,
+        )
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
-        seen = LearnerBatch(encode, env.goals.inputs_of, pairs, drawn.goals, *steps_to_learn_from(parts, params, env, hyper, drawn, codes))
-        learner_loss, learner_metrics, after = learner.loss(params["goal"], learner_state, seen, hyper.learner, loss_key)
-        agent_loss, agent_metrics = agent.loss(params["agent"], targets["agent"], codes, state.agent, hyper.agent, agent_key)
+        seen = LearnerBatch(
+            encode,
+            env.goals.inputs_of,
+            pairs,
+            drawn.goals,
+            *steps_to_learn_from(parts, params, env, hyper, drawn, codes),
+        )
+        learner_loss, learner_metrics, after = learner.loss(
+            params["goal"], learner_state, seen, hyper.learner, loss_key
+        )
+        agent_loss, agent_metrics = agent.loss(
+            params["agent"], targets["agent"], codes, state.agent, hyper.agent, agent_key
+        )
         total, states = agent_loss + hyper.learner_weight * learner_loss, {"learner": after}
-        metrics = named("agent", agent_metrics | reward_metrics | {"loss": agent_loss}) | named(parts.name, learner_metrics)
+        metrics = named("agent", agent_metrics | reward_metrics | {"loss": agent_loss}) | named(
+            parts.name, learner_metrics
+        )
         if parts.explorer is not None:
             moves = moves_of(parts, env, params, targets, drawn.move)
-            explorer_loss, explorer_metrics, after = parts.explorer.loss(params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4))
+            explorer_loss, explorer_metrics, after = parts.explorer.loss(
+                params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4)
+            )
             total, states = total + hyper.explorer_weight * explorer_loss, states | {"explorer": after}
             metrics |= named("explorer", explorer_metrics)
         return total, (metrics, states)
@@ -149,13 +195,19 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
     """`count` updates.
 
-    What they learn from is drawn at once, and parameters go through the loop as one vector: draws, and an optimizer that goes from layer to layer,
-    would be most of the kernels that a GPU has to start.
+    What they learn from is drawn at once, and parameters go through the loop as one vector: draws, and an optimizer
+    that goes from layer to layer, would be most of the kernels that a GPU has to start.
     """
     sample_key, update_key = jax.random.split(key)
     params, restore = ravel_pytree(state.params)
     state = state.replace(params=params, target_params=ravel_pytree(state.target_params)[0])
-    drawn = jax.lax.map(lambda key: sample(parts, env, experience, key), jax.random.split(sample_key, count), batch_size=draws_at_once(parts, count))
+    drawn = jax.lax.map(
+        lambda key: sample(parts, env, experience, key),
+        jax.random.split(sample_key, count),
+        batch_size=draws_at_once(parts, count),
+    )
     keys = jax.random.split(update_key, count)
-    state, metrics = jax.lax.scan(lambda carry, step: update(parts, env, hyper, experience, restore, carry, *step), state, (drawn, keys))
+    state, metrics = jax.lax.scan(
+        lambda carry, step: update(parts, env, hyper, experience, restore, carry, *step), state, (drawn, keys)
+    )
     return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics

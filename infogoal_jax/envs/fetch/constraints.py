@@ -1,7 +1,8 @@
 """Constraint rows of one Fetch robot: the weld to the mocap body, joint limits and contacts, as MuJoCo defines them.
 
-Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint` builds the same rows for any
-model; here the model is known, so that all rows are worked out side by side, and whatever is constant is an array made beforehand.
+Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint`
+builds the same rows for any model; here the model is known, so that all rows are worked out side by side, and whatever
+is constant is an array made beforehand.
 """
 
 import dataclasses
@@ -20,8 +21,9 @@ from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined, once
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
-    """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5 numbers, the last two 0.5 and 2);
-    timestep in s; safe: whether the time constant is kept at two timesteps or more, as MuJoCo does."""
+    """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5
+    numbers, the last two 0.5 and 2); timestep in s; safe: whether the time constant is kept at two timesteps or more,
+    as MuJoCo does."""
 
     reference: tuple[float, float]
     impedance: tuple[float, ...]
@@ -53,9 +55,11 @@ class RowKinds:
         risen = jnp.where(share < 0.5, 2 * share**2, 1 - 2 * (1 - share) ** 2)
         return self.smallest + risen * (self.largest - self.smallest)
 
-    def rows(self, jacobian: jax.Array, velocity: jax.Array, violation: jax.Array, measure: jax.Array, active: jax.Array) -> solver.ConstraintRows:
-        """Rows of these kinds. jacobian [nv, R], velocity [nv], violation [R] (m or rad); measure [R]: what the impedance goes by; active: bool
-        [R]."""
+    def rows(
+        self, jacobian: jax.Array, velocity: jax.Array, violation: jax.Array, measure: jax.Array, active: jax.Array
+    ) -> solver.ConstraintRows:
+        """Rows of these kinds. jacobian [nv, R], velocity [nv], violation [R] (m or rad); measure [R]: what the
+        impedance goes by; active: bool [R]."""
         impedance = self.impedance(measure)
         regularisation = jnp.maximum(self.inverse_weight * (1 - impedance) / impedance, 1e-15)
         reference = -self.damping * solver.times(jacobian.T, velocity) - self.stiffness * impedance * violation
@@ -69,13 +73,17 @@ def step_map(stiffness: float, damping: float, timestep: float) -> np.ndarray:
 
 
 def lengthened(softness: Softness, timestep: float, duration: float) -> Softness:
-    """The softness that moves an equality as far in `duration` seconds, in steps of `timestep`, as steps of the softness's own timestep do.
+    """The softness that moves an equality as far in `duration` seconds, in steps of `timestep`, as steps of the
+    softness's own timestep do.
 
-    With the same time constant, longer steps would overshoot (or, as MuJoCo then softens the constraint, lag behind); so stiffness and damping are
-    chosen for the violation at the end of the duration to be the same, whatever violation and velocity it began with.
+    With the same time constant, longer steps would overshoot (or, as MuJoCo then softens the constraint, lag behind);
+    so stiffness and damping are chosen for the violation at the end of the duration to be the same, whatever violation
+    and velocity it began with.
     """
     time, ratio = softness.reference
-    short = np.linalg.matrix_power(step_map(1 / (time * ratio) ** 2, 2 / time, softness.timestep), round(duration / softness.timestep))
+    short = np.linalg.matrix_power(
+        step_map(1 / (time * ratio) ** 2, 2 / time, softness.timestep), round(duration / softness.timestep)
+    )
 
     def mismatch(values):
         long = np.linalg.matrix_power(step_map(1e3 * values[0], 1e2 * values[1], timestep), round(duration / timestep))
@@ -84,15 +92,19 @@ def lengthened(softness: Softness, timestep: float, duration: float) -> Softness
     found = optimize.root(mismatch, np.array([1e-3 / (time * ratio) ** 2, 2e-2 / time]) * 0.6)
     assert found.success, found.message
     stiffness, damping = found.x * np.array([1e3, 1e2])
-    return dataclasses.replace(softness, reference=(2 / damping, damping / 2 / np.sqrt(stiffness)), timestep=timestep, safe=False)
+    return dataclasses.replace(
+        softness, reference=(2 / damping, damping / 2 / np.sqrt(stiffness)), timestep=timestep, safe=False
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ContactKind:
     """A pair of bodies, whose contact points share their physics.
 
-    dofs: +-1 or 0 [nv], the joints that move the second body minus those that move the first; friction: coefficients of sliding and spinning;
-    torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3); margin: distance (m) at which it begins to act.
+    dofs: +-1 or 0 [nv], the joints that move the second body minus those that move the first; friction: coefficients of
+    sliding and spinning;
+    torsion: whether the contact resists spinning (MuJoCo's condim 4, otherwise 3); margin: distance (m) at which it
+    begins to act.
     """
 
     dofs: np.ndarray
@@ -146,8 +158,11 @@ class Weld:
         self.dofs = np.repeat(dofs[:, None], 6, axis=1)
         self.kinds = [(softness, weight) for weight in inverse_weight for _ in range(3)]
 
-    def wrench_and_violation(self, lever: Vector, quaternion: Quaternion, apart: Vector, target: Quaternion) -> tuple[Wrench, jax.Array]:
-        """Wrenches and violation [6] for a point at `lever` from the origin (m) and with this quaternion; apart: from it to the target (m)."""
+    def wrench_and_violation(
+        self, lever: Vector, quaternion: Quaternion, apart: Vector, target: Quaternion
+    ) -> tuple[Wrench, jax.Array]:
+        """Wrenches and violation [6] for a point at `lever` from the origin (m) and with this quaternion; apart: from
+        it to the target (m)."""
         pull = Wrench.at(lever, -UNIT)  # Mocap minus arm; the mocap body has no joints.
         # Orientation error conj(q) q_target, and its derivative 1/2 conj(q) (-w) q_target for a turn of the arm by w.
         inverse = quaternion.conjugate()
@@ -171,7 +186,8 @@ class Limits:
 
 
 class FrictionPyramids:
-    """The rows of contact points: normal +- friction x tangent for both tangents, and for the spin where the contact resists it."""
+    """The rows of contact points: normal +- friction x tangent for both tangents, and for the spin where the contact
+    resists it."""
 
     def __init__(self, kinds: list[ContactKind]):
         """kinds: of each of n points, of which s resist spinning."""

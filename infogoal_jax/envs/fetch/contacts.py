@@ -1,10 +1,12 @@
-"""Where bodies touch: contact points of the few pairs that matter in the Fetch tasks, cheap enough for thousands of robots.
+"""Where bodies touch: contact points of the few pairs that matter in the Fetch tasks, cheap enough for thousands of
+robots.
 
-A contact is a point, a normal (from the first body to the second) and a distance, negative when the bodies overlap. Pairs of one kind are worked out
-side by side: each component of a vector here is an array [P] over pairs.
+A contact is a point, a normal (from the first body to the second) and a distance, negative when the bodies overlap.
+Pairs of one kind are worked out side by side: each component of a vector here is an array [P] over pairs.
 
-Boxes meet face to face, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box against box differ little where
-it matters (fingers, cube and table are seldom tilted), and its search over fifteen axes would cost more than all the rest.
+Boxes meet face to face, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box
+against box differ little where it matters (fingers, cube and table are seldom tilted), and its search over fifteen axes
+would cost more than all the rest.
 """
 
 import flax.struct
@@ -57,10 +59,11 @@ FLOOR = block(np.float32([[-100, -100, -20], [100, 100, 0]]))
 
 
 def box_on_box(first: Box, second: Box, handicap: Vector) -> Contacts:
-    """Four contacts of each of P pairs of boxes, on the face of either box that separates the two most: arrays [4 P], first those of all pairs' first
-    corners.
+    """Four contacts of each of P pairs of boxes, on the face of either box that separates the two most: arrays [4 P],
+    first those of all pairs' first corners.
 
-    handicap: taken from the separation (m) along the first box's axes, to keep some of its faces out (or, if negative, in).
+    handicap: taken from the separation (m) along the first box's axes, to keep some of its faces out (or, if negative,
+    in).
     """
     of_first = separation(first, second) - handicap
     of_second = separation(second, first)
@@ -71,18 +74,24 @@ def box_on_box(first: Box, second: Box, handicap: Vector) -> Contacts:
 
 
 def separation(reference: Box, other: Box) -> Vector:
-    """How far the other box is from each pair of the reference box's faces (m), by the box's axes: negative where they overlap along that axis."""
+    """How far the other box is from each pair of the reference box's faces (m), by the box's axes: negative where they
+    overlap along that axis."""
     middle = reference.rotation.inverse(other.center - reference.center)
     columns = (reference.rotation.inverse(axis) for axis in (other.rotation.x, other.rotation.y, other.rotation.z))
-    reach = [absolute(column) * half for column, half in zip(columns, (other.half.x, other.half.y, other.half.z), strict=True)]
+    reach = [
+        absolute(column) * half
+        for column, half in zip(columns, (other.half.x, other.half.y, other.half.z), strict=True)
+    ]
     return absolute(middle) - reference.half - (reach[0] + reach[1] + reach[2])
 
 
 def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contacts:
-    """Four contacts of each incident box with one face of its reference box: of those along the axis of largest separation, the one that looks at it.
+    """Four contacts of each incident box with one face of its reference box: of those along the axis of largest
+    separation, the one that looks at it.
 
-    The corners of the incident box's facing side, moved onto the reference face where they stick out, are the points. A point that leaves the
-    incident side by being moved does not touch. So a box rests as far as the table reaches, and tips over its edge.
+    The corners of the incident box's facing side, moved onto the reference face where they stick out, are the points. A
+    point that leaves the incident side by being moved does not touch. So a box rests as far as the table reaches, and
+    tips over its edge.
     """
     normal, (across, along), depth, (width, length) = face(reference, separations)
     apart = incident.center - reference.center
@@ -96,17 +105,24 @@ def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contact
     up, right, ahead = (axis.dot(middle) for axis in (normal, across, along))
     tilt, lean, slope = (axis.dot(outward) for axis in (normal, across, along))
     places = [[axis.dot(edge) for axis in (normal, across, along)] for edge in edges]
-    corner = [sum(sign[:, None] * place[axis] for sign, place in zip(CORNERS.T, places, strict=True)) for axis in (1, 2)]
+    corner = [
+        sum(sign[:, None] * place[axis] for sign, place in zip(CORNERS.T, places, strict=True)) for axis in (1, 2)
+    ]
     moved = jnp.clip(right + corner[0], -width, width), jnp.clip(ahead + corner[1], -length, length)
     offset = moved[0] - right, moved[1] - ahead
     rise = -(offset[0] * lean + offset[1] * slope) / jnp.where(jnp.abs(tilt) < 0.1, -0.1 * side, tilt)
     # Where the moved points lie on the incident side, in half edges.
-    spread = [(rise * place[0] + offset[0] * place[1] + offset[1] * place[2]) / span**2 for place, span in zip(places, spans, strict=True)]
+    spread = [
+        (rise * place[0] + offset[0] * place[1] + offset[1] * place[2]) / span**2
+        for place, span in zip(places, spans, strict=True)
+    ]
     within = (jnp.abs(spread[0]) < 1.01) & (jnp.abs(spread[1]) < 1.01)
     distance = jnp.where(within, side * (up + rise) - depth, FAR)
     normal = normal * side
     position = reference.center + normal * (depth + 0.5 * distance) + across * moved[0] + along * moved[1]
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, distance.shape).reshape(-1), Contacts(distance, position, normal))
+    return jax.tree.map(
+        lambda leaf: jnp.broadcast_to(leaf, distance.shape).reshape(-1), Contacts(distance, position, normal)
+    )
 
 
 def face(box: Box, scores: Vector) -> tuple[Vector, list[Vector], jax.Array, list[jax.Array]]:
@@ -135,14 +151,17 @@ def largest(vector: Vector) -> jax.Array:
 
 
 def table_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
-    """The table for each of the boxes, and the handicap that lets a box meet its top, a side or an edge, but never its underside."""
+    """The table for each of the boxes, and the handicap that lets a box meet its top, a side or an edge, but never its
+    underside."""
     below = jnp.where(boxes.center.z < table.center.z, FAR, 0.0)
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, below.shape), table), Vector(jnp.zeros_like(below), jnp.zeros_like(below), below)
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, below.shape), table), Vector(
+        jnp.zeros_like(below), jnp.zeros_like(below), below
+    )
 
 
 def ground_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
-    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor, which has an upper face
-    only."""
+    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor,
+    which has an upper face only."""
     above, handicap = table_under(table, boxes)
     fallen = boxes.center.z < 0.5 * table.half.z
     nothing = jnp.zeros_like(handicap.z)
@@ -157,7 +176,9 @@ def capsule_on_capsule(first: Capsule, second: Capsule) -> Contacts:
     along = jnp.clip((to_first * bb - to_second * ab) / jnp.maximum(aa * bb - ab * ab, 1e-12), -1.0, 1.0)
     other_along = jnp.clip((along * ab - to_second) / bb, -1.0, 1.0)
     along = jnp.clip((other_along * ab + to_first) / aa, -1.0, 1.0)
-    return between_spheres(first.center + first.half * along, first.radius, second.center + second.half * other_along, second.radius)
+    return between_spheres(
+        first.center + first.half * along, first.radius, second.center + second.half * other_along, second.radius
+    )
 
 
 def sphere_on_box(box: Box, center: Vector, radius: float) -> Contacts:
@@ -167,7 +188,9 @@ def sphere_on_box(box: Box, center: Vector, radius: float) -> Contacts:
 
 def nearest_in(box: Box, point: Vector) -> Vector:
     """The point of each box that lies nearest."""
-    inside = jax.tree.map(lambda value, half: jnp.clip(value, -half, half), box.rotation.inverse(point - box.center), box.half)
+    inside = jax.tree.map(
+        lambda value, half: jnp.clip(value, -half, half), box.rotation.inverse(point - box.center), box.half
+    )
     return box.center + box.rotation @ inside
 
 
@@ -197,7 +220,10 @@ def tangents(normal: Vector) -> tuple[Vector, Vector]:
     """The two tangents of each contact: MuJoCo's, on which the friction pyramid depends."""
     upright = jnp.abs(normal.y) < 0.5
     along = jnp.where(upright, normal.y, normal.z)
-    first = Vector(-normal.x * along, jnp.where(upright, 1.0, 0.0) - normal.y * along, jnp.where(upright, 0.0, 1.0) - normal.z * along)
+    first = Vector(
+        -normal.x * along,
+        jnp.where(upright, 1.0, 0.0) - normal.y * along,
+        jnp.where(upright, 0.0, 1.0) - normal.z * along,
+    )
     first = first * (1 / first.norm())
     return first, normal.cross(first)
-

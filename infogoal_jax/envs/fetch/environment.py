@@ -1,4 +1,5 @@
-"""The Fetch tasks as environments: control, observation, resets, goals and success of Gymnasium-Robotics, version 4 (FetchReach, FetchPush, ...).
+"""The Fetch tasks as environments: control, observation, resets, goals and success of Gymnasium-Robotics, version 4
+(FetchReach, FetchPush, ...).
 
 A record of pure functions over the state of one robot; batch it with `jax.vmap`. Goals are positions here, [3] in m.
 """
@@ -25,7 +26,8 @@ LATE = 0.002
 WORLD = 5.0
 """Distance from the robot's base, in m, beyond which the simulation counts as diverged."""
 FASTEST = 1000.0
-"""Speed (m/s or rad/s) beyond which the simulation counts as diverged. A puck that slips from under the fingers may spin at a few hundred."""
+"""Speed (m/s or rad/s) beyond which the simulation counts as diverged. A puck that slips from under the fingers may
+spin at a few hundred."""
 
 
 @flax.struct.dataclass
@@ -82,7 +84,8 @@ class Fetch(Environment):
         return self.begin_anew(object_key, self.sample_goal(goal_key))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> FetchState:
-        """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the workspace, unless it is traced."""
+        """A new episode for this goal [3] (m). Raises `UserError` for a goal outside of the workspace, unless it is
+        traced."""
         if not isinstance(goal, jax.core.Tracer):
             self.check_goals(goal)
         return self.begin_anew(key, jnp.asarray(goal, jnp.float32))
@@ -90,28 +93,40 @@ class Fetch(Environment):
     def check_goals(self, goals) -> None:
         """Raise `UserError` unless all goals [..., 3] lie in the workspace."""
         goals = np.asarray(goals)
-        require(goals.shape[-1:] == (3,), "goal", f"an array of shape {goals.shape}", "give positions of 3 numbers, in m")
+        require(
+            goals.shape[-1:] == (3,), "goal", f"an array of shape {goals.shape}", "give positions of 3 numbers, in m"
+        )
         low, high = self.workspace
         inside = ((goals >= low) & (goals <= high)).all(-1)
         if not inside.all():
             first = goals.reshape(-1, 3)[np.flatnonzero(~inside.reshape(-1))[0]]
             spans = ", ".join(f"{name} {a:.2f} to {b:.2f}" for name, a, b in zip("xyz", low, high, strict=True))
-            raise UserError(f"goal = {np.round(first.astype(float), 3).tolist()}: lies outside of the workspace of {self.task.name}; give {spans} m")
+            raise UserError(
+                f"goal = {np.round(first.astype(float), 3).tolist()}: lies outside of the workspace of "
+                f"{self.task.name}; give {spans} m"
+            )
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
         """A goal [3] as the reference draws it."""
         around, height_key, air_key = jax.random.split(key, 3)
         task = self.task
-        goal = jnp.array(task.start_grip) + jax.random.uniform(around, (3,), minval=-task.goal_range, maxval=task.goal_range)
+        goal = jnp.array(task.start_grip) + jax.random.uniform(
+            around, (3,), minval=-task.goal_range, maxval=task.goal_range
+        )
         if task.object_height is None:
             return goal
-        lifted = jax.random.bernoulli(air_key) * jax.random.uniform(height_key, maxval=HIGHEST_GOAL) if task.goals_in_air else 0.0
+        lifted = (
+            jax.random.bernoulli(air_key) * jax.random.uniform(height_key, maxval=HIGHEST_GOAL)
+            if task.goals_in_air
+            else 0.0
+        )
         return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted])
 
     def sample_object(self, key: jax.Array) -> jax.Array:
         """Where the object starts, [2] in m: uniform in a square around the grip, but not near it.
 
-        The reference draws until a place is far enough. Of 128 draws one is, but for one episode in 10^13 of fetch_slide; the last stands then.
+        The reference draws until a place is far enough. Of 128 draws one is, but for one episode in 10^13 of
+        fetch_slide; the last stands then.
         """
         places = jax.random.uniform(key, (128, 2), minval=-self.task.object_range, maxval=self.task.object_range)
         far = jnp.sqrt((places**2).sum(-1)) >= NEAREST_START
@@ -129,26 +144,46 @@ class Fetch(Environment):
         pose = self.physics.pose(motion, 0.0)
         false = jnp.zeros((), bool)
         return FetchState(
-            motion=motion, observation=self._observation(motion, pose), gripper=pose.gripper, gripper_quaternion=pose.gripper_quaternion,
-            goal=goal, time=jnp.zeros((), jnp.int32), terminated=false, truncated=false, diverged=false,
+            motion=motion,
+            observation=self._observation(motion, pose),
+            gripper=pose.gripper,
+            gripper_quaternion=pose.gripper_quaternion,
+            goal=goal,
+            time=jnp.zeros((), jnp.int32),
+            terminated=false,
+            truncated=false,
+            diverged=false,
         )
 
     def step(self, state: FetchState, action: jax.Array) -> FetchState:
-        """40 ms under an action [4] in [-1, 1]: displacement of the gripper in units of 5 cm, and opening of the fingers.
+        """40 ms under an action [4] in [-1, 1]: displacement of the gripper in units of 5 cm, and opening of the
+        fingers.
 
         A step that diverges is taken back: the state stays finite, and the episode is truncated and marked as diverged.
         """
-        motion = self.physics.control_step(state.motion, state.gripper, state.gripper_quaternion, jnp.clip(action, -1.0, 1.0))
+        motion = self.physics.control_step(
+            state.motion, state.gripper, state.gripper_quaternion, jnp.clip(action, -1.0, 1.0)
+        )
         pose = self.physics.pose(motion, 0.0 if self.task.blocks_fingers else LATE)
         moved = state.replace(
-            motion=motion, observation=self._observation(motion, pose), gripper=pose.gripper, gripper_quaternion=pose.gripper_quaternion,
+            motion=motion,
+            observation=self._observation(motion, pose),
+            gripper=pose.gripper,
+            gripper_quaternion=pose.gripper_quaternion,
         )
-        finite = jnp.isfinite(jnp.concatenate([motion.position, motion.velocity, motion.acceleration, moved.observation])).all()
+        finite = jnp.isfinite(
+            jnp.concatenate([motion.position, motion.velocity, motion.acceleration, moved.observation])
+        ).all()
         diverged = ~(finite & (jnp.abs(motion.position) < WORLD).all() & (jnp.abs(motion.velocity) < FASTEST).all())
         state = jax.tree.map(lambda old, new: jnp.where(diverged, old, new), state, moved)
         time = state.time + 1
         terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
-        return state.replace(time=time, terminated=terminated, truncated=((time >= self.episode_length) | diverged) & ~terminated, diverged=diverged)
+        return state.replace(
+            time=time,
+            terminated=terminated,
+            truncated=((time >= self.episode_length) | diverged) & ~terminated,
+            diverged=diverged,
+        )
 
     def observe(self, state: FetchState) -> jax.Array:
         """The stored observation: all of it, float32 [10 or 25]."""
@@ -171,26 +206,39 @@ class Fetch(Environment):
         return -(jnp.sqrt(((record - goal) ** 2).sum(-1)) > DISTANCE_THRESHOLD).astype(jnp.float32)
 
     def _observation(self, motion: Motion, pose: Pose) -> jax.Array:
-        """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities (relative) and turning, the grip's
-        velocity and the fingers', velocities times 40 ms."""
+        """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities
+        (relative) and turning, the grip's velocity and the fingers', velocities times 40 ms."""
         step = model.CONTROL_STEP
         fingers, finger_velocity = self.physics.finger_state(motion)
         grip_velocity = step * pose.grip_velocity
         if self.task.object_height is None:
             return jnp.concatenate([pose.grip, fingers, grip_velocity, step * finger_velocity])
-        return jnp.concatenate([
-            pose.grip, pose.thing, pose.thing - pose.grip, fingers, euler_angles(pose.thing_rotation),
-            step * pose.thing_velocity - grip_velocity, step * pose.thing_turning, grip_velocity, step * finger_velocity,
-        ])
+        return jnp.concatenate(
+            [
+                pose.grip,
+                pose.thing,
+                pose.thing - pose.grip,
+                fingers,
+                euler_angles(pose.thing_rotation),
+                step * pose.thing_velocity - grip_velocity,
+                step * pose.thing_turning,
+                grip_velocity,
+                step * finger_velocity,
+            ]
+        )
 
 
 def euler_angles(rotation: jax.Array) -> jax.Array:
     """Angles [3] about x, y and z (rad) of a rotation matrix [3, 3], in the reference's convention (mat2euler)."""
     across = jnp.sqrt(rotation[2, 2] ** 2 + rotation[1, 2] ** 2)
-    regular = across > 4e-6  # Else the object stands on end, and x and z turn it about the same axis. The reference's bound is for float64.
+    regular = (
+        across > 4e-6
+    )  # Else the object stands on end, and x and z turn it about the same axis. The reference's bound is for float64.
     about_x = jnp.where(regular, -jnp.arctan2(rotation[1, 2], rotation[2, 2]), 0.0)
     about_y = -jnp.arctan2(-rotation[0, 2], across)
-    about_z = jnp.where(regular, -jnp.arctan2(rotation[0, 1], rotation[0, 0]), -jnp.arctan2(-rotation[1, 0], rotation[1, 1]))
+    about_z = jnp.where(
+        regular, -jnp.arctan2(rotation[0, 1], rotation[0, 0]), -jnp.arctan2(-rotation[1, 0], rotation[1, 1])
+    )
     return jnp.stack([about_x, about_y, about_z])
 
 
@@ -199,4 +247,9 @@ def make(name: str, config: FetchConfig) -> Fetch:
     config.check(None)
     task = find(name)
     setting = model.FAITHFUL if config.faithful else model.FAST
-    return Fetch(task=task, physics=physics.load(task, setting), episode_length=config.episode_length, ends_at_goal=config.ends_at_goal)
+    return Fetch(
+        task=task,
+        physics=physics.load(task, setting),
+        episode_length=config.episode_length,
+        ends_at_goal=config.ends_at_goal,
+    )

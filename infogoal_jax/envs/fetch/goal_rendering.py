@@ -1,4 +1,5 @@
-"""Builds the goal images of Fetch tasks: MuJoCo's renderer, and the scene with all its meshes out of an installed gymnasium-robotics.
+"""Builds the goal images of Fetch tasks: MuJoCo's renderer, and the scene with all its meshes out of an installed
+gymnasium-robotics.
 
 The gripper, or the object, stands exactly where the goal is. Neither is needed to use the banks that are shipped.
 """
@@ -32,7 +33,8 @@ FARTHEST = 0.2
 RENDERED = 256
 """Pixels that are drawn along each edge, averaged down to 64."""
 ROUNDS, STEPS = 5, 200
-"""The arm moves for this many times this many steps of 2 ms; after each round the pull on it is corrected by the error that is left."""
+"""The arm moves for this many times this many steps of 2 ms; after each round the pull on it is corrected by the error
+that is left."""
 WORST_GRIPPER = 0.005
 """The gripper may be this far from the goal at most, in m."""
 GRIP_BELOW_LINK = 0.02
@@ -53,8 +55,8 @@ OPEN_OPENGL = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<m
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """Looks from `distance` (m) at the point `lookat` (m); angles in degrees as in MuJoCo. A small field of view keeps far goals as large as near
-    ones."""
+    """Looks from `distance` (m) at the point `lookat` (m); angles in degrees as in MuJoCo. A small field of view keeps
+    far goals as large as near ones."""
 
     lookat: tuple[float, float, float]
     azimuth: float
@@ -76,14 +78,16 @@ class Camera:
         """The camera as text."""
         x, y, z = self.lookat
         return (
-            f"looks at ({x}, {y}, {z}) m from {self.distance} m, azimuth {self.azimuth} degrees, elevation {self.elevation} degrees, "
+            f"looks at ({x}, {y}, {z}) m from {self.distance} m, azimuth {self.azimuth} degrees, elevation "
+            f"{self.elevation} degrees, "
             f"vertical field of view {self.field_of_view} degrees"
         )
 
 
 CAMERAS = {
     "fetch_reach": Camera((1.34, 0.75, 0.53), 132.0, -28.0, 2.2),
-    # From low and nearly in front: the table shows below the gripper's housing, which otherwise hides the cube behind it.
+    # From low and nearly in front: the table shows below the gripper's housing, which otherwise hides the cube behind
+    # it.
     "fetch_push": Camera((1.345, 0.76, 0.435), 168.0, -17.0, 1.7),
     "fetch_pick_and_place": Camera((1.34, 0.75, 0.635), 132.0, -26.0, 2.75),
 }
@@ -92,31 +96,47 @@ CAMERAS = {
 def find_task(name: str) -> Task:
     """The task of this name, or a `UserError` if it has no goal images."""
     if name not in CAMERAS:
-        raise UserError(f"task = {name!r}: no goal images of this task.{nearest(name, list(CAMERAS))} Known: {', '.join(CAMERAS)}")
+        raise UserError(
+            f"task = {name!r}: no goal images of this task.{nearest(name, list(CAMERAS))} Known: {', '.join(CAMERAS)}"
+        )
     return TASKS[name]
 
 
 def find_scene(task: Task) -> Path:
-    """The scene of a task in the installed gymnasium-robotics, which is not imported. Raises `UserError` if it is not there."""
+    """The scene of a task in the installed gymnasium-robotics, which is not imported. Raises `UserError` if it is not
+    there."""
     package = importlib.util.find_spec("gymnasium_robotics")
     if package is None or not package.submodule_search_locations:
-        raise UserError(f"gymnasium-robotics = not installed: goal images are drawn with its meshes of the robot; {INSTALL_SCENE}")
+        raise UserError(
+            f"gymnasium-robotics = not installed: goal images are drawn with its meshes of the robot; {INSTALL_SCENE}"
+        )
     folder = Path(next(iter(package.submodule_search_locations)))
     scene = folder / "envs" / "assets" / "fetch" / f"{task.name.removeprefix('fetch_')}.xml"
-    require(scene.is_file(), "gymnasium-robotics", str(folder), f"has no file {scene.name} of the robot's scene; {INSTALL_SCENE}")
+    require(
+        scene.is_file(),
+        "gymnasium-robotics",
+        str(folder),
+        f"has no file {scene.name} of the robot's scene; {INSTALL_SCENE}",
+    )
     return scene
 
 
 def check_opengl() -> None:
-    """Raise `UserError` unless MuJoCo can draw. Tried in another process: a failure leaves half-open contexts behind, and some end the process."""
+    """Raise `UserError` unless MuJoCo can draw. Tried in another process: a failure leaves half-open contexts behind,
+    and some end the process."""
     try:
-        tried = subprocess.run([sys.executable, "-c", OPEN_OPENGL], capture_output=True, text=True, timeout=120, check=False)
+        tried = subprocess.run(
+            [sys.executable, "-c", OPEN_OPENGL], capture_output=True, text=True, timeout=120, check=False
+        )
         lines, failed = tried.stderr.strip().splitlines(), tried.returncode != 0
     except subprocess.TimeoutExpired:
         lines, failed = ["no answer within 120 s"], True
     if failed:
         reason = lines[-1] if lines else f"exit status {tried.returncode}"
-        raise UserError(f"MUJOCO_GL = {os.environ.get('MUJOCO_GL', '')!r}: MuJoCo could not open OpenGL ({reason}); {INSTALL_OPENGL}")
+        raise UserError(
+            f"MUJOCO_GL = {os.environ.get('MUJOCO_GL', '')!r}: MuJoCo could not open OpenGL ({reason}); "
+            f"{INSTALL_OPENGL}"
+        )
 
 
 def check(tasks: Sequence[str], seed: int = 0) -> None:
@@ -148,7 +168,8 @@ def draw_goal(task: Task, generator: np.random.Generator) -> np.ndarray:
 
 
 def choose_goals(task: Task, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions float32 [N, 3] and uses uint8 [N] of all goals of a bank: the grid, then goals drawn for training, validation and tests.
+    """Positions float32 [N, 3] and uses uint8 [N] of all goals of a bank: the grid, then goals drawn for training,
+    validation and tests.
 
     Those for validation and tests are drawn again until each is near a training goal.
     """
@@ -171,8 +192,8 @@ def choose_goals(task: Task, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @contextlib.contextmanager
 def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float]]]:
-    """Opens the scene of a task. Gives a function from a goal [3] (m) to its image, uint8 [64, 64, 3], and how far the gripper is from where it
-    belongs (m)."""
+    """Opens the scene of a task. Gives a function from a goal [3] (m) to its image, uint8 [64, 64, 3], and how far the
+    gripper is from where it belongs (m)."""
     import mujoco
 
     task, camera = find_task(name), CAMERAS[name]
@@ -181,14 +202,22 @@ def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float
     for joint, value in (("robot0:slide0", task.base_x), *BASE):
         data.joint(joint).qpos = value
     start = data.qpos.copy()
-    # The gripper follows the pulled body exactly, and nothing pushes it or the object away: some goals are so low that the fingers enter the table.
+    # The gripper follows the pulled body exactly, and nothing pushes it or the object away: some goals are so low that
+    # the fingers enter the table.
     model.eq_data[:, :10] = (0, 0, 0, 0, 0, 0, 1, 0, 0, 0)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.vis.global_.fovy = camera.field_of_view
-    mark = model.body("robot0:mocap")  # Long green lines that cross where the gripper is pulled to; not part of the robot.
+    mark = model.body(
+        "robot0:mocap"
+    )  # Long green lines that cross where the gripper is pulled to; not part of the robot.
     model.geom_rgba[mark.geomadr[0] : mark.geomadr[0] + mark.geomnum[0], 3] = 0
     view, options = mujoco.MjvCamera(), mujoco.MjvOption()
-    view.azimuth, view.elevation, view.distance, view.lookat[:] = camera.azimuth, camera.elevation, camera.distance, camera.lookat
+    view.azimuth, view.elevation, view.distance, view.lookat[:] = (
+        camera.azimuth,
+        camera.elevation,
+        camera.distance,
+        camera.lookat,
+    )
     options.sitegroup[:] = 0  # The red ball at the goal, and those in the object and the gripper.
     upright = np.zeros(9)
     mujoco.mju_quat2Mat(upright, np.array(DOWNWARD) / np.linalg.norm(DOWNWARD))
@@ -216,7 +245,9 @@ def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float
         if task.object_height is not None:
             turned = np.array([1.0, 0.0, 0.0, 0.0])
             if held:  # Where the arm is stretched out the gripper leans, and what it holds with it.
-                mujoco.mju_mat2Quat(turned, (data.body("robot0:gripper_link").xmat.reshape(3, 3) @ upright.reshape(3, 3).T).ravel())
+                mujoco.mju_mat2Quat(
+                    turned, (data.body("robot0:gripper_link").xmat.reshape(3, 3) @ upright.reshape(3, 3).T).ravel()
+                )
             data.joint("object0:joint").qpos = np.concatenate([goal, turned])
         mujoco.mj_forward(model, data)
         renderer.update_scene(data, view, options)
@@ -229,11 +260,13 @@ def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float
         renderer.close()
 
 
-def build(name: str, seed: int = 0, follow: Callable[[Sequence, str], Iterable] = lambda goals, name: goals) -> GoalImages:
+def build(
+    name: str, seed: int = 0, follow: Callable[[Sequence, str], Iterable] = lambda goals, name: goals
+) -> GoalImages:
     """The bank of a task; seed: of the goals for training, validation and tests, the grid is always the same.
 
-    follow: gives the goals of the task one by one and shows how far it is, as `rich.progress.track` does. Raises `UserError` if
-    gymnasium-robotics or OpenGL is missing.
+    follow: gives the goals of the task one by one and shows how far it is, as `rich.progress.track` does. Raises
+    `UserError` if gymnasium-robotics or OpenGL is missing.
     """
     check([name], seed)
     task = find_task(name)
@@ -244,8 +277,11 @@ def build(name: str, seed: int = 0, follow: Callable[[Sequence, str], Iterable] 
             images[row], errors[row] = take(positions[row])
     worst = int(errors.argmax())
     require(
-        errors[worst] < WORST_GRIPPER, "gymnasium-robotics", importlib.metadata.version("gymnasium-robotics"),
-        f"in its scene the gripper stays {1000 * errors[worst]:.1f} mm from the goal {positions[worst].tolist()}; {INSTALL_SCENE}",
+        errors[worst] < WORST_GRIPPER,
+        "gymnasium-robotics",
+        importlib.metadata.version("gymnasium-robotics"),
+        f"in its scene the gripper stays {1000 * errors[worst]:.1f} mm from the goal {positions[worst].tolist()}; "
+        f"{INSTALL_SCENE}",
     )
     low, shape = grid_of(task)
     least, most = pixel_shifts(name)

@@ -1,7 +1,9 @@
-"""The Fetch tasks as the paper has them (Sec. V-A.1): a goal is an image of the object, or the gripper, at the desired position.
+"""The Fetch tasks as the paper has them (Sec. V-A.1): a goal is an image of the object, or the gripper, at the desired
+position.
 
-The finite goal space is a grid of rendered positions. Training, validation and test goals lie between its points. The true distance decides whether
-a goal is reached. The nearest grid point decides which goal a position achieves, for representation learning and relabelling.
+The finite goal space is a grid of rendered positions. Training, validation and test goals lie between its points. The
+true distance decides whether a goal is reached. The nearest grid point decides which goal a position achieves, for
+representation learning and relabelling.
 """
 
 import flax.struct
@@ -19,7 +21,8 @@ from infogoal_jax.goals import GoalSet
 POSITION_SCALE = 0.1
 """Unit, in m, of positions relative to the grip's start in the input of networks."""
 VELOCITY_SCALE = 0.02
-"""Unit, in m, of velocities times 40 ms in the input of networks. A gripper at full speed moves twice as far in a step."""
+"""Unit, in m, of velocities times 40 ms in the input of networks. A gripper at full speed moves twice as far in a
+step."""
 FINGER_SCALE = 0.05
 """Unit, in m, of the fingers' opening in the input of networks: the widest opening."""
 VISIT_CELL = 0.025
@@ -131,7 +134,8 @@ class ImageGoals(Environment):
         return jnp.where(cell < 0, cells.count, cell)
 
     def goals_of(self, record: jax.Array) -> jax.Array:
-        """The grid goal nearest to each position, int32 [..., 1]; -1 for positions more than a step outside the grid."""
+        """The grid goal nearest to each position, int32 [..., 1]; -1 for positions more than a step outside the
+        grid."""
         place = (record - self.grid_low) / self.spacing
         last = jnp.array(self.grid_shape) - 1
         near = ((place > -1.0) & (place < last + 1.0)).all(-1)
@@ -144,19 +148,29 @@ class ImageGoals(Environment):
 
 
 def observation_units(robot: environment.Fetch) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and scale of each number of an observation, [10 or 25]: positions around the start of the grip, velocities as they come."""
+    """Centre and scale of each number of an observation, [10 or 25]: positions around the start of the grip, velocities
+    as they come."""
     grip = np.array(robot.task.start_grip)
     if robot.task.object_height is None:
         blocks = [(grip, POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(5), VELOCITY_SCALE)]
     else:
         thing = np.array([*grip[:2], robot.task.object_height])
-        blocks = [(grip, POSITION_SCALE), (thing, POSITION_SCALE), (np.zeros(3), POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(3), 1.0),
-                  (np.zeros(11), VELOCITY_SCALE)]
-    return np.concatenate([centre for centre, _ in blocks]), np.concatenate([np.full(len(centre), scale) for centre, scale in blocks])
+        blocks = [
+            (grip, POSITION_SCALE),
+            (thing, POSITION_SCALE),
+            (np.zeros(3), POSITION_SCALE),
+            (np.zeros(2), FINGER_SCALE),
+            (np.zeros(3), 1.0),
+            (np.zeros(11), VELOCITY_SCALE),
+        ]
+    return np.concatenate([centre for centre, _ in blocks]), np.concatenate(
+        [np.full(len(centre), scale) for centre, scale in blocks]
+    )
 
 
 def make(name: str, config: FetchConfig) -> ImageGoals:
-    """Make the task from the goal images and backgrounds of the configuration. Raises `UserError` for unusable files."""
+    """Make the task from the goal images and backgrounds of the configuration. Raises `UserError` for unusable
+    files."""
     robot = environment.make(name, config)
     bank = goal_images.load(config.goal_images or goal_images.shipped(name), name)
     behind = backgrounds.load(config.backgrounds)
@@ -164,16 +178,30 @@ def make(name: str, config: FetchConfig) -> ImageGoals:
     return lay_out(robot, bank, behind, uses)
 
 
-def lay_out(robot: environment.Fetch, bank: goal_images.GoalImages, behind: backgrounds.Backgrounds, uses: np.ndarray) -> ImageGoals:
-    """The task over these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the training goal nearest to it."""
+def lay_out(
+    robot: environment.Fetch, bank: goal_images.GoalImages, behind: backgrounds.Backgrounds, uses: np.ndarray
+) -> ImageGoals:
+    """The task over these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the training
+    goal nearest to it."""
     training = np.flatnonzero(uses == 0)
     nearest = np.linalg.norm(bank.positions[:, None] - bank.positions[training], axis=-1).argmin(1)
     content = archives.content_of(bank.images, bank.positions)
     kinds = ("grid", "training", "validation", "test")
-    names = tuple(f"{kinds[use + 1]} {np.round(place.astype(float), 3).tolist()}" for use, place in zip(uses, bank.positions, strict=True))
+    names = tuple(
+        f"{kinds[use + 1]} {np.round(place.astype(float), 3).tolist()}"
+        for use, place in zip(uses, bank.positions, strict=True)
+    )
     return ImageGoals(
-        robot=robot, goals=GoalSet.of(bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))),
-        positions=jnp.asarray(bank.positions), train_backgrounds=jnp.asarray(behind.train), test_backgrounds=jnp.asarray(behind.test),
-        grid_low=jnp.asarray(bank.grid_low, jnp.float32), spacing=jnp.float32(bank.spacing), grid_shape=tuple(int(n) for n in bank.grid_shape),
-        source=f"MuJoCo physics in JAX, rendered goal images ({bank.describe()}, content {content}); backgrounds: {behind.source}",
+        robot=robot,
+        goals=GoalSet.of(
+            bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))
+        ),
+        positions=jnp.asarray(bank.positions),
+        train_backgrounds=jnp.asarray(behind.train),
+        test_backgrounds=jnp.asarray(behind.test),
+        grid_low=jnp.asarray(bank.grid_low, jnp.float32),
+        spacing=jnp.float32(bank.spacing),
+        grid_shape=tuple(int(n) for n in bank.grid_shape),
+        source=f"MuJoCo physics in JAX, rendered goal images ({bank.describe()}, content {content}); backgrounds: "
+        f"{behind.source}",
     )

@@ -1,4 +1,5 @@
-"""The Fetch robot as a MuJoCo model: fetch.xml with the table and object of a task, and the parameters of every contact pair."""
+"""The Fetch robot as a MuJoCo model: fetch.xml with the table and object of a task, and the parameters of every contact
+pair."""
 
 import dataclasses
 import importlib.metadata
@@ -12,16 +13,34 @@ from infogoal_jax.errors import UserError
 
 ARM_XML = Path(__file__).with_name("fetch.xml")
 
-# Inverse weights that scale a constraint's softness belong to the whole robot on its base; the compiler of the reference gives these for it.
+# Inverse weights that scale a constraint's softness belong to the whole robot on its base; the compiler of the
+# reference gives these for it.
 INVERSE_WEIGHT = {
-    "gripper": (0.04587898, 0.75853992), "palm": (0.04587898, 0), "right_finger": (0.05674991, 0), "left_finger": (0.05672457, 0),
-    "upper_arm": (0.02392307, 0), "head_pan": (0.02125609, 0), "head_tilt": (0.0279764, 0), "shoulder": (0.01813626, 0), "torso": (0.02089039, 0),
-    "table": (0, 0), "object": (0.5, 0),
+    "gripper": (0.04587898, 0.75853992),
+    "palm": (0.04587898, 0),
+    "right_finger": (0.05674991, 0),
+    "left_finger": (0.05672457, 0),
+    "upper_arm": (0.02392307, 0),
+    "head_pan": (0.02125609, 0),
+    "head_tilt": (0.0279764, 0),
+    "shoulder": (0.01813626, 0),
+    "torso": (0.02089039, 0),
+    "table": (0, 0),
+    "object": (0.5, 0),
 }
 JOINT_INVERSE_WEIGHT = {
-    "torso": 0.05545951, "head_pan": 0.9545638, "head_tilt": 0.998428, "shoulder_pan": 0.07366371, "shoulder_lift": 0.34035614,
-    "upperarm_roll": 0.8563917, "elbow_flex": 0.6829783, "forearm_roll": 0.3446229, "wrist_flex": 0.80945959, "wrist_roll": 0.86237761,
-    "right_finger": 0.00972635, "left_finger": 0.00972635,
+    "torso": 0.05545951,
+    "head_pan": 0.9545638,
+    "head_tilt": 0.998428,
+    "shoulder_pan": 0.07366371,
+    "shoulder_lift": 0.34035614,
+    "upperarm_roll": 0.8563917,
+    "elbow_flex": 0.6829783,
+    "forearm_roll": 0.3446229,
+    "wrist_flex": 0.80945959,
+    "wrist_roll": 0.86237761,
+    "right_finger": 0.00972635,
+    "left_finger": 0.00972635,
 }
 FINGERS = ("right_finger", "left_finger")
 TRUNK = {"torso": (0.001256316, 0.003277019), "head_pan": (0.0, 0.0), "head_tilt": (0.060028835, 0.000072211)}
@@ -46,9 +65,9 @@ class Setting:
     substeps: int = 8
     """Physics steps a control step."""
     whole_body: bool = False
-    """Whether torso and head move and meet the arm, and closed fingers are two. Without, the arm passes through the head, and fingers that the task
-    keeps closed are one block that opens nowhere: fewer joints and contacts, for the same motion wherever the arm is not driven into the robot
-    itself."""
+    """Whether torso and head move and meet the arm, and closed fingers are two. Without, the arm passes through the
+    head, and fingers that the task keeps closed are one block that opens nowhere: fewer joints and contacts, for the
+    same motion wherever the arm is not driven into the robot itself."""
 
     @property
     def timestep(self) -> float:
@@ -64,8 +83,8 @@ FAITHFUL = Setting(substeps=20, whole_body=True)
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Contact parameters of two geoms as MuJoCo mixes them from the reference's: the larger condim, friction and margin, the mean of solref and
-    solimp."""
+    """Contact parameters of two geoms as MuJoCo mixes them from the reference's: the larger condim, friction and
+    margin, the mean of solref and solimp."""
 
     friction: tuple[float, float]
     torsion: bool
@@ -107,14 +126,29 @@ def load(task: Task, setting: Setting) -> mujoco.MjModel:
         spec.body("torso").pos[2] += TRUNK["torso"][0]
         for joint in (*TRUNK, *(FINGERS if task.blocks_fingers else ())):
             spec.delete(spec.joint(joint))
-    world.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=table.mean(0), size=(table[1] - table[0]) / 2, contype=0, conaffinity=0)
+    world.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=table.mean(0),
+        size=(table[1] - table[0]) / 2,
+        contype=0,
+        conaffinity=0,
+    )
     world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], contype=0, conaffinity=0)
     if task.object_height is not None:
         thing = world.add_body(name="object", pos=[1.25, 0.53, task.object_height])
         thing.add_joint(name="object", type=mujoco.mjtJoint.mjJNT_FREE, damping=[0.01, 0, 0], armature=0)
-        shape, size = (mujoco.mjtGeom.mjGEOM_CYLINDER, [PUCK_RADIUS, PUCK_HALF_HEIGHT, 0]) if task.puck else (mujoco.mjtGeom.mjGEOM_BOX, CUBE_HALF)
+        shape, size = (
+            (mujoco.mjtGeom.mjGEOM_CYLINDER, [PUCK_RADIUS, PUCK_HALF_HEIGHT, 0])
+            if task.puck
+            else (mujoco.mjtGeom.mjGEOM_BOX, CUBE_HALF)
+        )
         thing.add_geom(name="object", type=shape, size=size, mass=2, contype=0, conaffinity=0)
     model = spec.compile()
-    model.eq_data[0, :3] = [0.1664, 0, 0]  # The weld holds the gripper, 0.1664 m along the wrist, to the mocap body's pose.
+    model.eq_data[0, :3] = [
+        0.1664,
+        0,
+        0,
+    ]  # The weld holds the gripper, 0.1664 m along the wrist, to the mocap body's pose.
     model.eq_data[0, 3:10] = [0, 0, 0, 1, 0, 0, 0]
     return model

@@ -1,10 +1,13 @@
-"""Rigid-body dynamics of one robot and its object: kinematics, inertia matrix and bias forces, for a tree that is known when it is traced.
+"""Rigid-body dynamics of one robot and its object: kinematics, inertia matrix and bias forces, for a tree that is known
+when it is traced.
 
-The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler). `mjx.kinematics`, `mjx.crb`
-and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here all bodies are worked out side by side, and sums along the
-tree are products with constant matrices: a twelfth of the operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo and MJX.
+The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler).
+`mjx.kinematics`, `mjx.crb` and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here
+all bodies are worked out side by side, and sums along the tree are products with constant matrices: a twelfth of the
+operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo and MJX.
 
-Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of several bodies may be added.
+Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of
+several bodies may be added.
 """
 
 import flax.struct
@@ -21,7 +24,8 @@ GRAVITY = 9.81
 
 @flax.struct.dataclass
 class Frames:
-    """Where the robot's bodies are: quaternion, rotation and position (m), each of arrays [b], one body for each joint."""
+    """Where the robot's bodies are: quaternion, rotation and position (m), each of arrays [b], one body for each
+    joint."""
 
     quaternion: Quaternion
     rotation: Rotation
@@ -30,8 +34,8 @@ class Frames:
 
 @flax.struct.dataclass
 class Axes:
-    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin moves by `linear`, arrays
-    [nv]."""
+    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin
+    moves by `linear`, arrays [nv]."""
 
     angular: Vector
     linear: Vector
@@ -53,12 +57,17 @@ class Inertia:
     def momentum(self, turning: Vector, moving: Vector) -> tuple[Vector, Vector]:
         """Angular and linear momentum of bodies that turn, and whose points at the origin move, like this."""
         x, y, z = turning.x, turning.y, turning.z
-        spin = Vector(self.xx * x + self.xy * y + self.xz * z, self.xy * x + self.yy * y + self.yz * z, self.xz * x + self.yz * y + self.zz * z)
+        spin = Vector(
+            self.xx * x + self.xy * y + self.xz * z,
+            self.xy * x + self.yy * y + self.yz * z,
+            self.xz * x + self.yz * y + self.zz * z,
+        )
         return spin + self.moment.cross(moving), moving * self.mass + turning.cross(self.moment)
 
 
 class Multibody:
-    """The constants of a model whose robot has one joint a body, and whose object, if any, is a free body and comes last."""
+    """The constants of a model whose robot has one joint a body, and whose object, if any, is a free body and comes
+    last."""
 
     def __init__(self, model: mujoco.MjModel, has_object: bool, origin):
         joints = model.njnt - has_object
@@ -77,25 +86,33 @@ class Multibody:
         self.offset, self.center = vectors(model.body_pos[bodies]), vectors(model.body_ipos[bodies])
         self.mass = np.float32(model.body_mass[bodies])
         turns = np.stack([matrix_of(quaternion) for quaternion in model.body_iquat[bodies]])
-        self.principal = [vectors(turns[..., axis] * np.sqrt(model.body_inertia[bodies, axis, None])) for axis in range(3)]
+        self.principal = [
+            vectors(turns[..., axis] * np.sqrt(model.body_inertia[bodies, axis, None])) for axis in range(3)
+        ]
         self.damping, self.armature = np.float32(model.dof_damping), np.float32(model.dof_armature)
         self.stiffness, self.spring = np.float32(model.jnt_stiffness[:joints]), np.float32(model.qpos_spring[:joints])
         if has_object:
             thing = model.jnt_bodyid[-1]
             assert (model.body_iquat[thing] == [1, 0, 0, 0]).all() and not model.body_ipos[thing].any()
-            self.thing_mass, self.thing_inertia = np.float32(model.body_mass[thing]), np.float32(model.body_inertia[thing])
+            self.thing_mass, self.thing_inertia = (
+                np.float32(model.body_mass[thing]),
+                np.float32(model.body_inertia[thing]),
+            )
 
     def frames(self, position: jax.Array) -> Frames:
         """Where the bodies are at this position [nq]."""
         moved = position[: self.joints] - self.rest
         half = 0.5 * moved * self.hinge
         turn = Quaternion(jnp.cos(half), self.axis * jnp.sin(half))
-        # Every turn is put behind that of its parent, then both behind that of the parent's own, and so on: three products for seven joints.
-        # XLA's CPU fusions would compute each product anew for every number of the next; the barrier stops that.
+        # Every turn is put behind that of its parent, then both behind that of the parent's own, and so on: three
+        # products for seven joints. XLA's CPU fusions would compute each product anew for every number of the next; the
+        # barrier stops that.
         for ancestor in self.jumps:
             turn = once(joined(turn, STILL)[ancestor] * turn)
         rotation = turn.rotation()
-        step = joined(rotation, UPRIGHT)[self.parents] @ self.offset + (rotation @ self.axis) * ((1 - self.hinge) * moved)
+        step = joined(rotation, UPRIGHT)[self.parents] @ self.offset + (rotation @ self.axis) * (
+            (1 - self.hinge) * moved
+        )
         return Frames(turn, rotation, summed(self.lineage, step))
 
     def axes(self, frames: Frames) -> Axes:
@@ -104,8 +121,8 @@ class Multibody:
         return Axes(axis * self.hinge, axis.cross(self.origin - frames.position) * self.hinge + axis * (1 - self.hinge))
 
     def thing_axes(self, thing) -> Axes:
-        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its six degrees of freedom: along the world's axes, and
-        about its own."""
+        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its six degrees of freedom:
+        along the world's axes, and about its own."""
         turns = Vector.of(thing.rotation.array[0].T)
         return Axes(joined(NONE, turns), joined(STRAIGHT, turns.cross(self.origin - thing.center)))
 
@@ -123,8 +140,14 @@ class Multibody:
 
         far = moment.dot(lever)
         return Inertia(
-            self.mass, moment, second("x", "x") + far, second("y", "y") + far, second("z", "z") + far,
-            second("x", "y"), second("x", "z"), second("y", "z"),
+            self.mass,
+            moment,
+            second("x", "x") + far,
+            second("y", "y") + far,
+            second("z", "z") + far,
+            second("x", "y"),
+            second("x", "z"),
+            second("y", "z"),
         )
 
     def inertia_matrix(self, inertia: Inertia, turn: Vector, move: Vector) -> jax.Array:
@@ -136,7 +159,8 @@ class Multibody:
         return jnp.where(self.lineage > 0, products, products.T) * shared + np.diag(self.armature[: self.joints])
 
     def rates(self, turn: Vector, move: Vector, velocity: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
-        """How fast each body turns, how fast its point at the origin moves, and how fast these two change while the joints' velocities stay."""
+        """How fast each body turns, how fast its point at the origin moves, and how fast these two change while the
+        joints' velocities stay."""
         turning, moving = summed(self.lineage, (turn * velocity, move * velocity))
         changes = turning.cross(turn) * velocity, (turning.cross(move) + moving.cross(turn)) * velocity
         return turning, moving, *summed(self.lineage, changes)
@@ -155,7 +179,9 @@ class Multibody:
         torque, thrust = summed(self.lineage.T, (torque, thrust))
         return torque.dot(turn) + thrust.dot(move)
 
-    def dynamics(self, frames: Frames, thing, position: jax.Array, velocity: jax.Array) -> tuple[Axes, jax.Array, jax.Array]:
+    def dynamics(
+        self, frames: Frames, thing, position: jax.Array, velocity: jax.Array
+    ) -> tuple[Axes, jax.Array, jax.Array]:
         """Axes, inertia matrix [nv, nv], and passive less bias forces [nv], at this position [nq] and velocity [nv].
 
         thing: the object, with `center` and `rotation` of arrays [1], or None.
@@ -163,14 +189,18 @@ class Multibody:
         n = self.joints
         axes, bodies = once((self.axes(frames), self.inertia(frames)))
         inertia = self.inertia_matrix(bodies, axes.angular, axes.linear)
-        force = self.stiffness * (self.spring - position[:n]) - self.bias(bodies, axes.angular, axes.linear, velocity[:n])
+        force = self.stiffness * (self.spring - position[:n]) - self.bias(
+            bodies, axes.angular, axes.linear, velocity[:n]
+        )
         if self.has_object:
             axes = joined(axes, self.thing_axes(thing))
             whirl = Vector.of(velocity[n + 3 :])
             gyration = Vector.of(self.thing_inertia * velocity[n + 3 :]).cross(whirl).array
             fall = np.array([0, 0, -GRAVITY * self.thing_mass], np.float32)
             force = jnp.concatenate([force, fall, gyration])
-            own = np.concatenate([np.zeros(n, np.float32), np.full(3, self.thing_mass), self.thing_inertia + self.armature[n + 3 :]])
+            own = np.concatenate(
+                [np.zeros(n, np.float32), np.full(3, self.thing_mass), self.thing_inertia + self.armature[n + 3 :]]
+            )
             inertia = jnp.pad(inertia, (0, 6)) + np.diag(own)
         return axes, inertia, force - self.damping * velocity
 
@@ -183,7 +213,8 @@ def summed(weights: np.ndarray, tree):
 
 
 def jumps_to_the_root(parents: np.ndarray) -> list[np.ndarray]:
-    """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world: products along them reach from the root to every tip."""
+    """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world: products along them reach
+    from the root to every tip."""
     size = len(parents)
     ancestor = np.array([*np.where(parents < 0, size, parents), size])
     jumps = []

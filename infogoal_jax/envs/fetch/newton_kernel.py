@@ -1,8 +1,10 @@
-"""The solver of solver.py as one kernel for NVIDIA GPUs: a warp for each robot, whose rows stay on the chip for all Newton steps.
+"""The solver of solver.py as one kernel for NVIDIA GPUs: a warp for each robot, whose rows stay on the chip for all
+Newton steps.
 
-In XLA's own operations every product of a step goes through memory, and the factorisation of a 15 x 15 matrix is either a library call for each robot
-or thousands of operations to compile. It is written in Pallas for Triton, so sizes are powers of 2: extra degrees of freedom stay at rest, extra rows
-have no stiffness. `solver.solve_anywhere` says the same in plain operations and is what this is tested against.
+In XLA's own operations every product of a step goes through memory, and the factorisation of a 15 x 15 matrix is either
+a library call for each robot or thousands of operations to compile. It is written in Pallas for Triton, so sizes are
+powers of 2: extra degrees of freedom stay at rest, extra rows have no stiffness. `solver.solve_anywhere` says the same
+in plain operations and is what this is tested against.
 """
 
 import functools
@@ -19,25 +21,55 @@ ROWS_AT_ONCE = 32
 FINER = 8
 """Parts that the bracket of the best length along a direction is divided into once more."""
 PRECISION = jax.lax.DotAlgorithmPreset.TF32_TF32_F32_X3
-"""Of J' W J: factors in three parts on the tensor cores, about float32. The curvature decides how straight a step goes, not where the minimum is."""
+"""Of J' W J: factors in three parts on the tensor cores, about float32. The curvature decides how straight a step goes,
+not where the minimum is."""
 
 
-def solve(inertia, damping, force, jacobian, stiffness, reference, start, lengths, equalities: int, steps: int, interpret: bool = False):
-    """What `solver.solve` returns. jacobian [nv, R]; lengths [L] to try along a direction, the first 0; the first `equalities` rows count always.
+def solve(
+    inertia,
+    damping,
+    force,
+    jacobian,
+    stiffness,
+    reference,
+    start,
+    lengths,
+    equalities: int,
+    steps: int,
+    interpret: bool = False,
+):
+    """What `solver.solve` returns. jacobian [nv, R]; lengths [L] to try along a direction, the first 0; the first
+    `equalities` rows count always.
 
     interpret: run as plain operations, to test it.
     """
     shape = jax.ShapeDtypeStruct(force.shape, jnp.float32)
     precision = jax.lax.Precision.HIGHEST if interpret else PRECISION
     kernel = functools.partial(newton, equalities=equalities, steps=steps, precision=precision)
-    return pl.pallas_call(kernel, out_shape=(shape, shape), interpret=interpret, compiler_params=triton.CompilerParams(num_warps=1), name="newton")(
-        inertia, damping, force, jacobian, stiffness, reference, start, lengths
-    )
+    return pl.pallas_call(
+        kernel,
+        out_shape=(shape, shape),
+        interpret=interpret,
+        compiler_params=triton.CompilerParams(num_warps=1),
+        name="newton",
+    )(inertia, damping, force, jacobian, stiffness, reference, start, lengths)
 
 
 def newton(
-    inertia_ref, damping_ref, force_ref, jacobian_ref, stiffness_ref, reference_ref, start_ref, lengths_ref, acceleration_ref, smoothed_ref, *,
-    equalities: int, steps: int, precision,
+    inertia_ref,
+    damping_ref,
+    force_ref,
+    jacobian_ref,
+    stiffness_ref,
+    reference_ref,
+    start_ref,
+    lengths_ref,
+    acceleration_ref,
+    smoothed_ref,
+    *,
+    equalities: int,
+    steps: int,
+    precision,
 ):
     """The Newton steps of one robot."""
     nv, num_rows = jacobian_ref.shape
@@ -45,12 +77,17 @@ def newton(
     place = count_along((size,), 0)
     rows, columns = (count_along((size, size), axis) for axis in (0, 1))
     inertia = triton.load(inertia_ref.at[rows, columns], mask=(rows < nv) & (columns < nv), other=0.0)
-    force, start, damping = (triton.load(ref.at[place], mask=place < nv, other=0.0) for ref in (force_ref, start_ref, damping_ref))
+    force, start, damping = (
+        triton.load(ref.at[place], mask=place < nv, other=0.0) for ref in (force_ref, start_ref, damping_ref)
+    )
 
     firsts = range(0, num_rows, ROWS_AT_ONCE)
     widths = [max(SMALLEST, pl.next_power_of_2(min(ROWS_AT_ONCE, num_rows - first))) for first in firsts]
     numbers = [first + count_along((width,), 0) for first, width in zip(firsts, widths, strict=True)]
-    stiffness, reference = ([triton.load(ref.at[row], mask=row < num_rows, other=0.0) for row in numbers] for ref in (stiffness_ref, reference_ref))
+    stiffness, reference = (
+        [triton.load(ref.at[row], mask=row < num_rows, other=0.0) for row in numbers]
+        for ref in (stiffness_ref, reference_ref)
+    )
     always = [row < equalities for row in numbers]
 
     def jacobian(row):
@@ -63,7 +100,10 @@ def newton(
         return [(jacobian(row) * vector[:, None]).sum(0) for row in numbers]
 
     def weights(residual):
-        return [jnp.where(must | (part < 0), rigid, 0.0) for must, part, rigid in zip(always, residual, stiffness, strict=True)]
+        return [
+            jnp.where(must | (part < 0), rigid, 0.0)
+            for must, part, rigid in zip(always, residual, stiffness, strict=True)
+        ]
 
     def newton_step(_, carried):
         acceleration, residual = carried
@@ -92,7 +132,9 @@ def newton(
         finer = low + (high - low) * count_along(trials.shape, 0).astype(jnp.float32) / FINER
         low, high, first, second = bracket(finer, derivatives(finer), FINER + 1)
         length = low + (high - low) * jnp.clip(-first / jnp.maximum(second - first, 1e-12), 0.0, 1.0)
-        return acceleration + length * direction, [part + length * more for part, more in zip(residual, change, strict=True)]
+        return acceleration + length * direction, [
+            part + length * more for part, more in zip(residual, change, strict=True)
+        ]
 
     count = count_along((max(pl.next_power_of_2(lengths_ref.shape[0]), pl.next_power_of_2(FINER + 1)),), 0)
     trials = triton.load(lengths_ref.at[count], mask=count < lengths_ref.shape[0], other=0.0)
@@ -119,7 +161,8 @@ def bracket(lengths: jax.Array, values: jax.Array, count: int) -> tuple[jax.Arra
 
 
 def positive_definite_solve(matrix: jax.Array, vector: jax.Array, size: int) -> jax.Array:
-    """The solution x [n] of `matrix x = vector` for the leading part of this size, n > size, by Gauss-Jordan elimination without pivoting."""
+    """The solution x [n] of `matrix x = vector` for the leading part of this size, n > size, by Gauss-Jordan
+    elimination without pivoting."""
     rows, columns = (count_along(matrix.shape, axis) for axis in (0, 1))
     place = count_along(vector.shape, 0)
 

@@ -1,7 +1,8 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-A physics step puts together the multibody dynamics (multibody.py), contacts (contacts.py), constraint rows (constraints.py) and their solver
-(solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the reference.
+A physics step puts together the multibody dynamics (multibody.py), contacts (contacts.py), constraint rows
+(constraints.py) and their solver (solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the
+reference.
 """
 
 import functools
@@ -25,8 +26,8 @@ FINGER_GAIN = 30000.0
 
 @flax.struct.dataclass
 class Motion:
-    """position [nq], velocity [nv] and, to start the solver from, the last acceleration [nv]; units m, rad, s. frames: where the robot's bodies are
-    at this position; `Physics.motion` works them out."""
+    """position [nq], velocity [nv] and, to start the solver from, the last acceleration [nv]; units m, rad, s. frames:
+    where the robot's bodies are at this position; `Physics.motion` works them out."""
 
     position: jax.Array
     velocity: jax.Array
@@ -36,8 +37,9 @@ class Motion:
 
 @flax.struct.dataclass
 class Pose:
-    """What the observation is made of: gripper position [3] and quaternion [4], grip position [3] and velocity [3] (m/s),
-    object position [3], rotation [3, 3], velocity [3] and angular velocity [3] (rad/s; zeros without an object)."""
+    """What the observation is made of: gripper position [3] and quaternion [4], grip position [3] and velocity [3]
+    (m/s), object position [3], rotation [3, 3], velocity [3] and angular velocity [3] (rad/s; zeros without an
+    object)."""
 
     gripper: jax.Array
     gripper_quaternion: jax.Array
@@ -50,7 +52,8 @@ class Pose:
 
 
 class Physics:
-    """The functions of one task in one setting. Everything it holds is constant and small, so it is compiled into the program."""
+    """The functions of one task in one setting. Everything it holds is constant and small, so it is compiled into the
+    program."""
 
     def __init__(self, task: Task, setting: model.Setting):
         self.task, self.setting = task, setting
@@ -109,24 +112,45 @@ class Physics:
             if self.one_hand and not {first, second}.isdisjoint(model.FINGERS):
                 weight = weight / 2  # One block is as stiff as two fingers side by side.
             dofs = chain(mj.geom(second).bodyid[0]) - chain(mj.geom(first).bodyid[0])
-            return ContactKind(dofs, pair.friction, pair.torsion, pair.margin, weight, Softness(pair.reference, pair.impedance, timestep))
+            return ContactKind(
+                dofs,
+                pair.friction,
+                pair.torsion,
+                pair.margin,
+                weight,
+                Softness(pair.reference, pair.impedance, timestep),
+            )
 
         weld = Softness(tuple(mj.eq_solref[0]), tuple(mj.eq_solimp[0]), model.REFERENCE_TIMESTEP)
         if timestep != model.REFERENCE_TIMESTEP:
             weld = constraints.lengthened(weld, timestep, model.CONTROL_STEP)
         self.weld = Weld(chain(mj.body("wrist_roll").id), weld, model.INVERSE_WEIGHT["gripper"])
         limited = np.flatnonzero(mj.jnt_limited)
-        self.limits = Limits(limited, mj.jnt_range[limited], [
-            (Softness(tuple(mj.jnt_solref[joint]), tuple(mj.jnt_solimp[joint]), timestep), model.JOINT_INVERSE_WEIGHT[mj.joint(joint).name])
-            for joint in limited
-        ], mj.nv)
+        self.limits = Limits(
+            limited,
+            mj.jnt_range[limited],
+            [
+                (
+                    Softness(tuple(mj.jnt_solref[joint]), tuple(mj.jnt_solimp[joint]), timestep),
+                    model.JOINT_INVERSE_WEIGHT[mj.joint(joint).name],
+                )
+                for joint in limited
+            ],
+            mj.nv,
+        )
         fingers = model.FINGERS[:1] if self.one_hand else model.FINGERS
         boxes = [kind(model.FINGER_AND_THING, "table", finger) for finger in fingers]
-        rounded = [kind(model.MESH_AND_TABLE, "table", "palm")] + [kind(model.ROBOT_AND_ROBOT, *pair) for pair in self.robot_pairs]
+        rounded = [kind(model.MESH_AND_TABLE, "table", "palm")] + [
+            kind(model.ROBOT_AND_ROBOT, *pair) for pair in self.robot_pairs
+        ]
         if self.has_object:
             on_fingers = [kind(model.FINGER_AND_THING, finger, "object") for finger in fingers]
             on_ground = kind(model.PUCK_AND_TABLE if self.task.puck else model.THING_AND_GROUND, "table", "object")
-            boxes, rounded = ([*boxes, on_ground], on_fingers + rounded) if self.task.puck else ([*boxes, *on_fingers, on_ground], rounded)
+            boxes, rounded = (
+                ([*boxes, on_ground], on_fingers + rounded)
+                if self.task.puck
+                else ([*boxes, *on_fingers, on_ground], rounded)
+            )
         self.pyramids = FrictionPyramids(boxes * 4 + rounded)
         self.row_kinds = RowKinds(*self.weld.kinds, *self.limits.kinds, *self.pyramids.kinds)
 
@@ -137,7 +161,8 @@ class Physics:
         mujoco.mj_kinematics(self.mujoco_model, data)
         bodies = self.mujoco_model.jnt_bodyid[: self.joints]
         return Frames(
-            Quaternion.of(np.float32(data.xquat[bodies])), Rotation.of(np.float32(data.xmat[bodies].reshape(-1, 3, 3))),
+            Quaternion.of(np.float32(data.xquat[bodies])),
+            Rotation.of(np.float32(data.xmat[bodies].reshape(-1, 3, 3))),
             vectors(data.xpos[bodies]),
         )
 
@@ -166,10 +191,14 @@ class Physics:
     def place_object(self, motion: Motion, place: jax.Array) -> Motion:
         """The motion with the object at rest at a place [2] (m) on the table, or at a position [3]."""
         first = self.joints
-        return motion.replace(position=motion.position.at[first : first + place.shape[0]].set(place), velocity=motion.velocity.at[first:].set(0.0))
+        return motion.replace(
+            position=motion.position.at[first : first + place.shape[0]].set(place),
+            velocity=motion.velocity.at[first:].set(0.0),
+        )
 
     def finger_state(self, motion: Motion) -> tuple[jax.Array, jax.Array]:
-        """Positions [2] (m) and velocities [2] (m/s) of the right and the left finger; zero for fingers that are one block."""
+        """Positions [2] (m) and velocities [2] (m/s) of the right and the left finger; zero for fingers that are one
+        block."""
         if self.one_hand:
             return jnp.zeros(2), jnp.zeros(2)
         return motion.position[self.fingers], motion.velocity[self.fingers]
@@ -177,7 +206,8 @@ class Physics:
     def pose(self, motion: Motion, age: float) -> Pose:
         """The pose `age` seconds ago (the reference reads its positions one substep late), with the velocities of now.
 
-        It is worked out from where the bodies are now, their velocities and accelerations: within a micrometre for an age of 2 ms.
+        It is worked out from where the bodies are now, their velocities and accelerations: within a micrometre for an
+        age of 2 ms.
         """
         body = motion.frames
         turning, moving, turn_rate, move_rate = self.multibody.body_rates(body, motion.velocity, self.wrist)
@@ -192,7 +222,9 @@ class Physics:
         gripper, _ = point(self.gripper_place)
         grip, grip_velocity = point(self.grip_place)
         quaternion = body.quaternion[self.wrist]
-        quaternion = (quaternion.array - 0.5 * age * (Quaternion(0.0, turning) * quaternion).array) if age else quaternion.array
+        quaternion = (
+            (quaternion.array - 0.5 * age * (Quaternion(0.0, turning) * quaternion).array) if age else quaternion.array
+        )
         zero = jnp.zeros(3)
         thing = (zero, jnp.eye(3), zero, zero)
         if self.has_object:
@@ -212,7 +244,12 @@ class Physics:
         if self.has_object:
             beside = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(self.hand_half.x)), thing)
             if self.task.puck:
-                rounded.insert(0, contacts.box_on_puck(fingers, beside.center, beside.rotation.z, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT))
+                rounded.insert(
+                    0,
+                    contacts.box_on_puck(
+                        fingers, beside.center, beside.rotation.z, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT
+                    ),
+                )
             else:
                 pairs.append((fingers, jax.tree.map(jnp.zeros_like, fingers.center), beside))
             pairs.append((*contacts.ground_under(self.table, thing), thing))
@@ -223,23 +260,39 @@ class Physics:
 
     def placed(self, frames: Frames, capsules: list[tuple[int, Capsule]]) -> Capsule:
         """Capsules of the robot where they are now, side by side."""
-        joints, shapes = np.array([joint for joint, _ in capsules]), jax.tree.map(lambda *leaves: np.stack(leaves), *[shape for _, shape in capsules])
+        joints, shapes = (
+            np.array([joint for joint, _ in capsules]),
+            jax.tree.map(lambda *leaves: np.stack(leaves), *[shape for _, shape in capsules]),
+        )
         rotation = frames.rotation[joints]
         return Capsule(frames.position[joints] + rotation @ shapes.center, rotation @ shapes.half, shapes.radius)
 
     def thing_at(self, position: jax.Array) -> Box | None:
-        """The object at this position [nq], as one of P = 1: a cube, or the box whose lower corners are the points that a puck stands on."""
+        """The object at this position [nq], as one of P = 1: a cube, or the box whose lower corners are the points that
+        a puck stands on."""
         if not self.has_object:
             return None
-        center, quaternion = Vector.of(position[None, self.joints : self.joints + 3]), Quaternion.of(position[None, self.joints + 3 :])
-        return Box(center, quaternion.rotation(), Vector.of(model.PUCK_BLOCK_HALF[None] if self.task.puck else model.CUBE_HALF[None]))
+        center, quaternion = (
+            Vector.of(position[None, self.joints : self.joints + 3]),
+            Quaternion.of(position[None, self.joints + 3 :]),
+        )
+        return Box(
+            center,
+            quaternion.rotation(),
+            Vector.of(model.PUCK_BLOCK_HALF[None] if self.task.puck else model.CUBE_HALF[None]),
+        )
 
-    def rows(self, motion: Motion, axes: Axes, thing: Box | None, target: jax.Array, target_quaternion: jax.Array) -> solver.ConstraintRows:
+    def rows(
+        self, motion: Motion, axes: Axes, thing: Box | None, target: jax.Array, target_quaternion: jax.Array
+    ) -> solver.ConstraintRows:
         """All constraint rows at this position and velocity."""
         frames, origin = motion.frames, self.multibody.origin
         gripper = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.gripper_place
         weld, off = self.weld.wrench_and_violation(
-            gripper - origin, frames.quaternion[self.wrist], Vector.of(target) - gripper, Quaternion.of(target_quaternion)
+            gripper - origin,
+            frames.quaternion[self.wrist],
+            Vector.of(target) - gripper,
+            Quaternion.of(target_quaternion),
         )
         limits, beyond = self.limits.jacobian_and_violation(motion.position)
         touch, depth = self.pyramids.wrench_and_violation(origin, self.contacts(frames, thing))
@@ -249,7 +302,9 @@ class Physics:
         )
         violation = jnp.concatenate([off, beyond, depth])
         equality = np.arange(len(violation)) < solver.EQUALITIES
-        measure = jnp.where(equality, jnp.sqrt((off**2).sum()), violation)  # A weld gives way by the length of all that it is off.
+        measure = jnp.where(
+            equality, jnp.sqrt((off**2).sum()), violation
+        )  # A weld gives way by the length of all that it is off.
         return self.row_kinds.rows(jacobian, motion.velocity, violation, measure, equality | (violation < 0))
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:
@@ -259,19 +314,25 @@ class Physics:
         rows = self.rows(motion, axes, thing, target, target_quaternion)
         if not self.task.blocks_fingers:
             force = force.at[self.fingers].add(FINGER_GAIN * (grasp - motion.position[self.fingers]))
-        acceleration, smoothed = solver.solve(inertia, self.damping, force, rows, motion.acceleration, self.task.solver_steps)
+        acceleration, smoothed = solver.solve(
+            inertia, self.damping, force, rows, motion.acceleration, self.task.solver_steps
+        )
         velocity = motion.velocity + self.setting.timestep * smoothed
         position = integrate(motion.position, velocity, self.setting.timestep)
         return Motion(position, velocity, acceleration, self.multibody.frames(position))
 
     def control_step(self, motion: Motion, gripper: jax.Array, quaternion: jax.Array, action: jax.Array) -> Motion:
-        """One step of 40 ms under an action [4] in [-1, 1]: the displacement in units of 5 cm from the gripper's pose, and the opening of the
-        fingers."""
+        """One step of 40 ms under an action [4] in [-1, 1]: the displacement in units of 5 cm from the gripper's pose,
+        and the opening of the fingers."""
         target = gripper + 0.05 * action[:3]
         target_quaternion = quaternion + GRIPPER_TURN
         target_quaternion = target_quaternion / jnp.sqrt((target_quaternion**2).sum())
-        grasp = jnp.clip(motion.position[self.fingers] + action[3], 0.0, 0.2)  # No servo drives fingers that are kept closed.
-        motion = jax.lax.fori_loop(0, self.setting.substeps, lambda _, state: self.substep(state, target, target_quaternion, grasp), motion)
+        grasp = jnp.clip(
+            motion.position[self.fingers] + action[3], 0.0, 0.2
+        )  # No servo drives fingers that are kept closed.
+        motion = jax.lax.fori_loop(
+            0, self.setting.substeps, lambda _, state: self.substep(state, target, target_quaternion, grasp), motion
+        )
         return self.closed(motion) if self.task.blocks_fingers and not self.one_hand else motion
 
     def closed(self, motion: Motion) -> Motion:
@@ -284,13 +345,16 @@ class Physics:
 
 
 def integrate(position: jax.Array, velocity: jax.Array, time: float) -> jax.Array:
-    """The position [nq] after moving for `time` seconds at this velocity [nv]; a free joint at the end has its quaternion turned and normalised."""
+    """The position [nq] after moving for `time` seconds at this velocity [nv]; a free joint at the end has its
+    quaternion turned and normalised."""
     if position.shape == velocity.shape:
         return position + time * velocity
     straight = velocity.shape[0] - 3
     turn = Vector.of(time * velocity[straight:])
     angle = jnp.sqrt(turn.dot(turn) + 1e-20)
-    turned = (Quaternion.of(position[straight:]) * Quaternion(jnp.cos(angle / 2), turn * (jnp.sin(angle / 2) / angle))).array
+    turned = (
+        Quaternion.of(position[straight:]) * Quaternion(jnp.cos(angle / 2), turn * (jnp.sin(angle / 2) / angle))
+    ).array
     return jnp.concatenate([position[:straight] + time * velocity[:straight], turned / jnp.sqrt((turned**2).sum())])
 
 

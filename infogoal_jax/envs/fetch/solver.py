@@ -1,11 +1,14 @@
 """MuJoCo's constraint problem for one small robot, solved by Newton's method with a fixed number of steps.
 
-The problem is MuJoCo's own (its documentation, Computation: primal problem, pyramidal cones): find the acceleration a that minimises
+The problem is MuJoCo's own (its documentation, Computation: primal problem, pyramidal cones): find the acceleration a
+that minimises
 
-    1/2 (a - a_free)' M (a - a_free)  +  1/2 sum over rows of D (J a - reference)^2, where a row counts if it is an equality or J a < reference.
+    1/2 (a - a_free)' M (a - a_free)  +  1/2 sum over rows of D (J a - reference)^2, where a row counts if it is an
+    equality or J a < reference.
 
-`mjx.solve` finds the same minimum. This solver is for 7 to 18 degrees of freedom and about 100 rows, without a convergence test, so that a batch runs
-in lock-step. On an NVIDIA GPU the same steps run in a kernel that keeps a robot's rows on the chip (newton_kernel.py).
+`mjx.solve` finds the same minimum. This solver is for 7 to 18 degrees of freedom and about 100 rows, without a
+convergence test, so that a batch runs in lock-step. On an NVIDIA GPU the same steps run in a kernel that keeps a
+robot's rows on the chip (newton_kernel.py).
 """
 
 import functools
@@ -25,8 +28,8 @@ EQUALITIES = 6
 
 @flax.struct.dataclass
 class ConstraintRows:
-    """Constraint rows: jacobian [nv, R] (transposed: long rows are multiplied twice as fast), stiffness D [R] (1 / regularisation), reference
-    acceleration [R]."""
+    """Constraint rows: jacobian [nv, R] (transposed: long rows are multiplied twice as fast), stiffness D [R] (1 /
+    regularisation), reference acceleration [R]."""
 
     jacobian: jax.Array
     stiffness: jax.Array
@@ -38,7 +41,8 @@ class ConstraintRows:
 
 
 def times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Matrix [m, n] times vector [n] or matrix [n, k] in full float32, also where a GPU would round its factors to TF32."""
+    """Matrix [m, n] times vector [n] or matrix [n, k] in full float32, also where a GPU would round its factors to
+    TF32."""
     return jnp.matmul(matrix, vector, precision=jax.lax.Precision.HIGHEST)
 
 
@@ -50,20 +54,25 @@ def positive_definite_solve(matrix: jax.Array, vector: jax.Array) -> jax.Array:
 def solve(
     inertia: jax.Array, damping: np.ndarray, force: jax.Array, rows: ConstraintRows, start: jax.Array, steps: int
 ) -> tuple[jax.Array, jax.Array]:
-    """The acceleration [nv] of least cost, and that of a step which takes damping implicitly: (M + damping)^-1 (force + constraint force), [nv].
+    """The acceleration [nv] of least cost, and that of a step which takes damping implicitly: (M + damping)^-1 (force +
+    constraint force), [nv].
 
-    inertia: M [nv, nv]; damping: joint damping times timestep [nv]; force: all other generalised forces [nv], so that a_free = M^-1 force; start:
-    acceleration to begin from [nv].
+    inertia: M [nv, nv]; damping: joint damping times timestep [nv]; force: all other generalised forces [nv], so that
+    a_free = M^-1 force; start: acceleration to begin from [nv].
     """
     problem = (inertia, jnp.asarray(damping), force, rows.jacobian, rows.stiffness, rows.reference, start)
     return jax.lax.platform_dependent(
-        *problem, cuda=functools.partial(newton_kernel.solve, lengths=TRIAL_LENGTHS, equalities=EQUALITIES, steps=steps),
+        *problem,
+        cuda=functools.partial(newton_kernel.solve, lengths=TRIAL_LENGTHS, equalities=EQUALITIES, steps=steps),
         default=functools.partial(solve_anywhere, steps=steps),
     )
 
 
-def solve_anywhere(inertia, damping, force, jacobian, stiffness, reference, start, steps: int) -> tuple[jax.Array, jax.Array]:
-    """`solve` in XLA's own operations: what every device but an NVIDIA GPU runs, and what the kernel is held against."""
+def solve_anywhere(
+    inertia, damping, force, jacobian, stiffness, reference, start, steps: int
+) -> tuple[jax.Array, jax.Array]:
+    """`solve` in XLA's own operations: what every device but an NVIDIA GPU runs, and what the kernel is held
+    against."""
     rows = ConstraintRows(jacobian, stiffness, reference)
 
     def newton_step(_, carried):
@@ -79,16 +88,26 @@ def solve_anywhere(inertia, damping, force, jacobian, stiffness, reference, star
         return acceleration + length * direction, residual + length * change
 
     # A loop, not written out: the program compiles in half the time, and runs a quarter faster on a CPU.
-    acceleration, residual = jax.lax.fori_loop(0, steps, newton_step, (start, times(rows.jacobian.T, start) - rows.reference))
+    acceleration, residual = jax.lax.fori_loop(
+        0, steps, newton_step, (start, times(rows.jacobian.T, start) - rows.reference)
+    )
     constraint_force = -times(rows.jacobian, rows.weights(residual) * residual)
     return acceleration, positive_definite_solve(inertia + jnp.diag(damping), force + constraint_force)
 
 
-def line_search(slope: jax.Array, quadratic: tuple[jax.Array, jax.Array], residual: jax.Array, change: jax.Array, rows: ConstraintRows) -> jax.Array:
-    """How far to go along the direction: the root of the cost's derivative, which is continuous, piecewise linear and rising.
+def line_search(
+    slope: jax.Array,
+    quadratic: tuple[jax.Array, jax.Array],
+    residual: jax.Array,
+    change: jax.Array,
+    rows: ConstraintRows,
+) -> jax.Array:
+    """How far to go along the direction: the root of the cost's derivative, which is continuous, piecewise linear and
+    rising.
 
-    slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and change: [R] of the rows. The root
-    is bracketed twice among trial lengths that are evaluated side by side, and interpolated in the last bracket.
+    slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and
+    change: [R] of the rows. The root is bracketed twice among trial lengths that are evaluated side by side, and
+    interpolated in the last bracket.
     """
     value, growth = quadratic
 

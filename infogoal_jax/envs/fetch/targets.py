@@ -1,6 +1,7 @@
 """Target states, which the high level of HRAC chooses and the low level reaches (paper, Sec. V-C: "a target state").
 
-fetch_reach: the grip [3]. With an object: grip and object [6]; the grip has to be near the object's target, the object has to be there.
+fetch_reach: the grip [3]. With an object: grip and object [6]; the grip has to be near the object's target, the object
+has to be there.
 """
 
 import dataclasses
@@ -17,9 +18,11 @@ from infogoal_jax.envs.fetch.tasks import Task
 REACHED = environment.DISTANCE_THRESHOLD
 """Distance, in m, of grip (fetch_reach) or object below which a target state is reached: that of goals."""
 BESIDE = 0.1
-"""Distance, in m, of the grip from its target in tasks with an object: a pushing finger touches the cube up to 7 cm from its centre."""
+"""Distance, in m, of the grip from its target in tasks with an object: a pushing finger touches the cube up to 7 cm
+from its centre."""
 PRECISE = 0.03
-"""Distance, in m, below which the low level is rewarded. Below `REACHED`, so that its error adds little to a goal's 5 cm."""
+"""Distance, in m, below which the low level is rewarded. Below `REACHED`, so that its error adds little to a goal's 5
+cm."""
 FARTHEST, HELD = 0.15, 5
 """Largest distance of a moving target from grip or object along each axis, in m, and steps between two targets."""
 
@@ -45,17 +48,20 @@ class TargetSpace:
         return observation[..., : self.size]
 
     def reached(self, state: jax.Array, target: jax.Array, precision: float = REACHED) -> jax.Array:
-        """Whether the state [..., S] is at the target, bool [...]: `precision` for grip or object, `BESIDE` for a grip that has an object."""
+        """Whether the state [..., S] is at the target, bool [...]: `precision` for grip or object, `BESIDE` for a grip
+        that has an object."""
         distance = jnp.linalg.norm((state - target).reshape(*state.shape[:-1], self.components, 3), axis=-1)
         tolerance = jnp.array([precision] if self.components == 1 else [BESIDE, precision])
         return (distance < tolerance).all(-1)
 
     def reward(self, state: jax.Array, target: jax.Array) -> jax.Array:
-        """The low level's reward [...] for the state [..., S] that a step led to: 0 within `PRECISE` of the target, -1 elsewhere."""
+        """The low level's reward [...] for the state [..., S] that a step led to: 0 within `PRECISE` of the target, -1
+        elsewhere."""
         return self.reached(state, target, PRECISE) - 1.0
 
     def at_goal(self, goal: jax.Array) -> jax.Array:
-        """The target state [..., S] that is the finished task for a goal [..., 3]: grip, or grip and object, at the goal."""
+        """The target state [..., S] that is the finished task for a goal [..., 3]: grip, or grip and object, at the
+        goal."""
         return jnp.concatenate([goal] * self.components, axis=-1)
 
     @property
@@ -69,7 +75,8 @@ class TargetSpace:
         return np.array([low, high])
 
     def parts(self, states: jax.Array) -> jax.Array:
-        """Grip and object of target states [..., S], which have adjacency matrices of their own: [components, ..., 3]."""
+        """Grip and object of target states [..., S], which have adjacency matrices of their own: [components, ...,
+        3]."""
         return jnp.moveaxis(states.reshape(*states.shape[:-1], self.components, 3), -2, 0)
 
     def network_input(self, part: jax.Array, scale: float) -> jax.Array:
@@ -81,9 +88,11 @@ class TargetSpace:
         return Cells.over(self.bounds, side)
 
     def from_subgoal(self, observation: jax.Array, subgoal: jax.Array, scale: float) -> jax.Array:
-        """The target state [..., S] that a subgoal [..., S] in [-1, 1] means: a displacement of grip or object by up to `scale` m along each axis.
+        """The target state [..., S] that a subgoal [..., S] in [-1, 1] means: a displacement of grip or object by up to
+        `scale` m along each axis.
 
-        The object's target stays inside of the space of goals, the grip's beside the object's: other target states cannot be reached in time.
+        The object's target stays inside of the space of goals, the grip's beside the object's: other target states
+        cannot be reached in time.
         """
         low, high = self.bounds
         subgoal = jnp.clip(subgoal, -1.0, 1.0)
@@ -125,8 +134,8 @@ class TargetState:
 class TargetReaching:
     """The task that the low level is trained on: full episodes under target states.
 
-    An episode keeps the target state that is the finished task, or its target moves as a high level would have it: every `HELD` steps a subgoal,
-    drawn at random or leading straight to the task's goal.
+    An episode keeps the target state that is the finished task, or its target moves as a high level would have it:
+    every `HELD` steps a subgoal, drawn at random or leading straight to the task's goal.
     """
 
     robot: environment.Fetch
@@ -140,7 +149,9 @@ class TargetReaching:
         """A new episode."""
         start_key, choose_key, key = jax.random.split(key, 3)
         robot = self.robot.reset(start_key)
-        state = TargetState(robot, self.space.at_goal(robot.goal), jax.random.bernoulli(choose_key, self.moving_share), key)
+        state = TargetState(
+            robot, self.space.at_goal(robot.goal), jax.random.bernoulli(choose_key, self.moving_share), key
+        )
         return self._aim(state)
 
     def step(self, state: TargetState, action: jax.Array) -> TargetState:
@@ -151,11 +162,15 @@ class TargetReaching:
         """The state with its next target, where a moving one is due."""
         choose_key, draw_key = jax.random.split(jax.random.fold_in(state.key, state.robot.time))
         here = self.achieved(state)
-        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(0.0) / FARTHEST  # The grip's share stays beside the object.
+        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(
+            0.0
+        ) / FARTHEST  # The grip's share stays beside the object.
         drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0)
         subgoal = jnp.where(jax.random.bernoulli(choose_key, self.random_share), drawn, ahead)
         due = state.moving & (state.robot.time % HELD == 0)
-        return state.replace(goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal))
+        return state.replace(
+            goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal)
+        )
 
     def decides(self, state: TargetState) -> jax.Array:
         """Whether the agent chooses the next action: always."""

@@ -1,27 +1,110 @@
-"""The four Fetch tasks: object, goals and start poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the environments)."""
+"""The four Fetch tasks: object, goals and start poses. Source: envs/fetch of gymnasium-robotics 1.4.2 (version 4 of the
+environments)."""
 
 import dataclasses
 from typing import Literal
 
 from infogoal_jax.errors import UserError, nearest, require
 
-# Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and roll, right and left finger.
-# Each start is where the reference's own set-up (200 steps of 2 ms, MuJoCo 3.3.7) leaves the robot: positions in rad and m, velocities per second.
+# Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and
+# roll, right and left finger. Each start is where the reference's own set-up (200 steps of 2 ms, MuJoCo 3.3.7) leaves
+# the robot: positions in rad
+# and m, velocities per second.
 ABOVE_TABLE = (
-    (0.009950557, -0.825638597, -0.003624171, 1.443894729, 0.003060722, 0.953218499, 0.005518151, 0.000003836, 0.000000064),
-    (0.000746363, 0.00647108, -0.001392052, -0.002199827, 0.0011033, -0.001160294, -0.000928445, -0.000024704, 0.000001913),
+    (
+        0.009950557,
+        -0.825638597,
+        -0.003624171,
+        1.443894729,
+        0.003060722,
+        0.953218499,
+        0.005518151,
+        0.000003836,
+        0.000000064,
+    ),
+    (
+        0.000746363,
+        0.00647108,
+        -0.001392052,
+        -0.002199827,
+        0.0011033,
+        -0.001160294,
+        -0.000928445,
+        -0.000024704,
+        0.000001913,
+    ),
 )
 ABOVE_TABLE_BLOCKED = (
-    (0.009951729, -0.825638559, -0.003624849, 1.443894686, 0.003059309, 0.953218534, 0.005519638, 0.000390056, 0.000011703),
-    (0.000744489, 0.006471044, -0.001390179, -0.002199885, 0.001102949, -0.001160168, -0.000928528, 0.00016639, -0.000073546),
+    (
+        0.009951729,
+        -0.825638559,
+        -0.003624849,
+        1.443894686,
+        0.003059309,
+        0.953218534,
+        0.005519638,
+        0.000390056,
+        0.000011703,
+    ),
+    (
+        0.000744489,
+        0.006471044,
+        -0.001390179,
+        -0.002199885,
+        0.001102949,
+        -0.001160168,
+        -0.000928528,
+        0.00016639,
+        -0.000073546,
+    ),
 )
 ON_TABLE = (
-    (0.012382534, -0.589416898, -0.005435217, 1.453137995, 0.002138829, 0.699145164, 0.007580734, -0.000002456, 0.001213634),
-    (0.00532216, 0.002758431, -0.003969374, 0.007774312, 0.000282214, 0.021664267, 0.003075558, 0.000006279, 0.001871386),
+    (
+        0.012382534,
+        -0.589416898,
+        -0.005435217,
+        1.453137995,
+        0.002138829,
+        0.699145164,
+        0.007580734,
+        -0.000002456,
+        0.001213634,
+    ),
+    (
+        0.00532216,
+        0.002758431,
+        -0.003969374,
+        0.007774312,
+        0.000282214,
+        0.021664267,
+        0.003075558,
+        0.000006279,
+        0.001871386,
+    ),
 )
 ON_LONG_TABLE = (
-    (0.013981483, -0.586466932, -0.006729218, 1.450737336, 0.00103377, 0.69325855, 0.009155118, -0.000004164, 0.001555941),
-    (0.009600596, 0.000791797, -0.006937516, 0.011928366, -0.002064868, 0.035718878, 0.007463585, 0.000005677, 0.002958526),
+    (
+        0.013981483,
+        -0.586466932,
+        -0.006729218,
+        1.450737336,
+        0.00103377,
+        0.69325855,
+        0.009155118,
+        -0.000004164,
+        0.001555941,
+    ),
+    (
+        0.009600596,
+        0.000791797,
+        -0.006937516,
+        0.011928366,
+        -0.002064868,
+        0.035718878,
+        0.007463585,
+        0.000005677,
+        0.002958526,
+    ),
 )
 
 
@@ -37,7 +120,8 @@ class Task:
     object_height: float | None = None
     """Height of the object's centre on the table, and of goals there; None: no object."""
     start_height: float | None = None
-    """Height of the object's centre at the start where it is another: the reference's puck sinks 6.5 mm into the table, ours rests on it."""
+    """Height of the object's centre at the start where it is another: the reference's puck sinks 6.5 mm into the table,
+    ours rests on it."""
     object_range: float = 0.15
     """The object starts at most this far from the grip along x and y, and at least 0.1 away."""
     goal_range: float = 0.15
@@ -51,7 +135,8 @@ class Task:
     puck: bool = False
     """The object is a cylinder with little friction, on a longer table; otherwise a cube with edges of 5 cm."""
     solver_steps: int = 4
-    """Newton steps a physics step that the task's contacts need: with two grasps fail, with four a puck gains energy in every bounce."""
+    """Newton steps a physics step that the task's contacts need: with two grasps fail, with four a puck gains energy in
+    every bounce."""
     base_x: float = 0.405
     """Where the robot's base stands, x of the first slide joint."""
 
@@ -59,12 +144,31 @@ class Task:
 TASKS = {
     task.name: task
     for task in (
-        Task("fetch_reach", ABOVE_TABLE_BLOCKED, (1.341835018, 0.749101037, 0.534723951), solver_steps=3, base_x=0.4049),
+        Task(
+            "fetch_reach", ABOVE_TABLE_BLOCKED, (1.341835018, 0.749101037, 0.534723951), solver_steps=3, base_x=0.4049
+        ),
         Task("fetch_push", ON_TABLE, (1.345540634, 0.749024337, 0.413616705), object_height=0.42470209, solver_steps=6),
-        Task("fetch_pick_and_place", ABOVE_TABLE, (1.341935017, 0.749101052, 0.534723958), object_height=0.42470209,
-             goals_in_air=True, blocks_fingers=False),
-        Task("fetch_slide", ON_LONG_TABLE, (0.992730445, 0.749040778, 0.41266144), object_height=0.413538103, start_height=0.4199, solver_steps=10,
-             object_range=0.1, goal_range=0.3, goal_offset=0.4, puck=True, base_x=0.05),
+        Task(
+            "fetch_pick_and_place",
+            ABOVE_TABLE,
+            (1.341935017, 0.749101052, 0.534723958),
+            object_height=0.42470209,
+            goals_in_air=True,
+            blocks_fingers=False,
+        ),
+        Task(
+            "fetch_slide",
+            ON_LONG_TABLE,
+            (0.992730445, 0.749040778, 0.41266144),
+            object_height=0.413538103,
+            start_height=0.4199,
+            solver_steps=10,
+            object_range=0.1,
+            goal_range=0.3,
+            goal_offset=0.4,
+            puck=True,
+            base_x=0.05,
+        ),
     )
 }
 
@@ -81,25 +185,38 @@ class FetchConfig:
     """How a Fetch task is simulated and when an episode ends."""
 
     faithful: bool = False
-    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what seldom matters
-    (docs/fetch.md)."""
+    """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what
+    seldom matters (docs/fetch.md)."""
     episode_length: int = 50
     """Steps of 40 ms after which an episode is truncated."""
     ends_at_goal: bool = True
-    """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the reference."""
+    """Reaching the goal ends the episode (Eq. 5 of the paper); otherwise it goes on to its full length, as in the
+    reference."""
 
     goals: Literal["positions", "images"] = "positions"
-    """What a goal is: a position (m), as in the reference, or an image of the object or gripper there, out of a finite set, as in the paper."""
+    """What a goal is: a position (m), as in the reference, or an image of the object or gripper there, out of a finite
+    set, as in the paper."""
     goal_images: str = ""
     """File of goal images, of `infogoal data build fetch`; empty: the one that the project ships for the task."""
     backgrounds: str = ""
-    """Backgrounds that goal images are corrupted with: `cifar10`, or a folder; empty: the crops of photographs that the project ships."""
+    """Backgrounds that goal images are corrupted with: `cifar10`, or a folder; empty: the crops of photographs that the
+    project ships."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         require(self.goals in ("positions", "images"), "env.goals", self.goals, "give positions or images")
-        require(self.goals == "positions" or config is None or config.known_goals != "train", "known_goals", "train",
-                "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited or all")
-        require(self.ends_at_goal or self.goals == "positions", "env.ends_at_goal", self.ends_at_goal,
-                "an image goal counts as reached when its episode ends there: give True, or goals = positions")
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0")
+        require(
+            self.goals == "positions" or config is None or config.known_goals != "train",
+            "known_goals",
+            "train",
+            "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited or all",
+        )
+        require(
+            self.ends_at_goal or self.goals == "positions",
+            "env.ends_at_goal",
+            self.ends_at_goal,
+            "an image goal counts as reached when its episode ends there: give True, or goals = positions",
+        )
+        require(
+            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
+        )

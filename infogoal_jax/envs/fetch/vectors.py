@@ -1,7 +1,8 @@
-"""Vectors, rotations and quaternions by their components, each an array over bodies, contacts or whatever there are several of.
+"""Vectors, rotations and quaternions by their components, each an array over bodies, contacts or whatever there are
+several of.
 
-Every operation is one on whole arrays, without an axis of length 3 or 4: XLA compiles and runs these several times faster than products and sums
-along so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
+Every operation is one on whole arrays, without an axis of length 3 or 4: XLA compiles and runs these several times
+faster than products and sums along so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
 """
 
 import flax.struct
@@ -50,7 +51,9 @@ class Vector:
     def cross(self, other: "Vector") -> "Vector":
         """Vector products."""
         return Vector(
-            self.y * other.z - self.z * other.y, self.z * other.x - self.x * other.z, self.x * other.y - self.y * other.x,
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
         )
 
     def norm(self) -> jax.Array:
@@ -123,7 +126,11 @@ class Quaternion:
         x, y, z = self.vector.x, self.vector.y, self.vector.z
         xx, xy, xz, yy, yz, zz = x * double.x, x * double.y, x * double.z, y * double.y, y * double.z, z * double.z
         wx, wy, wz = self.w * double.x, self.w * double.y, self.w * double.z
-        return Rotation(Vector(1 - yy - zz, xy + wz, xz - wy), Vector(xy - wz, 1 - xx - zz, yz + wx), Vector(xz + wy, yz - wx, 1 - xx - yy))
+        return Rotation(
+            Vector(1 - yy - zz, xy + wz, xz - wy),
+            Vector(xy - wz, 1 - xx - zz, yz + wx),
+            Vector(xz + wy, yz - wx, 1 - xx - yy),
+        )
 
 
 def joined(*parts):
@@ -137,4 +144,5 @@ def vectors(array: np.ndarray) -> Vector:
 
 
 once = jax.lax.optimization_barrier
-"""What goes through here is computed once. XLA's CPU fusions would compute it anew for every number that it is needed for."""
+"""What goes through here is computed once. XLA's CPU fusions would compute it anew for every number that it is needed
+for."""

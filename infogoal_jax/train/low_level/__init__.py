@@ -1,9 +1,10 @@
-"""Training the low level of HRAC, which drives a robot or an arm to target states: `infogoal pretrain` (docs/low_level.md).
+"""Training the low level of HRAC, which drives a robot or an arm to target states: `infogoal pretrain`
+(docs/low_level.md).
 
-    trainer.py   the training program, as pure functions, of any agent for target states
-    fetch.py     the agent of the Fetch robot: TD3 with hindsight
-    joints.py    the agent of an arm moved by joint steps: double Q-learning over recorded moves
-    presets.py   the configuration and the agent of each task
-    host.py      runs all seeds, writes the curve, keeps the best
-    file.py      the file that is written, and loaded by HRAC
+trainer.py   the training program, as pure functions, of any agent for target states
+fetch.py     the agent of the Fetch robot: TD3 with hindsight
+joints.py    the agent of an arm moved by joint steps: double Q-learning over recorded moves
+presets.py   the configuration and the agent of each task
+host.py      runs all seeds, writes the curve, keeps the best
+file.py      the file that is written, and loaded by HRAC
 """

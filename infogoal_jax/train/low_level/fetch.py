@@ -1,7 +1,8 @@
 """The low level of the Fetch robot: TD3 with hindsight relabelling on target states.
 
-An eighth of the environments act without noise: their success is the learning curve, and costs no episode of its own. The others explore, half of
-them under targets that move as the high level will move them: without those it takes twice as long (docs/low_level.md).
+An eighth of the environments act without noise: their success is the learning curve, and costs no episode of its own.
+The others explore, half of them under targets that move as the high level will move them: without those it takes twice
+as long (docs/low_level.md).
 """
 
 import dataclasses
@@ -26,18 +27,26 @@ from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.state import numbered
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "fetch_reach": {"num_envs": 128, "num_epochs": 20, "updates_per_epoch": 200, "batch_size": 256, "network": LowLevelConfig((128, 128))},
+    "fetch_reach": {
+        "num_envs": 128,
+        "num_epochs": 20,
+        "updates_per_epoch": 200,
+        "batch_size": 256,
+        "network": LowLevelConfig((128, 128)),
+    },
     "fetch_push": {},
     "fetch_pick_and_place": {},
 }
-"""What each task needs away from the defaults [M]. fetch_slide has no low level: its goals lie where the gripper cannot follow."""
+"""What each task needs away from the defaults [M]. fetch_slide has no low level: its goals lie where the gripper cannot
+follow."""
 
 
 @flax.struct.dataclass
 class FetchHyperparameters:
     """Floats of the low level's training: an argument of the compiled program.
 
-    [HER]: Andrychowicz et al. 2017 in OpenAI's baselines; [RL-Zoo]: the tuned values of rl-zoo3 for Fetch; [M]: measured for this project.
+    [HER]: Andrychowicz et al. 2017 in OpenAI's baselines; [RL-Zoo]: the tuned values of rl-zoo3 for Fetch; [M]:
+    measured for this project.
     """
 
     learning_rate: Annotated[float, Number("(0, 1]")] = 1e-3
@@ -75,8 +84,12 @@ class FetchPretrainConfig(PretrainConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        require(self.task in PRESETS, "task", self.task,
-                f"no low level can be trained for it.{nearest(self.task, list(PRESETS))} Known: {', '.join(PRESETS)}")
+        require(
+            self.task in PRESETS,
+            "task",
+            self.task,
+            f"no low level can be trained for it.{nearest(self.task, list(PRESETS))} Known: {', '.join(PRESETS)}",
+        )
         require(self.num_envs >= 8, "num_envs", self.num_envs, "give at least 8: an eighth of them measure success")
 
 
@@ -96,7 +109,9 @@ class Experience:
 
 def make(config: FetchPretrainConfig) -> TargetAgent:
     """The agent that learns a Fetch task's target states."""
-    robot = environment.make(config.task, FetchConfig(faithful=config.faithful, episode_length=config.episode_length, ends_at_goal=False))
+    robot = environment.make(
+        config.task, FetchConfig(faithful=config.faithful, episode_length=config.episode_length, ends_at_goal=False)
+    )
     space = TargetSpace(robot.task)
     env = TargetReaching(robot, space)
     actor, critic = td3.Actor(config.network.hidden, robot.action_size), td3.TwinCritic(config.network.hidden)
@@ -105,7 +120,9 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         keys = jax.random.split(numbered(key, INITIAL, 0))
         inputs, action = jnp.zeros(robot.observation_size + space.size), jnp.zeros(robot.action_size)
         params = {"actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], inputs, action)}
-        experience = Experience(moments=jnp.zeros((3, robot.observation_size)).at[0].set(1.0).at[2].set(1.0), buffer=None)
+        experience = Experience(
+            moments=jnp.zeros((3, robot.observation_size)).at[0].set(1.0).at[2].set(1.0), buffer=None
+        )
         example = jax.eval_shape(lambda: run(policy(params, experience), key, True, hyper)[0])
         return params, experience.replace(buffer=replay.empty(example, config.buffer_epochs))
 
@@ -113,8 +130,9 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         return LowLevel(params["actor"], *experience.statistics(), config.network.hidden, robot.action_size)
 
     def run(low_level: LowLevel, key, explores, hyper):
-        """With `explores`, all but an eighth act with noise, a share of them under moving targets. Without, nobody does, and the targets of the
-        second half move straight ahead to the task's goal. `success_rate`: share of the others that end at their target, of those without noise;
+        """With `explores`, all but an eighth act with noise, a share of them under moving targets. Without, nobody
+        does, and the targets of the second half move straight ahead to the task's goal. `success_rate`: share of the
+        others that end at their target, of those without noise;
         `success_any`: that were there at any time; `following_rate`: share of the second half that end at the goal.
         """
         reset_key, act_key = jax.random.split(key)
@@ -134,13 +152,16 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         still, led = ~noisy & (moving_share == 0), ~noisy & (moving_share > 0)
         return rows, {
             "env_steps": rows.valid.sum(),
-            "success_rate": at_target[:, -1].mean(where=still), "success_any": at_target.any(1).mean(where=still),
+            "success_rate": at_target[:, -1].mean(where=still),
+            "success_any": at_target.any(1).mean(where=still),
             "following_rate": robot.reached(robot.achieved(ends.robot), ends.robot.goal).mean(where=led),
         }
 
     def remember(experience: Experience, rows: Trajectories, number) -> Experience:
         seen = rows.observation.reshape(-1, robot.observation_size)
-        moments = experience.moments + jnp.stack([jnp.full(seen.shape[1], float(len(seen))), seen.sum(0), (seen**2).sum(0)])
+        moments = experience.moments + jnp.stack(
+            [jnp.full(seen.shape[1], float(len(seen))), seen.sum(0), (seen**2).sum(0)]
+        )
         return Experience(moments, replay.add(experience.buffer, rows, number))
 
     def draw(experience: Experience, key, number, hyper):
@@ -148,9 +169,13 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         buffer, num_updates = experience.buffer, config.updates_per_epoch
         draw_key, update_key = jax.random.split(numbered(key, UPDATE, number))
         place_key, future_key = jax.random.split(draw_key)
-        row, step = replay.draw(place_key, replay.running_count(buffer.valid), num_updates * config.batch_size, config.episode_length)
+        row, step = replay.draw(
+            place_key, replay.running_count(buffer.valid), num_updates * config.batch_size, config.episode_length
+        )
         later = her.future_record(future_key, buffer, replay.steps_left(buffer.valid), row, step)
-        batches = jax.tree.map(lambda leaf: leaf.reshape(num_updates, config.batch_size, *leaf.shape[1:]), (row, step, later))
+        batches = jax.tree.map(
+            lambda leaf: leaf.reshape(num_updates, config.batch_size, *leaf.shape[1:]), (row, step, later)
+        )
         return batches, jax.random.split(update_key, num_updates)
 
     def loss(params, target_params, experience: Experience, drawn, key, hyper):
@@ -160,16 +185,33 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         batch = replay.transitions_at(experience.buffer, row, step, 1)
         target = her.relabel(relabel_key, batch.goal, later, hyper.relabel_share)
         reward = space.reward(batch.records[:, 0], target)
-        inputs, next_inputs = (network_input(seen, target, *experience.statistics()) for seen in (batch.observation, batch.next_observation))
+        inputs, next_inputs = (
+            network_input(seen, target, *experience.statistics())
+            for seen in (batch.observation, batch.next_observation)
+        )
         following = td3.next_value(noise_key, actor, critic, target_params, next_inputs, hyper.target_noise)
-        value = jnp.clip(reward + hyper.discount * following, -1.0 / (1.0 - hyper.discount), 0.0)  # No step costs more than 1.
+        value = jnp.clip(
+            reward + hyper.discount * following, -1.0 / (1.0 - hyper.discount), 0.0
+        )  # No step costs more than 1.
         learned = td3.losses(actor, critic, params, inputs, batch.action, value, huber=False)
         return learned.critic + learned.actor + hyper.action_cost * (learned.actions**2).mean(), learned.metrics
 
     return TargetAgent(
-        config, initial, policy, run, remember, draw, loss, learning_rate=lambda hyper, update: hyper.learning_rate, key=numbered,
-        curve=("env_steps", "success_rate", "success_any", "value", "td_error"), measured=("following_rate", "success_any", "success_rate"),
+        config,
+        initial,
+        policy,
+        run,
+        remember,
+        draw,
+        loss,
+        learning_rate=lambda hyper, update: hyper.learning_rate,
+        key=numbered,
+        curve=("env_steps", "success_rate", "success_any", "value", "td_error"),
+        measured=("following_rate", "success_any", "success_rate"),
         compared=("success_rate", "following_rate"),
-        describe=lambda report: f"target states {report['success_rate']:.4f}, moving ahead to the goal {report['following_rate']:.4f}",
-        header={}, num_measured=config.num_envs // 2,  # Half of the episodes have targets that stay.
+        describe=lambda report: (
+            f"target states {report['success_rate']:.4f}, moving ahead to the goal {report['following_rate']:.4f}"
+        ),
+        header={},
+        num_measured=config.num_envs // 2,  # Half of the episodes have targets that stay.
     )

@@ -1,6 +1,8 @@
-"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped (docs/low_level.md).
+"""The file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped
+(docs/low_level.md).
 
-The header names the task and the widths of the layers, and how it was trained; the arrays are those of the policy, without critics.
+The header names the task and the widths of the layers, and how it was trained; the arrays are those of the policy,
+without critics.
 """
 
 from collections.abc import Callable
@@ -26,7 +28,8 @@ KIND = "low level"
 
 
 def shipped(task: str) -> Path:
-    """The file of the low level that the project ships for a task. Raises `UserError` for an unknown task, or one that has none."""
+    """The file of the low level that the project ships for a task. Raises `UserError` for an unknown task, or one that
+    has none."""
     path = SHIPPED / find(task).name
     if not path.exists():
         known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*") if not file.suffix))
@@ -35,7 +38,8 @@ def shipped(task: str) -> Path:
 
 
 def save(path: Path, header: dict[str, Any], low_level: LowLevel | JointLevel) -> None:
-    """Write a low level. header: JSON values, `task` among them, and `joints` and `moves` of an arm that is moved by joint steps."""
+    """Write a low level. header: JSON values, `task` among them, and `joints` and `moves` of an arm that is moved by
+    joint steps."""
     checkpoint.save(path, {"kind": KIND, **header, "hidden": list(low_level.hidden)}, low_level)
 
 
@@ -52,15 +56,21 @@ def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
     return read(Path(path) if path else shipped(task), task, lambda header: empty(task, tuple(header["hidden"])))
 
 
-def load_joint_level(path: str, num_joints: int, num_moves: int, task: str = "object_manipulation") -> tuple[dict[str, Any], JointLevel]:
+def load_joint_level(
+    path: str, num_joints: int, num_moves: int, task: str = "object_manipulation"
+) -> tuple[dict[str, Any], JointLevel]:
     """The header and the low level of an arm with so many joints and moves, from a file as `load` takes it."""
     file = Path(path) if path else SHIPPED_JOINT_LEVEL
 
     def empty_joint_level(header):
         if (header["joints"], header["moves"]) != (num_joints, num_moves):
-            raise UserError(f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, the dataset's has "
-                            f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it with "
-                            "--agent.low-level")
+            raise UserError(
+                f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, "
+                "the dataset's has "
+                f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it "
+                "with "
+                "--agent.low-level"
+            )
         hidden, joints = tuple(header["hidden"]), jnp.zeros(num_joints)
         params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
         return JointLevel(params, hidden, num_moves)
@@ -72,19 +82,30 @@ def read(file: Path, task: str, empty: Callable[[dict[str, Any]], Any]) -> tuple
     """The header and the low level of a task, whose shapes are those of `empty(header)`."""
     file = file / "low_level" if file.is_dir() else file
     if not file.exists():
-        raise UserError(f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or none at all for the "
-                        "shipped one")
+        raise UserError(
+            f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or "
+            "none at all for the "
+            "shipped one"
+        )
     header, _ = checkpoint.read_header(file)
     if header.get("kind") != KIND:
-        raise UserError(f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain {task}` wrote")
+        raise UserError(
+            f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain "
+            f"{task}` wrote"
+        )
     if header["task"] != task:
-        raise UserError(f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal pretrain {task}`")
+        raise UserError(
+            f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal "
+            f"pretrain {task}`"
+        )
     template = empty(header)
     try:
         return header, jax.tree.map(jnp.asarray, checkpoint.load(file, template)[1])
     except UserError as error:
-        raise UserError(f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal pretrain {task}`"
-                        ) from error
+        raise UserError(
+            f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal "
+            f"pretrain {task}`"
+        ) from error
 
 
 def empty(task: str, hidden: tuple[int, ...]) -> LowLevel:

@@ -1,7 +1,8 @@
-"""`infogoal pretrain`: the low level's training with a progress line, a curve on disk and a clean stop; keeps the best of several seeds.
+"""`infogoal pretrain`: the low level's training with a progress line, a curve on disk and a clean stop; keeps the best
+of several seeds.
 
-    FOLDER/curve.csv, .jsonl   a line for each seed and epoch, written as it goes
-    FOLDER/low_level           actor and normalisation of the best seed, with what made them in its header
+FOLDER/curve.csv, .jsonl   a line for each seed and epoch, written as it goes
+FOLDER/low_level           actor and normalisation of the best seed, with what made them in its header
 """
 
 import dataclasses
@@ -32,7 +33,11 @@ from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConf
 
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
-CHOICE = "highest success on target states over fresh episodes: the low level's own task, no goal of the high level is looked at"
+CHOICE = (
+    "highest success on target states over fresh episodes: the low level's own task, no goal of the high level "
+    "is "
+    "looked at"
+)
 
 
 @dataclasses.dataclass
@@ -51,8 +56,15 @@ class Pretrained:
 @contextmanager
 def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
     """A function that shows how far training is: a moving bar in a terminal, a line for each epoch in a log file."""
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[numbers]}"),
-                   console=Console(), refresh_per_second=2)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[numbers]}"),
+        console=Console(),
+        refresh_per_second=2,
+    )
     line = bar.add_task(f"{config.task} low level x {num_seeds}", total=config.num_epochs, numbers="compiling")
 
     def advance(epoch: int, seconds: float, success: np.ndarray):
@@ -69,7 +81,8 @@ def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
 
 
 def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
-    """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in training and evaluation."""
+    """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in
+    training and evaluation."""
     options, explores, number = compiler_options(), jnp.bool(True), jnp.int32(0)
     initial = jax.jit(jax.vmap(trainer.initial, in_axes=(0, None)), compiler_options=options)
     policy = jax.jit(jax.vmap(trainer.policy), compiler_options=options)
@@ -78,18 +91,30 @@ def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
     states = jax.eval_shape(initial, keys, hyper)
     low_levels = jax.eval_shape(policy, states)
     rows = jax.eval_shape(run, low_levels, keys, explores, hyper)[0]
-    calls = ((initial, (keys, hyper)), (policy, (states,)), (run, (low_levels, keys, explores, hyper)), (learn, (states, rows, number, hyper)))
+    calls = (
+        (initial, (keys, hyper)),
+        (policy, (states,)),
+        (run, (low_levels, keys, explores, hyper)),
+        (learn, (states, rows, number, hyper)),
+    )
     with ThreadPoolExecutor() as pool:
         return list(pool.map(lambda call: call[0].lower(*call[1]).compile(), calls))
 
 
-def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_episodes: int = 2000, command: str = "") -> Pretrained:
+def pretrain(
+    config: PretrainConfig, seeds: list[int], folder: Path, evaluation_episodes: int = 2000, command: str = ""
+) -> Pretrained:
     """Train the low level of a task with these seeds in one program, and leave the best one in `folder`.
 
     Raises `UserError` before any compilation for a folder that holds one already, or seeds that cannot be used.
     """
     require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
-    require(min(seeds) >= 0 and max(seeds) < 2**32, "seeds", f"{min(seeds)} to {max(seeds)}", "give seeds from 0 to below 2^32 (--first-seed)")
+    require(
+        min(seeds) >= 0 and max(seeds) < 2**32,
+        "seeds",
+        f"{min(seeds)} to {max(seeds)}",
+        "give seeds from 0 to below 2^32 (--first-seed)",
+    )
     require(evaluation_episodes > 0, "evaluation_episodes", evaluation_episodes, "give a whole number greater than 0")
     for name in ("low_level", "curve.csv", "curve.jsonl"):
         if (folder / name).exists():
@@ -117,26 +142,44 @@ def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_
             done, seconds = done + 1, time.perf_counter() - started
             if "env_steps" in metrics:
                 metrics["env_steps"] = env_steps = env_steps + metrics["env_steps"]
-            curve += [{"seed": seed, "epoch": done, "seconds": round(seconds, 3)} | {name: metrics[name][i].item() for name in agent.curve}
-                      for i, seed in enumerate(seeds)]
-            files.append_rows(folder, "curve", curve[-len(seeds):])
+            curve += [
+                {"seed": seed, "epoch": done, "seconds": round(seconds, 3)}
+                | {name: metrics[name][i].item() for name in agent.curve}
+                for i, seed in enumerate(seeds)
+            ]
+            files.append_rows(folder, "curve", curve[-len(seeds) :])
             advance(done, seconds, metrics["success_rate"])
     run_seconds, stopped = time.perf_counter() - started, done < config.num_epochs
 
     low_levels = policy(states)
     rounds = 1 if stopped else -(-evaluation_episodes // agent.num_measured)
-    measured = [jax.device_get(run(low_levels, keys_of(EVALUATE, number), jnp.bool(False), hyper)[1]) for number in range(rounds)]
+    measured = [
+        jax.device_get(run(low_levels, keys_of(EVALUATE, number), jnp.bool(False), hyper)[1])
+        for number in range(rounds)
+    ]
     reports = [
-        {"seed": seed} | {name: round(float(np.mean([each[name][i] for each in measured])), 5) for name in agent.measured}
+        {"seed": seed}
+        | {name: round(float(np.mean([each[name][i] for each in measured])), 5) for name in agent.measured}
         | {"seconds_to": {str(rate): first_time(curve, seed, rate) for rate in MILESTONES}}
         for i, seed in enumerate(seeds)
     ]
     best = max(range(len(seeds)), key=lambda i: [reports[i][name] for name in agent.compared])
     header = {
-        "task": config.task, "command": command, "config": dataclasses.asdict(config), "epochs": done, "stopped": stopped,
-        "kept": seeds[best], "chosen_by": CHOICE, "seeds": reports, "evaluation_episodes": rounds * agent.num_measured,
-        "compile_seconds": round(compile_seconds, 1), "run_seconds": round(run_seconds, 1), "versions": versions(),
-        "device": jax.devices()[0].device_kind, "date": datetime.date.today().isoformat(), **agent.header,
+        "task": config.task,
+        "command": command,
+        "config": dataclasses.asdict(config),
+        "epochs": done,
+        "stopped": stopped,
+        "kept": seeds[best],
+        "chosen_by": CHOICE,
+        "seeds": reports,
+        "evaluation_episodes": rounds * agent.num_measured,
+        "compile_seconds": round(compile_seconds, 1),
+        "run_seconds": round(run_seconds, 1),
+        "versions": versions(),
+        "device": jax.devices()[0].device_kind,
+        "date": datetime.date.today().isoformat(),
+        **agent.header,
     }
     low_level_file.save(folder / "low_level", header, jax.device_get(jax.tree.map(lambda leaf: leaf[best], low_levels)))
     return Pretrained(agent, folder, reports, reports[best], stopped, compile_seconds, run_seconds)
@@ -145,10 +188,16 @@ def pretrain(config: PretrainConfig, seeds: list[int], folder: Path, evaluation_
 def print_result(result: Pretrained) -> None:
     """What each seed reached and when, and where the best one is."""
     for report in result.seeds:
-        times = ", ".join(f"{rate} after {'never' if seconds is None else f'{seconds:.1f} s'}" for rate, seconds in report["seconds_to"].items())
+        times = ", ".join(
+            f"{rate} after {'never' if seconds is None else f'{seconds:.1f} s'}"
+            for rate, seconds in report["seconds_to"].items()
+        )
         print(f"seed {report['seed']:<6} {result.agent.describe(report)}; {times}")
     print(f"compiling   {result.compile_seconds:.1f} s, running {result.run_seconds:.1f} s")
-    print(f"low level   {result.folder / 'low_level'}, seed {result.kept['seed']}{', stopped before the end' if result.stopped else ''}")
+    print(
+        f"low level   {result.folder / 'low_level'}, seed "
+        f"{result.kept['seed']}{', stopped before the end' if result.stopped else ''}"
+    )
 
 
 def first_time(curve: list[dict], seed: int, rate: float) -> float | None:
@@ -158,5 +207,7 @@ def first_time(curve: list[dict], seed: int, rate: float) -> float | None:
 
 def versions() -> dict[str, str]:
     """Versions of what the weights depend on."""
-    packages = {name: importlib.metadata.version(name) for name in ("jax", "mujoco", "mujoco-mjx", "flax", "optax", "numpy")}
+    packages = {
+        name: importlib.metadata.version(name) for name in ("jax", "mujoco", "mujoco-mjx", "flax", "optax", "numpy")
+    }
     return {"infogoal_jax": infogoal_jax.__version__, "python": platform.python_version(), **packages}

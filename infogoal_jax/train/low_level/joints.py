@@ -1,7 +1,8 @@
-"""The low level of an arm that is moved by single joint steps: double Q-learning over the recorded moves, towards target states of the joints.
+"""The low level of an arm that is moved by single joint steps: double Q-learning over the recorded moves, towards
+target states of the joints.
 
-All moves of the dataset are known, so there is nothing to collect: each update draws moves uniformly, and for each of them a target state. An
-epoch's episodes only measure.
+All moves of the dataset are known, so there is nothing to collect: each update draws moves uniformly, and for each of
+them a target state. An epoch's episodes only measure.
 """
 
 import dataclasses
@@ -63,7 +64,12 @@ class JointPretrainConfig(PretrainConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        require(self.task == "object_manipulation", "task", self.task, "is driven by no joint steps; give object_manipulation")
+        require(
+            self.task == "object_manipulation",
+            "task",
+            self.task,
+            "is driven by no joint steps; give object_manipulation",
+        )
         self.env.check(self)
 
 
@@ -79,7 +85,8 @@ def at_target(joints: jax.Array, target: jax.Array, precision: jax.Array) -> jax
 
 
 def draw_targets(key: jax.Array, joints: jax.Array) -> jax.Array:
-    """Target states [B, J] for these joints [B, J]: up to `FARTHEST` away, and often much nearer, so that values spread outwards."""
+    """Target states [B, J] for these joints [B, J]: up to `FARTHEST` away, and often much nearer, so that values spread
+    outwards."""
     reach_key, turn_key = jax.random.split(key)
     reach = FARTHEST * jax.random.uniform(reach_key, (len(joints), 1))
     return wrapped(joints + reach * jax.random.uniform(turn_key, joints.shape, minval=-1.0))
@@ -92,8 +99,14 @@ def key_of(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
 
 
 def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
-    """The agent that learns the target states of the arm in this environment. Raises `UserError` for a dataset without joints."""
-    require(env.joints.shape[1] > 0, "env.dataset", config.env.dataset, "tells no joint angles: import it with columns joint_NAME")
+    """The agent that learns the target states of the arm in this environment. Raises `UserError` for a dataset without
+    joints."""
+    require(
+        env.joints.shape[1] > 0,
+        "env.dataset",
+        config.env.dataset,
+        "tells no joint angles: import it with columns joint_NAME",
+    )
     joints, next_node, num_moves, precision = env.joints, env.next_node, env.action_size, half_step(env)
     hidden, num_updates = config.network.hidden, config.updates_per_epoch
 
@@ -104,14 +117,16 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
         return JointLevel(params, hidden, num_moves)
 
     def run(low_level: JointLevel, key, explores, hyper):
-        """Nothing is explored. `success_rate`: share of the joints that reach a target state up to `NEAR` away, of those that some setting of the
-        joints is at; `mean_moves`: in how many moves these do.
+        """Nothing is explored. `success_rate`: share of the joints that reach a target state up to `NEAR` away, of
+        those that some setting of the joints is at; `mean_moves`: in how many moves these do.
         """
         frame_key, target_key = jax.random.split(key)
         frame = jax.random.randint(frame_key, (config.num_envs,), 0, len(joints))
         turn = jax.random.uniform(target_key, (config.num_envs, joints.shape[1]), minval=-NEAR, maxval=NEAR)
         target = wrapped(joints[frame] + turn)
-        possible = at_target(joints, target[:, None], precision).any(-1)  # The joint limits leave some target states out.
+        possible = at_target(joints, target[:, None], precision).any(
+            -1
+        )  # The joint limits leave some target states out.
 
         def step(carry, number):
             frame, first = carry
@@ -139,21 +154,43 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
         return jax.vmap(one)(keys), keys
 
     def loss(params, target_params, experience, drawn, key, hyper):
-        """Temporal-difference error of double Q-learning: 1 at the target, where an episode ends, and nothing elsewhere."""
+        """Temporal-difference error of double Q-learning: 1 at the target, where an episode ends, and nothing
+        elsewhere."""
         frame, move, target = drawn
         here, there = joints[frame], joints[next_node[frame, move]]
         done = at_target(there, target, precision)
-        next_values, target_values = (values_of(each, hidden, num_moves, there, target) for each in (params, target_params))
-        value = dqn.double_q_target(done.astype(jnp.float32), hyper.discount * ~done, next_values, target_values, jnp.ones(next_values.shape, bool))
+        next_values, target_values = (
+            values_of(each, hidden, num_moves, there, target) for each in (params, target_params)
+        )
+        value = dqn.double_q_target(
+            done.astype(jnp.float32),
+            hyper.discount * ~done,
+            next_values,
+            target_values,
+            jnp.ones(next_values.shape, bool),
+        )
         return dqn.td_loss(values_of(params, hidden, num_moves, here, target), move, value, huber=False)
 
     def learning_rate(hyper, update):
         return optax.linear_schedule(hyper.learning_rate, 0.0, config.num_epochs * num_updates)(update)
 
     return TargetAgent(
-        config, initial, policy, run, remember=lambda experience, rows, number: (), draw=draw, loss=loss, learning_rate=learning_rate, key=key_of,
-        curve=("success_rate", "mean_moves", "value", "td_error"), measured=("success_rate", "mean_moves"), compared=("success_rate",),
-        describe=lambda report: "target states up to 45 degrees away in every joint: "
-                                f"{report['success_rate']:.4f} reached, in {report['mean_moves']:.2f} moves on average",
-        header={"joints": joints.shape[1], "moves": num_moves, "data": env.source}, num_measured=config.num_envs,
+        config,
+        initial,
+        policy,
+        run,
+        remember=lambda experience, rows, number: (),
+        draw=draw,
+        loss=loss,
+        learning_rate=learning_rate,
+        key=key_of,
+        curve=("success_rate", "mean_moves", "value", "td_error"),
+        measured=("success_rate", "mean_moves"),
+        compared=("success_rate",),
+        describe=lambda report: (
+            "target states up to 45 degrees away in every joint: "
+            f"{report['success_rate']:.4f} reached, in {report['mean_moves']:.2f} moves on average"
+        ),
+        header={"joints": joints.shape[1], "moves": num_moves, "data": env.source},
+        num_measured=config.num_envs,
     )

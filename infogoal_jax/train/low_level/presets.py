@@ -13,8 +13,14 @@ TASKS = (*fetch.PRESETS, JointPretrainConfig.task)
 
 
 def preset(task: str, **changes: Any) -> PretrainConfig:
-    """The tuned configuration of a task; `changes` replace its fields. Raises `UserError` for a task without a low level."""
-    require(task in TASKS, "task", task, f"no low level can be trained for it.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}")
+    """The tuned configuration of a task; `changes` replace its fields. Raises `UserError` for a task without a low
+    level."""
+    require(
+        task in TASKS,
+        "task",
+        task,
+        f"no low level can be trained for it.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}",
+    )
     if task in fetch.PRESETS:
         return FetchPretrainConfig(**({"task": task} | fetch.PRESETS[task] | changes))
     return JointPretrainConfig(**changes)

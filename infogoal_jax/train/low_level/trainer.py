@@ -1,6 +1,6 @@
 """Training a low level, as pure functions of a key: gradient updates of any agent for target states.
 
-    epoch = run every environment for one episode, remember it, scan over updates
+epoch = run every environment for one episode, remember it, scan over updates
 """
 
 import dataclasses
@@ -44,8 +44,12 @@ class PretrainConfig:
             value = getattr(self, field.name)
             if isinstance(value, int) and not isinstance(value, bool):
                 require(value > 0, field.name, value, "give a whole number greater than 0")
-        require(len(self.network.hidden) > 0 and all(width > 0 for width in self.network.hidden), "network.hidden", self.network.hidden,
-                "give widths greater than 0, for example 256 256 256")
+        require(
+            len(self.network.hidden) > 0 and all(width > 0 for width in self.network.hidden),
+            "network.hidden",
+            self.network.hidden,
+            "give widths greater than 0, for example 256 256 256",
+        )
         if isinstance(self.hyper.learning_rate, int | float):
             hyperparameters.check(self.hyper)
 
@@ -53,16 +57,18 @@ class PretrainConfig:
 class TargetAgent(NamedTuple):
     """An agent that learns to drive to target states: what differs between one robot and another.
 
-    initial(key, hyper) -> (params, experience): parameters are trained by gradient, experience is what they are trained on.
+    initial(key, hyper) -> (params, experience): parameters are trained by gradient, experience is what they are trained
+    on.
     policy(params, experience) -> low level, a pytree with `act(observation, target) -> action`.
-    run(low_level, key, explores, hyper) -> (rows, metrics): an episode in every environment, with noise to learn from, or (explores False) without.
-    remember(experience, rows, number) -> experience: with the rows of this epoch.
-    draw(experience, key, number, hyper) -> (batches, keys): of all updates of this epoch, leaves [U, ...], and the key [U] of each.
-    loss(params, target_params, experience, batch, key, hyper) -> (loss, metrics).
+    run(low_level, key, explores, hyper) -> (rows, metrics): an episode in every environment, with noise to learn from,
+    or (explores False) without. remember(experience, rows, number) -> experience: with the rows of this epoch.
+    draw(experience, key, number, hyper) -> (batches, keys): of all updates of this epoch, leaves [U, ...], and the key
+    [U] of each. loss(params, target_params, experience, batch, key, hyper) -> (loss, metrics).
     learning_rate(hyper, update) -> float32: Adam's step at this update, counted from 0 over all epochs.
-    key(key, purpose, number) -> the seed's key for `INITIAL`, `COLLECT`, `UPDATE` or `EVALUATE` and a number, such as that of the epoch.
-    curve: metrics of an epoch that are written down; measured: those of `run` at the end; compared: by which of these, in this order, a low level is
-    better than another.
+    key(key, purpose, number) -> the seed's key for `INITIAL`, `COLLECT`, `UPDATE` or `EVALUATE` and a number, such as
+    that of the epoch.
+    curve: metrics of an epoch that are written down; measured: those of `run` at the end; compared: by which of these,
+    in this order, a low level is better than another.
     describe(report) -> what a low level reached, in words; header: what its file says beside.
     num_measured: episodes of a run without exploration that count.
     """
@@ -132,12 +138,18 @@ def make_trainer(agent: TargetAgent) -> Trainer:
             direction, optimizer_state = optimizer.update(gradient, optimizer_state)
             rate = agent.learning_rate(hyper, count)
             params = jax.tree.map(lambda leaf, by: leaf - rate * by, params, direction)
-            return (params, optax.incremental_update(params, target_params, hyper.target_rate), optimizer_state), metrics
+            return (
+                params,
+                optax.incremental_update(params, target_params, hyper.target_rate),
+                optimizer_state,
+            ), metrics
 
         drawn = batches, keys, number * num_updates + jnp.arange(num_updates)
         carry, metrics = jax.lax.scan(update, (state.params, state.target_params, state.optimizer_state), drawn)
         params, target_params, optimizer_state = carry
-        return PretrainState(params, target_params, optimizer_state, experience, state.key), jax.tree.map(jnp.mean, metrics)
+        return PretrainState(params, target_params, optimizer_state, experience, state.key), jax.tree.map(
+            jnp.mean, metrics
+        )
 
     def epoch(state: PretrainState, number, hyper):
         rows, found = agent.run(policy(state), agent.key(state.key, COLLECT, number), True, hyper)
