@@ -22,7 +22,7 @@ test-long: $(READY)
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
 
 lint: $(READY)
-	$(ENVIRONMENT)/bin/ruff check .
+	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(ENVIRONMENT)
