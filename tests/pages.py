@@ -3,16 +3,16 @@
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import hand_made
 import pytest
+from places import ROOT
 
 import infogoal_jax
 from infogoal_jax import presets
 from infogoal_jax.train.program import make_train
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = ROOT / "docs"
 
 
 def block_of(page: str) -> str:

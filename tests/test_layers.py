@@ -3,7 +3,9 @@
 import ast
 from pathlib import Path
 
-PACKAGE = Path(__file__).parent.parent / "infogoal_jax"
+from places import ROOT
+
+PACKAGE = ROOT / "infogoal_jax"
 LAYERS = (
     {"errors", "config", "registry", "hyperparameters", "goals", "pairs", "networks", "replay", "angles"},
     {"learners", "relabelling", "agents", "exploration", "data"},

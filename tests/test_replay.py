@@ -46,9 +46,8 @@ def test_transitions_stay_within_their_episode_and_step_by_one(rows):
     batch = replay.sample_transitions(jax.random.key(0), rows, replay.running_count(rows.valid), 2000, 3)
     taken = batch.mask.sum(1).astype(int)
     assert (taken >= 1).all()
-    np.testing.assert_array_equal(
-        batch.next_observation, batch.observation + taken
-    )  # Same episode: only the step has grown.
+    # Same episode: only the step has grown.
+    np.testing.assert_array_equal(batch.next_observation, batch.observation + taken)
     np.testing.assert_array_equal(batch.goal, batch.observation // 1000)
     for step in range(3):
         inside = batch.mask[:, step] > 0

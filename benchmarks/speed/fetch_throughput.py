@@ -75,9 +75,8 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
             def once(_, motions):
                 leaves = jax.tree.leaves(jax.vmap(part)(motions, target, quaternion))
                 total = sum(jnp.abs(leaf).reshape(batch, -1).sum(-1) for leaf in leaves if leaf.dtype != bool)
-                return motions.replace(
-                    velocity=motions.velocity + 1e-20 * total[:, None]
-                )  # Each round needs the last: nothing is optimised away.
+                # Each round needs the last: nothing is optimised away.
+                return motions.replace(velocity=motions.velocity + 1e-20 * total[:, None])
 
             return jax.lax.fori_loop(0, repeats, once, motions)
 

@@ -48,9 +48,8 @@ def measure(train, num_seeds: int, epochs: int) -> dict:
     states = jax.jit(jax.vmap(train.initial, in_axes=(0, None, None)))(keys, hyper, env)
 
     def epoch(states, numbers, hyper, env):
-        return jax.vmap(train.chunk, in_axes=(0, None, None, None))(states, numbers, hyper, env)[
-            0
-        ]  # Nobody asks for the evaluation: it is not run.
+        # Nobody asks for the evaluation: it is not run.
+        return jax.vmap(train.chunk, in_axes=(0, None, None, None))(states, numbers, hyper, env)[0]
 
     started = time.perf_counter()
     program = jax.jit(epoch, donate_argnums=0).lower(states, jnp.arange(1), hyper, env).compile()

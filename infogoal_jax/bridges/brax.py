@@ -19,9 +19,8 @@ import mujoco
 import numpy as np
 
 with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-    warnings.simplefilter(
-        "ignore"
-    )  # brax says that warp is not installed, and its jaxopt that it is no longer maintained.
+    # brax says that warp is not installed, and its jaxopt that it is no longer maintained.
+    warnings.simplefilter("ignore")
     from brax.base import Motion, System, Transform
     from brax.envs.base import Env, State
     from brax.io import html, mjcf
@@ -180,9 +179,8 @@ class FetchBrax(Env):
     def sys(self) -> System:
         """The model as brax's viewer wants it. Its time step is that of the states, 40 ms."""
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # brax recommends MJX instead of its own physics, neither of which runs here.
+            # brax recommends MJX instead of its own physics, neither of which runs here.
+            warnings.simplefilter("ignore")
             return mjcf.load_model(self.fetch.physics.mujoco_model).tree_replace({"opt.timestep": model.CONTROL_STEP})
 
     def _pipeline(self, fetch: FetchState) -> FetchPipelineState:

@@ -59,9 +59,8 @@ def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
 
 
 jitted_reset = jax.jit(reset)
-jitted_step = jax.jit(
-    Fetch.step
-)  # The environment has no leaves: one program for each task and setting, however many environments there are.
+# The environment has no leaves: one program for each task and setting, however many environments there are.
+jitted_step = jax.jit(Fetch.step)
 
 
 def distance(achieved, desired) -> np.ndarray:
@@ -262,9 +261,8 @@ class FetchVector(VectorEnv):
         near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
         reward = np.where(moved, rewards(seen["achieved_goal"], seen["desired_goal"]), np.float32(0))
         info = {"is_success": (near & moved).astype(float), "diverged": np.array(self.state.diverged)}
-        info |= {
-            f"_{name}": moved.copy() for name in info
-        }  # Gymnasium's marks of the environments that these infos are of.
+        # Gymnasium's marks of the environments that these infos are of.
+        info |= {f"_{name}": moved.copy() for name in info}
         return seen, reward, np.array(self.state.terminated), np.array(self.state.truncated), info
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:

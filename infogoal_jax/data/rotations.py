@@ -38,9 +38,8 @@ def orientation_classes(rotation: np.ndarray, tolerance: float = 1e-3) -> np.nda
         np.round(quaternion / (reach / 8)).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     points = quaternion[representative]
-    pairs = KDTree(np.concatenate([points, -points])).query_pairs(reach, output_type="ndarray") % len(
-        points
-    )  # q and -q are one orientation
+    # q and -q are one orientation
+    pairs = KDTree(np.concatenate([points, -points])).query_pairs(reach, output_type="ndarray") % len(points)
     graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, component = connected_components(graph, directed=False)
     _, first, group = np.unique(component[member.reshape(-1)], return_index=True, return_inverse=True)

@@ -141,9 +141,8 @@ def lay_out(
         f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does",
     )
     embedded = text.embed_known([goal.text for goal in goals_asked], embeddings)
-    inputs = embedded * np.float32(
-        np.sqrt(embedded.shape[1])
-    )  # Embeddings have length 1; networks want numbers of the order of 1.
+    # Embeddings have length 1; networks want numbers of the order of 1.
+    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))
     known = in_view & np.isin(uses, (NO_USE, 0))
     goals = GoalSet.of(
         inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names

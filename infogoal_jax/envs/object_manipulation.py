@@ -208,9 +208,8 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # If the middle angle is 90 degrees, the other two are not unique and scipy warns.
+        # If the middle angle is 90 degrees, the other two are not unique and scipy warns.
+        warnings.simplefilter("ignore")
         angles = Rotation.from_matrix(rotation.astype(np.float64)).as_euler("ZYX", degrees=True).round().astype(int)
     kinds = ("pose", *(f"{use} pose" for use in USES))
     return tuple(

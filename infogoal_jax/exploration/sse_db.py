@@ -168,9 +168,8 @@ def make(config: SSEDBConfig) -> Explorer:
         code = code_of(params, moves.features, state.actions[moves.action])
         mean = decoder(following.shape[-1]).apply(params["decoder"], code.sample(code_key))
         scale = MINIMUM_SCALE + jnp.exp(params["log_scale"])
-        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).mean(
-            -1
-        )  # Per feature: of the order of 1.
+        # Per feature: of the order of 1.
+        surprise = (0.5 * ((following - mean) / scale) ** 2 + jnp.log(scale) + 0.5 * jnp.log(2 * jnp.pi)).mean(-1)
         drawn = GoalCode(mean, scale).sample(prediction_key)
         followed = projection.apply(jax.lax.stop_gradient(params["projection"]), following)
         chances = contrast(params["score"], projection.apply(params["projection"], drawn), followed)

@@ -65,13 +65,11 @@ def make(config: CoGoalConfig) -> Learner:
         squared_norm = sum(weighted_mean((code**2).sum(-1), weight) for code, weight in took_part) / len(took_part)
         metrics = {
             "contrastive": contrastive,
-            "accuracy": weighted_mean(
-                log_positive[:, None] > log_negative, weights
-            ),  # As InfoGoal's Eq. 14: ties count as wrong.
+            # As InfoGoal's Eq. 14: ties count as wrong.
+            "accuracy": weighted_mean(log_positive[:, None] > log_negative, weights),
             "code_norm": jnp.sqrt(squared_norm),
-            "self_pairs": weighted_mean(
-                pairs.anchor == pairs.positive, pairs.positive_weight
-            ),  # Always correct: codes have no noise.
+            # Always correct: codes have no noise.
+            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
         }
         return contrastive + config.norm_penalty * squared_norm, metrics, state
 

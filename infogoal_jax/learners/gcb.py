@@ -131,9 +131,8 @@ def paired_loss(codes: jax.Array, target: jax.Array, partner: jax.Array) -> jax.
     """L_phi = mean_i (|| phi_i - phi_j ||_1 - target_i)^2 for paired codes [B, d]. The norm sums over d, so distances
     grow with d."""
     gap = codes - codes[partner]
-    distance = (gap * jnp.sign(gap)).sum(
-        -1
-    )  # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
+    # The slope of jnp.abs at 0 is 1, which would push equal codes apart in one direction.
+    distance = (gap * jnp.sign(gap)).sum(-1)
     return ((distance - target) ** 2).mean()
 
 

@@ -101,11 +101,8 @@ def make(config: InfoBotConfig) -> Learner:
             code = condition(params, code, batch.transitions.features)
         kl = kl_to_standard_normal(code).mean()
         beta = hyper.beta * warmed_up(state.updates, config.warm_up)
-        metrics = {
-            "kl": kl,
-            "beta": beta,
-            "visited_cells": (state.counts > 0).sum(),
-        }  # The KL in nats, as InfoGoal reports it.
+        # The KL in nats, as InfoGoal reports it.
+        metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):

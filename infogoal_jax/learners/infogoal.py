@@ -164,9 +164,8 @@ def make(config: InfoGoalConfig) -> Learner:
         else:
             infomax = weighted_mean(jnp.exp(log_negative - log_positive[:, None]), weights)
             infomin = kl / jnp.log(2.0)
-        accuracy = weighted_mean(
-            log_positive[:, None] > log_negative, weights
-        )  # Eq. 14, on the noisy codes; ties count as wrong.
+        # Eq. 14, on the noisy codes; ties count as wrong.
+        accuracy = weighted_mean(log_positive[:, None] > log_negative, weights)
         metrics = {
             "accuracy": accuracy,
             "beta": state.beta,

@@ -69,13 +69,14 @@ FOUND_FOR_REACH = {
 }
 
 PRESETS = {
+    # Sizes for two cores.
     "fetch_reach": preset(
         "A robot arm moves its gripper to where an image shows it.",
         5,
         128,
         TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000},
         FOUND_FOR_REACH,
-    ),  # Sizes for two cores.
+    ),
     "fetch_push": preset("A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, {}),
     "fetch_pick_and_place": preset(
         "A robot arm carries a cube to where an image shows it, in the air too.", 3, 256, TRAINING, {}

@@ -5,18 +5,17 @@ from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 PRESET = Preset(
     description="A robot searches a house, image by image, until the object named by the goal is in view.",
     agent="dqn",  # [P]
-    training={
-        "num_epochs": 160
-    },  # Without the intrinsic reward, success on training goals takes longer to level off [M].
+    # Without the intrinsic reward, success on training goals takes longer to level off [M].
+    training={"num_epochs": 160},
     hyper={"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},  # [M]
     methods={
-        "infogoal": Changes(
-            hyper={"learning_rate": 5e-4, "intrinsic_weight": 3.0}, training={"num_epochs": 100}
-        ),  # [M]
+        # [M]
+        "infogoal": Changes(hyper={"learning_rate": 5e-4, "intrinsic_weight": 3.0}, training={"num_epochs": 100}),
         "infobot": Changes(hyper=INFOBOT),
+        # [T]
         "cogoal": Changes(
             hyper={"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341}
-        ),  # [T]
+        ),
         "gcb": Changes(hyper={"learner_weight": 0.03}),  # [M]
         "vae": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },

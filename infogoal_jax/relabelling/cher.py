@@ -72,9 +72,8 @@ class Table:
 
 def proximity_weight(config: CHERConfig, updates: jax.Array) -> jax.Array:
     """lambda_t = lambda_0 (1 + eta)^t after t updates."""
-    return config.proximity_weight * jnp.exp(
-        updates * math.log1p(config.proximity_growth)
-    )  # A power of 1.0001 in float32 would drift.
+    # A power of 1.0001 in float32 would drift.
+    return config.proximity_weight * jnp.exp(updates * math.log1p(config.proximity_growth))
 
 
 def squared_distances(positions: jax.Array) -> jax.Array:
@@ -88,9 +87,8 @@ def squared_distances(positions: jax.Array) -> jax.Array:
     norms = jnp.diagonal(products)
     largest = norms[:, None] + norms
     squared = largest - 2.0 * products
-    return jax.lax.optimization_barrier(
-        jnp.where(squared > PRECISION * largest, squared, 0.0)
-    )  # Otherwise XLA computes it again at each use.
+    # Otherwise XLA computes it again at each use.
+    return jax.lax.optimization_barrier(jnp.where(squared > PRECISION * largest, squared, 0.0))
 
 
 def neighbour_weights(positions: jax.Array) -> jax.Array:
@@ -103,9 +101,8 @@ def neighbour_weights(positions: jax.Array) -> jax.Array:
     count = positions.shape[0]
     squared = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squared_distances(positions))
     least = squared.min(0)
-    nearest = (
-        jnp.where(squared == least, jnp.arange(float(count))[:, None], count).min(0).astype(jnp.int32)
-    )  # The first of equals; argmin is slow.
+    # The first of equals; argmin is slow.
+    nearest = jnp.where(squared == least, jnp.arange(float(count))[:, None], count).min(0).astype(jnp.int32)
     similarity = jnp.exp(-least / (jnp.sqrt(least).mean() ** 2 + TINY))
     return jnp.zeros(count).at[nearest].add(similarity)
 
@@ -130,9 +127,8 @@ def pick(places: jax.Array, count: int, gain: Callable, cover: jax.Array, take: 
         left, cover = carry
         candidates = left[place]
         best = gain(cover, candidates).argmax()
-        left = jnp.where(
-            jnp.arange(count) < place[best], left, jnp.roll(left, -1)
-        )  # Those behind move up; the last place is not read again.
+        # Those behind move up; the last place is not read again.
+        left = jnp.where(jnp.arange(count) < place[best], left, jnp.roll(left, -1))
         return (left, take(cover, candidates[best])), candidates[best]
 
     return jax.lax.scan(step, (jnp.arange(count), cover), places)[1]

@@ -105,13 +105,11 @@ def best_goals(context: Context) -> Table:
         jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
     )
     num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
-    rank = (
-        num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]
-    )  # Episodes that were slower, or never got there.
+    # Episodes that were slower, or never got there.
+    rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]
 
-    score = jnp.where(
-        first, rank * length - delay, -length
-    )  # Among equal ranks the larger return, which is the shorter delay.
+    # Among equal ranks the larger return, which is the shorter delay.
+    score = jnp.where(first, rank * length - delay, -length)
     number = jnp.arange(num_rows)[:, None] * length + begin
 
     def over_episodes(reduce, values):
@@ -140,9 +138,8 @@ def accepted(context: Context, table: Table) -> jax.Array:
 
     def some(number, passed):
         rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE)
-        place = jnp.searchsorted(
-            count, rank, side="right"
-        )  # Beyond the end for ranks that do not exist: dropped below.
+        # Beyond the end for ranks that do not exist: dropped below.
+        place = jnp.searchsorted(count, rank, side="right")
         row, step = jnp.unravel_index(jnp.minimum(place, count.shape[0] - 1), shape)
         value = context.value(
             jax.tree.map(lambda leaf: leaf[row, step], context.rows.observation), jnp.maximum(table.goal[row, step], 0)

@@ -122,9 +122,8 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
         f"with {num_goals} goals too long for this relabelling: give less",
     )
     name = rows.episode()[..., None] * (num_goals + 1) + jnp.where(goals < 0, num_goals, goals)
-    ordered = jnp.sort(
-        (name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1
-    )  # One number sorts faster than two.
+    # One number sorts faster than two.
+    ordered = jnp.sort((name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1)
     name, step = ordered // length, ordered % length
     place, goal = jnp.arange(length * several), name % (num_goals + 1)
     first = jnp.pad(name[:, 1:] != name[:, :-1], ((0, 0), (1, 0)), constant_values=True)

@@ -27,11 +27,8 @@ GOALS = {
     "corrupted_train_goal": "training, corrupted",
     "corrupted_test_goal": "test, corrupted",
 }
-COLUMNS = {
-    "success_rate": ("success rate", 2),
-    "spl": ("SPL", 2),
-    "episode_length": ("steps", 1),
-}  # Title and decimals.
+# Title and decimals.
+COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}
 FILES = (
     "config.json",
     "timing.json",

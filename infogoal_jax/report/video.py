@@ -73,9 +73,8 @@ def random_policy(state: FetchState, key: jax.Array) -> jax.Array:
 def play_episode(env: Fetch, policy: Policy, key: jax.Array) -> list[FetchState]:
     """The states of one episode, from its start to the step that ends it."""
     reset_key, policy_key = jax.random.split(key)
-    step = jax.jit(
-        Fetch.step
-    )  # The environment is an argument without leaves: what was compiled for a task stays compiled.
+    # The environment is an argument without leaves: what was compiled for a task stays compiled.
+    step = jax.jit(Fetch.step)
     states = [jax.jit(Fetch.reset)(env, reset_key)]
     while not (states[-1].terminated | states[-1].truncated):
         states.append(step(env, states[-1], policy(states[-1], jax.random.fold_in(policy_key, len(states)))))

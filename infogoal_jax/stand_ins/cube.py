@@ -122,9 +122,8 @@ def build(
     scene = cube_render.scene(seed, size)
     setting = settings(physical_limits)
     joints = np.radians(ANGLES)[setting]
-    every = np.ravel_multi_index(
-        tuple(setting.T), (len(ANGLES),) * 3
-    )  # a frame has the same light with and without limits
+    # a frame has the same light with and without limits
+    every = np.ravel_multi_index(tuple(setting.T), (len(ANGLES),) * 3)
     light = cube_render.lights(seed, len(ANGLES) ** 3, scene)
     frames = np.empty((len(setting), size, size, 3), np.uint8)
     rotation = np.empty((len(setting), 3, 3), np.float32)

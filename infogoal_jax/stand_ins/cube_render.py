@@ -29,9 +29,8 @@ WHITE, YELLOW, RED, ORANGE, BLUE, GREEN = (
     (20, 75, 215),
     (0, 150, 65),
 )
-STICKER_COLOURS = np.array(
-    [WHITE, YELLOW, RED, ORANGE, BLUE, GREEN], float
-)  # RGB, each opposite the next one on a solved cube
+# RGB, each opposite the next one on a solved cube
+STICKER_COLOURS = np.array([WHITE, YELLOW, RED, ORANGE, BLUE, GREEN], float)
 PLASTIC = (24, 24, 26)
 
 # Surface numbers: 7 for each face of the cube (six colours and the plastic), then the inset's two, the room's, the
@@ -137,9 +136,8 @@ def draw_posture(scene: Scene, links: np.ndarray) -> Posture:
     normals = scene.normals.copy()
     moved = [part.vertices @ links[part.link, :3, :3].T + links[part.link, :3, 3] for part in scene.parts]
     for vertices in moved:
-        shadow = cv2.convexHull(
-            _fixed_point(scene.project(vertices * [1, 1, 0] - [0, 0, PEDESTAL_HEIGHT]))
-        )  # lamps are right above
+        # lamps are right above
+        shadow = cv2.convexHull(_fixed_point(scene.project(vertices * [1, 1, 0] - [0, 0, PEDESTAL_HEIGHT])))
         patch = np.zeros(surface.shape, np.uint8)
         cv2.fillConvexPoly(patch, shadow, 1, cv2.LINE_8, SHIFT)
         surface[(patch == 1) & (surface == FLOOR)] = FLOOR_SHADOW
@@ -196,9 +194,8 @@ def draw_inset(scene: Scene, rotation: np.ndarray, side: int) -> np.ndarray:
 def inset_pixels(scene: Scene, points: np.ndarray, rotation: np.ndarray, side: int) -> np.ndarray:
     """Where points of the cube [..., 3], in edges from its middle, are in an inset of `side` pixels: [..., 2]."""
     view = points @ (scene.axes @ rotation).T
-    focal = (
-        0.47 * side / np.tan(np.arcsin(np.sqrt(3) / 2 / INSET_DISTANCE))
-    )  # the cube's outer sphere fills 94 % of the inset
+    # the cube's outer sphere fills 94 % of the inset
+    focal = 0.47 * side / np.tan(np.arcsin(np.sqrt(3) / 2 / INSET_DISTANCE))
     return focal * view[..., :2] / (view[..., 2:] + INSET_DISTANCE) + side / 2
 
 
@@ -245,9 +242,8 @@ def scramble(random: np.random.Generator) -> np.ndarray:
 
 def _least_difference(stickers: np.ndarray) -> int:
     """Fewest stickers in which two of the 24 views (six faces, four turns) of single faces differ."""
-    outside = [
-        face if number % 2 == 0 else face.T for number, face in enumerate(stickers)
-    ]  # mirrored on the faces that look backwards
+    # mirrored on the faces that look backwards
+    outside = [face if number % 2 == 0 else face.T for number, face in enumerate(stickers)]
     views = np.array([np.rot90(face, turn).reshape(-1) for face in outside for turn in range(4)])
     different = (views[:, None] != views).sum(-1)
     return int(different[~np.eye(24, dtype=bool)].min())

@@ -100,9 +100,8 @@ def see(wall: np.ndarray, view: np.ndarray, size: tuple[int, int], blur: np.ndar
     the stream [2]; None: none."""
     image = cv2.warpAffine(wall, view, STREAM[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     if blur is not None:
-        image = cv2.resize(
-            image, None, fx=1 / COARSER, fy=1 / COARSER, interpolation=cv2.INTER_AREA
-        )  # Blurring 720 rows takes ten times as long.
+        # Blurring 720 rows takes ten times as long.
+        image = cv2.resize(image, None, fx=1 / COARSER, fy=1 / COARSER, interpolation=cv2.INTER_AREA)
         blur = blur / COARSER
         length = int(np.ceil(np.abs(blur).max())) | 1
         kernel = np.zeros((length, length), np.float32)

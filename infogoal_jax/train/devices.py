@@ -22,9 +22,8 @@ WORKING_COPIES = (
 def bytes_of(tree: Any) -> int:
     """Bytes that the arrays of a pytree (or of its shapes) take."""
     leaves = jax.tree.leaves(tree)
-    return sum(
-        leaf.size * (8 if checkpoint.is_key(leaf) else leaf.dtype.itemsize) for leaf in leaves
-    )  # A key is two uint32.
+    # A key is two uint32.
+    return sum(leaf.size * (8 if checkpoint.is_key(leaf) else leaf.dtype.itemsize) for leaf in leaves)
 
 
 def device_memory(device) -> int:

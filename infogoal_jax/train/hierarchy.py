@@ -117,9 +117,8 @@ class SubgoalEnv(Environment):
 def steer(env, config) -> SubgoalEnv:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
     used."""
-    from infogoal_jax.train.low_level import (
-        file as low_level_file,
-    )  # With it comes MuJoCo, which takes half a second that no other task needs.
+    # With it comes MuJoCo, which takes half a second that no other task needs.
+    from infogoal_jax.train.low_level import file as low_level_file
 
     require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
     if isinstance(env.space, JointSpace):

@@ -240,9 +240,8 @@ def run(
                     Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing)
                 )
         stopped = done < config.num_epochs
-    checkpoint.save(
-        folder / "policy", {"epoch": done, **description}, states.params
-    )  # Again, if a kill came between the two files.
+    # Again, if a kill came between the two files.
+    checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
     diverged = diverged_seeds(files.read_table(folder, "epochs"))
     return Sweep(folder, train, jax.device_get(states.params), diverged, stopped, compile_seconds, run_seconds)
 

@@ -60,9 +60,8 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     candidates = parts.config.batch_size * (1 if parts.relabelling is None else parts.relabelling.candidates)
     row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
-        goal = buffer.goal[
-            row, step
-        ]  # Recorded episodes did not end where their goal was reached; what is drawn from them does.
+        # Recorded episodes did not end where their goal was reached; what is drawn from them does.
+        goal = buffer.goal[row, step]
     if parts.relabelling is not None:
         row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
     drawn = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
@@ -105,9 +104,8 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
         goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable))
         for k, record in zip(keys[1:3], records, strict=True)
     )
-    any_achieved = (
-        experience.achieved_count[-1] > 0
-    )  # Else the draw has nothing to choose from, and returned a row not written yet.
+    # Else the draw has nothing to choose from, and returned a row not written yet.
+    any_achieved = experience.achieved_count[-1] > 0
     positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)
     anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
     contrast = jnp.broadcast_to(anchor[:, None], (spec.num_pairs, spec.num_negatives))

@@ -59,9 +59,8 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     see, see_by_target = (
         encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
     )
-    encoded = (
-        encode_commanded if parts.relabelling is None else encode_goals
-    )  # Relabelled goals are any, and not among those commanded.
+    # Relabelled goals are any, and not among those commanded.
+    encoded = encode_commanded if parts.relabelling is None else encode_goals
     view = training_view(parts, env, augmented=True)
     code, target_code = (
         encoded(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)(batch.goal)

@@ -231,9 +231,8 @@ class Fetch(Environment):
 def euler_angles(rotation: jax.Array) -> jax.Array:
     """Angles [3] about x, y and z (rad) of a rotation matrix [3, 3], in the reference's convention (mat2euler)."""
     across = jnp.sqrt(rotation[2, 2] ** 2 + rotation[1, 2] ** 2)
-    regular = (
-        across > 4e-6
-    )  # Else the object stands on end, and x and z turn it about the same axis. The reference's bound is for float64.
+    # Else the object stands on end, and x and z turn it about the same axis. The reference's bound is for float64.
+    regular = across > 4e-6
     about_x = jnp.where(regular, -jnp.arctan2(rotation[1, 2], rotation[2, 2]), 0.0)
     about_y = -jnp.arctan2(-rotation[0, 2], across)
     about_z = jnp.where(

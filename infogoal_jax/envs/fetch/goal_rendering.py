@@ -207,9 +207,8 @@ def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float
     model.eq_data[:, :10] = (0, 0, 0, 0, 0, 0, 1, 0, 0, 0)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.vis.global_.fovy = camera.field_of_view
-    mark = model.body(
-        "robot0:mocap"
-    )  # Long green lines that cross where the gripper is pulled to; not part of the robot.
+    # Long green lines that cross where the gripper is pulled to; not part of the robot.
+    mark = model.body("robot0:mocap")
     model.geom_rgba[mark.geomadr[0] : mark.geomadr[0] + mark.geomnum[0], 3] = 0
     view, options = mujoco.MjvCamera(), mujoco.MjvOption()
     view.azimuth, view.elevation, view.distance, view.lookat[:] = (

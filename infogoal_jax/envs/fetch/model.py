@@ -145,10 +145,7 @@ def load(task: Task, setting: Setting) -> mujoco.MjModel:
         )
         thing.add_geom(name="object", type=shape, size=size, mass=2, contype=0, conaffinity=0)
     model = spec.compile()
-    model.eq_data[0, :3] = [
-        0.1664,
-        0,
-        0,
-    ]  # The weld holds the gripper, 0.1664 m along the wrist, to the mocap body's pose.
+    # The weld holds the gripper, 0.1664 m along the wrist, to the mocap body's pose.
+    model.eq_data[0, :3] = [0.1664, 0, 0]
     model.eq_data[0, 3:10] = [0, 0, 0, 1, 0, 0, 0]
     return model

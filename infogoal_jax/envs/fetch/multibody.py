@@ -4,7 +4,7 @@ when it is traced.
 The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler).
 `mjx.kinematics`, `mjx.crb` and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here
 all bodies are worked out side by side, and sums along the tree are products with constant matrices: a twelfth of the
-operations to compile. tests/test_fetch_multibody.py holds them against MuJoCo and MJX.
+operations to compile. tests/envs/fetch/test_multibody.py holds them against MuJoCo and MJX.
 
 Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of
 several bodies may be added.

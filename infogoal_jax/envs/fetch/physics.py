@@ -302,9 +302,8 @@ class Physics:
         )
         violation = jnp.concatenate([off, beyond, depth])
         equality = np.arange(len(violation)) < solver.EQUALITIES
-        measure = jnp.where(
-            equality, jnp.sqrt((off**2).sum()), violation
-        )  # A weld gives way by the length of all that it is off.
+        # A weld gives way by the length of all that it is off.
+        measure = jnp.where(equality, jnp.sqrt((off**2).sum()), violation)
         return self.row_kinds.rows(jacobian, motion.velocity, violation, measure, equality | (violation < 0))
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:
@@ -327,9 +326,8 @@ class Physics:
         target = gripper + 0.05 * action[:3]
         target_quaternion = quaternion + GRIPPER_TURN
         target_quaternion = target_quaternion / jnp.sqrt((target_quaternion**2).sum())
-        grasp = jnp.clip(
-            motion.position[self.fingers] + action[3], 0.0, 0.2
-        )  # No servo drives fingers that are kept closed.
+        # No servo drives fingers that are kept closed.
+        grasp = jnp.clip(motion.position[self.fingers] + action[3], 0.0, 0.2)
         motion = jax.lax.fori_loop(
             0, self.setting.substeps, lambda _, state: self.substep(state, target, target_quaternion, grasp), motion
         )

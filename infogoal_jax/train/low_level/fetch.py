@@ -190,9 +190,8 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
             for seen in (batch.observation, batch.next_observation)
         )
         following = td3.next_value(noise_key, actor, critic, target_params, next_inputs, hyper.target_noise)
-        value = jnp.clip(
-            reward + hyper.discount * following, -1.0 / (1.0 - hyper.discount), 0.0
-        )  # No step costs more than 1.
+        # No step costs more than 1.
+        value = jnp.clip(reward + hyper.discount * following, -1.0 / (1.0 - hyper.discount), 0.0)
         learned = td3.losses(actor, critic, params, inputs, batch.action, value, huber=False)
         return learned.critic + learned.actor + hyper.action_cost * (learned.actions**2).mean(), learned.metrics
 

@@ -124,9 +124,8 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
         frame = jax.random.randint(frame_key, (config.num_envs,), 0, len(joints))
         turn = jax.random.uniform(target_key, (config.num_envs, joints.shape[1]), minval=-NEAR, maxval=NEAR)
         target = wrapped(joints[frame] + turn)
-        possible = at_target(joints, target[:, None], precision).any(
-            -1
-        )  # The joint limits leave some target states out.
+        # The joint limits leave some target states out.
+        possible = at_target(joints, target[:, None], precision).any(-1)
 
         def step(carry, number):
             frame, first = carry

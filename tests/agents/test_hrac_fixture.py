@@ -1,0 +1,140 @@
+"""HRAC's adjacency network against the numbers of its authors' code (fixtures/README.md), and where ours is meant to
+differ."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from places import FIXTURES
+
+from infogoal_jax import networks, pairs
+from infogoal_jax.agents import hrac
+from infogoal_jax.envs.cells import Cells
+from infogoal_jax.replay import Trajectories
+
+FIXTURE = np.load(FIXTURES / "hrac_adjacency.npz", allow_pickle=False)
+INTERVAL = int(FIXTURE["interval"])
+
+
+def assert_relatively_close(found, recorded):
+    """To 1e-5 of the largest number recorded."""
+    np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
+
+
+def test_margins_are_those_of_the_authors_code():
+    recorded = tuple(float(FIXTURE[name]) for name in ("margin_positive", "margin_negative", "goal_margin"))
+    assert recorded == (hrac.ADJACENT, hrac.APART, hrac.PENALTY_STARTS)
+
+
+def test_adjacency_loss_and_its_gradients_are_those_of_the_authors_code():
+    """Among the pairs are two that coincide, one adjacent and one not: their gradient is 0."""
+    first, second, adjacent = (
+        jnp.asarray(FIXTURE["first"]),
+        jnp.asarray(FIXTURE["second"]),
+        jnp.asarray(FIXTURE["labels"] == 1),
+    )
+
+    def loss(first, second, weight):
+        return hrac.adjacency_loss(hrac.length(first - second), adjacent, weight)
+
+    assert_relatively_close(hrac.length(first - second), FIXTURE["distance"])
+    of_each = jax.vmap(lambda weight: loss(first, second, weight))(jnp.eye(len(adjacent)))
+    assert_relatively_close(of_each, FIXTURE["pair_losses"])
+    value, gradients = jax.value_and_grad(loss, argnums=(0, 1))(first, second, jnp.ones(len(adjacent)))
+    assert_relatively_close(value, FIXTURE["loss"])
+    assert_relatively_close(gradients[0], FIXTURE["gradient_first"])
+    assert_relatively_close(gradients[1], FIXTURE["gradient_second"])
+    assert not gradients[0][:2].any()
+
+
+def test_penalty_of_subgoals_and_its_gradient_are_those_of_the_authors_code():
+    """Through the authors' network. They add 1e-6 to each difference of codes and nothing under the root: less than
+    1e-5 of the numbers here."""
+    network = networks.MLP((24, 24, 24), 32)
+    layers = {
+        f"Dense_{n}": {"kernel": FIXTURE[f"network_kernel_{n + 1}"], "bias": FIXTURE[f"network_bias_{n + 1}"]}
+        for n in range(4)
+    }
+    states = jnp.asarray(FIXTURE["states"])
+
+    def embed(states):
+        return network.apply({"params": layers}, states)
+
+    def penalties(subgoals):
+        return hrac.adjacency_penalty(hrac.length(embed(states) - embed(states + subgoals)))
+
+    subgoals = jnp.asarray(FIXTURE["subgoals"])
+    assert_relatively_close(embed(states), FIXTURE["embedding_states"])
+    assert_relatively_close(embed(states + subgoals), FIXTURE["embedding_targets"])
+    assert_relatively_close(penalties(subgoals), FIXTURE["goal_losses"])
+    value, gradient = jax.value_and_grad(lambda subgoals: penalties(subgoals).mean())(subgoals)
+    assert_relatively_close(value, FIXTURE["goal_loss"])
+    assert_relatively_close(gradient, FIXTURE["gradient_subgoals"])
+
+
+def high_level(interval: int):
+    """HRAC's high level over positions in the plane, with cells of side 1 around whole numbers; and those cells."""
+    reach = np.abs(FIXTURE["cells"]).max()
+    cells = Cells.over(np.array([[-reach, -reach], [reach, reach]]), 1.0)
+    space = SimpleNamespace(
+        size=2, components=1, cells=lambda side: cells, of=lambda states: states, parts=lambda states: states[None]
+    )
+    return hrac.make(hrac.HRACConfig(interval=interval, cell=1.0), SimpleNamespace(space=space)), cells
+
+
+def rows_of(trajectories) -> Trajectories:
+    """Trajectories [R, T, 2] as rows of which each is one episode that does not end."""
+    going_on = jnp.ones((trajectories.shape[0], trajectories.shape[1] - 1), bool)
+    others = dict.fromkeys(Trajectories.__dataclass_fields__)
+    return Trajectories(**(others | {"observation": jnp.asarray(trajectories), "valid": going_on}))
+
+
+def remembered(interval: int, trajectories) -> np.ndarray:
+    """What `observe` remembers as adjacent after these trajectories, three at a time, between the recorded cells: bool
+    [49, 49]."""
+    agent, cells = high_level(interval)
+    apart = pairs.initial_dissimilarity(cells.count)[None]
+    for start in range(0, len(trajectories), 3):
+        apart = agent.observe(apart, rows_of(trajectories[start : start + 3]))
+    place = np.asarray(cells.of(jnp.asarray(FIXTURE["cells"], jnp.float32)))
+    assert (place >= 0).all() and len(set(place.tolist())) == len(place)
+    return ~np.asarray(apart[0])[np.ix_(place, place)]
+
+
+@pytest.mark.parametrize(("count", "recorded"), [(3, "adjacency_after_three"), (6, "adjacency")])
+def test_adjacent_cells_are_those_of_the_authors_code_for_an_interval_one_longer(count, recorded):
+    """Theirs are adjacent up to k - 1 steps apart, ours up to k."""
+    known = len(FIXTURE[recorded])
+    np.testing.assert_array_equal(
+        remembered(INTERVAL - 1, FIXTURE["trajectories"][:count])[:known, :known], FIXTURE[recorded]
+    )
+
+
+def test_cells_k_steps_apart_are_adjacent_here():
+    """By HRAC's definition (a subgoal is reached within k steps). Nothing else is added, and the network here is
+    trained on pairs k steps apart."""
+    ours = remembered(INTERVAL, FIXTURE["trajectories"])
+    expected = FIXTURE["adjacency"].astype(bool)
+    number = {tuple(cell): index for index, cell in enumerate(FIXTURE["cells"].tolist())}
+    visited = [
+        [number[tuple(cell)] for cell in trajectory]
+        for trajectory in np.round(FIXTURE["trajectories"]).astype(int).tolist()
+    ]
+    for trajectory in visited:
+        for first, second in zip(trajectory, trajectory[INTERVAL:], strict=False):
+            expected[first, second] = expected[second, first] = True
+    np.testing.assert_array_equal(ours, expected)
+    assert (ours & ~FIXTURE["adjacency"].astype(bool)).any()
+
+
+def test_recorded_training_pairs_carry_the_labels_that_are_remembered():
+    """The authors train on every pair of cells once; here the label of a pair of states is looked up by their cells in
+    the same way."""
+    number = {tuple(cell): index for index, cell in enumerate(FIXTURE["cells"].tolist())}
+    first, second = (
+        [number[tuple(cell)] for cell in FIXTURE[f"training_{name}"].tolist()] for name in ("first", "second")
+    )
+    ours = remembered(INTERVAL - 1, FIXTURE["trajectories"])
+    np.testing.assert_array_equal(ours[first, second], FIXTURE["training_labels"])

@@ -1,0 +1,180 @@
+"""What the README and the docs name is there: links, files, flags, methods; their Python is Python."""
+
+import ast
+import contextlib
+import functools
+import io
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from unittest import mock
+
+import hand_made
+import pytest
+from places import ROOT
+
+import infogoal_jax
+from infogoal_jax import learners, presets
+from infogoal_jax.cli.commands import Group
+from infogoal_jax.cli.main import BY_TASK, COMMANDS, main
+from infogoal_jax.train.program import make_train
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+# It may name flags and files that are no more; its links lead somewhere all the same.
+CHANGELOG = ROOT / "CHANGELOG.md"
+LONGEST_README = 150
+FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
+OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
+each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of this language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.M | re.S)
+
+
+def flags_in(text: str) -> set[str]:
+    """Everything that looks like a long flag of ours; XLA's begin with `--xla_`."""
+    return {flag.rstrip(".-") for flag in re.findall(r"(?<![\w-])--(?!xla_)[a-z][\w.-]*", text)}
+
+
+@functools.cache
+def flags_of(words: str) -> set[str]:
+    """The flags in the help of these words of the command line."""
+    printed = io.StringIO()
+    with (
+        mock.patch.dict(os.environ, {"COLUMNS": "200"}),
+        contextlib.redirect_stdout(printed),
+        pytest.raises(SystemExit),
+    ):
+        main([*words.split(), "--help-all" if words.split()[0] in ("train", "tune") else "--help"])
+    return flags_in(printed.getvalue())
+
+
+def commands_in(group: Group, path: str = "") -> Iterator[str]:
+    """The words of every command."""
+    for name, command in group.commands.items():
+        if isinstance(command, Group):
+            yield from commands_in(command, f"{path}{name} ")
+        elif not path and name in BY_TASK:
+            yield from commands_in(BY_TASK[name]([]).group, f"{name} ")
+        else:
+            yield f"{path}{name}"
+
+
+@functools.cache
+def flags_of_all_parts() -> set[str]:
+    """The flags of `infogoal train`, of every task and part."""
+    chosen = [
+        f"{task} --learner {learner} --relabelling her" for task in presets.TASKS for learner in learners.registry
+    ]
+    chosen += [f"object_search --method {method}" for method in presets.METHODS] + ["object_manipulation --agent dqn"]
+    return set().union(*(flags_of(f"train {words}") for words in chosen))
+
+
+@functools.cache
+def flags_of_commands() -> dict[str, set[str]]:
+    """The flags of every command, by its words; of one that takes parts by name, those of every part."""
+    return {
+        words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set())
+        for words in commands_in(COMMANDS)
+    }
+
+
+def benchmark_flags(path: Path) -> set[str]:
+    """The flags that a benchmark adds to its parser."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    names = [argument for call in calls if getattr(call.func, "attr", "") == "add_argument" for argument in call.args]
+    return {name.value for name in names if isinstance(name, ast.Constant) and name.value.startswith("--")}
+
+
+def known_flags() -> set[str]:
+    """The flags of all commands and benchmarks."""
+    of_benchmarks = set().union(*(benchmark_flags(path) for path in (ROOT / "benchmarks").glob("*/*.py")))
+    return OTHERS_FLAGS.union(of_benchmarks, *flags_of_commands().values())
+
+
+@pytest.mark.parametrize("page", [*PAGES, CHANGELOG], ids=lambda page: page.name)
+def test_every_relative_link_leads_somewhere(page):
+    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text())
+    missing = [
+        link for link in links if not re.match(r"[a-z]+:|#", link) and not (page.parent / link.split("#")[0]).exists()
+    ]
+    assert not missing
+
+
+def test_every_page_can_be_reached_from_the_readme():
+    linked = {(ROOT / link.split("#")[0]).resolve() for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[0].read_text())}
+    assert {page.resolve() for page in (*PAGES[1:], CHANGELOG)} <= linked
+
+
+def test_the_readme_is_short():
+    assert len(PAGES[0].read_text().splitlines()) <= LONGEST_README
+
+
+@each_page
+def test_every_file_that_is_named_is_there(page):
+    """A path that begins with a folder of the repository or of the package, and every name with the ending of a source
+    file."""
+    text = re.sub(r"https?://\S+", "", page.read_text())
+    places = (
+        ROOT,
+        ROOT / "infogoal_jax",
+        page.parent,
+        *(path for path in (ROOT / "infogoal_jax").iterdir() if path.is_dir()),
+    )
+    folders = {path.name for place in places[:2] for path in place.iterdir() if path.is_dir() and path.name != "runs"}
+    names = {name.rstrip("./") for name in re.findall(r"(?<![\w./*~$-])[A-Za-z_][\w.-]*(?:/[\w.*-]+)*/?", text)}
+    named = {
+        name
+        for name in names
+        if name.endswith(FILES) or name == "constraints.txt" or ("/" in name and name.split("/")[0] in folders)
+    }
+    assert not [name for name in sorted(named) if not any(any(place.glob(name)) for place in places)]
+
+
+@each_page
+def test_every_flag_is_a_flag(page):
+    assert flags_in(page.read_text()) <= known_flags()
+
+
+@each_page
+def test_flags_stand_behind_their_own_command(page):
+    """In every line of a console block that calls `infogoal` or a benchmark."""
+    for line in "".join(blocks(page, "console")).splitlines():
+        command, _, _ = line.partition("#")
+        words = command.split()
+        if words[:1] == ["infogoal"]:
+            known = flags_of_commands()
+            name = max(
+                (name for name in known if f"{' '.join(words[1:])} ".startswith(f"{name} ")), key=len, default=None
+            )
+            resumed = known["train object_search"] if words[1:3] == ["train", "--resume"] else None
+            assert name or resumed, line
+            assert flags_in(command) <= (resumed or known[name]), line
+        elif words[:1] == ["python"]:
+            assert flags_in(command) <= benchmark_flags(ROOT / words[1]), line
+
+
+@each_page
+def test_methods_that_are_named_on_a_command_line_exist(page):
+    named = set(re.findall(r"--method ([a-z]\w*)", page.read_text())) - {"my_method"}
+    assert named <= set(presets.METHODS)
+
+
+@each_page
+def test_python_blocks_compile(page):
+    for block in blocks(page, "python"):
+        ast.parse(block)
+
+
+def test_the_readme_s_python_trains_one_seed_and_sixteen(monkeypatch):
+    """The block as it stands, on the hand-made rooms for one epoch instead of in a house."""
+    (block,), load, names = blocks(PAGES[0], "python"), presets.load, {}
+    sizes = hand_made.sizes(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1)
+    monkeypatch.setattr(presets, "load", lambda task, method: load(task, method, **sizes))
+    monkeypatch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
+    exec(compile(block, "README", "exec"), names)
+    assert names["result"].metrics["test_goal/success_rate"].shape == (1,)
+    assert names["sweep"].metrics["test_goal/success_rate"].shape == (16, 1)

@@ -1,0 +1,235 @@
+"""GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code
+(fixtures/README.md)."""
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from places import FIXTURES
+
+from infogoal_jax import UserError, make_train, networks
+from infogoal_jax.hyperparameters import NoHyperparameters
+from infogoal_jax.learners import gcb
+from infogoal_jax.learners.learner import GoalCode, Steps, conditioned
+
+FIXTURE = np.load(FIXTURES / "gcb.npz", allow_pickle=False)
+
+
+def assert_relatively_close(found, recorded):
+    """To 1e-5 of the largest number recorded."""
+    np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
+
+
+@pytest.mark.parametrize(
+    ("variant", "reward_weight"), [("next_observation", 1.0), ("next_observation_weight_10", 10.0)]
+)
+def test_paired_loss_and_its_gradient_are_those_of_the_authors_code(variant, reward_weight):
+    phi, following, rewards, partner = (
+        jnp.asarray(FIXTURE[name]) for name in ("phi", "phi_next", "rewards", "permutation")
+    )
+
+    def loss(codes):
+        target = gcb.bisimulation_target(
+            rewards, following, jnp.full(len(rewards), FIXTURE["discount"]), partner, reward_weight
+        )
+        return gcb.paired_loss(codes, target, partner)
+
+    value, gradient = jax.value_and_grad(loss)(phi)
+    assert_relatively_close(value, FIXTURE[f"{variant}_loss"])
+    assert_relatively_close(gradient, FIXTURE[f"{variant}_gradient_phi"])
+
+
+@pytest.mark.parametrize(("variant", "grounded"), [("delta", True), ("delta_without_grounding", False)])
+def test_difference_loss_and_its_gradients_are_those_of_the_authors_code(variant, grounded):
+    state, goal, paired, grounding = (
+        jnp.asarray(FIXTURE[name]) for name in ("psi_state", "psi_goal", "phi_state_goal", "phi_goal_goal")
+    )
+
+    def loss(state, goal):
+        return gcb.difference_loss(goal - state, paired, *([grounding] if grounded else []))
+
+    value, (of_state, of_goal) = jax.value_and_grad(loss, argnums=(0, 1))(state, goal)
+    assert_relatively_close(value, FIXTURE[f"psi_{variant}_loss"])
+    assert_relatively_close(of_state, FIXTURE[f"psi_{variant}_gradient_state"])
+    assert_relatively_close(of_goal, FIXTURE[f"psi_{variant}_gradient_goal"])
+
+
+def test_code_spread_is_what_the_authors_code_logs_and_0_for_one_code():
+    assert_relatively_close(1.0 - gcb.code_spread(jnp.asarray(FIXTURE["phi"])), FIXTURE["phi_collapse_level"])
+    assert gcb.code_spread(jnp.ones((8, 4))) < 1e-6 and gcb.code_spread(jnp.zeros((8, 4))) == 0
+    noise = jax.random.normal(jax.random.key(0), (2000, 32))
+    np.testing.assert_allclose(gcb.code_spread(noise), 1.25 / np.sqrt(32), rtol=0.05)
+
+
+def test_what_terminated_has_no_successor():
+    """Codes (3, 4) and (6, 8) follow, of length 5 and 10 and 5 apart; rewards 2 apart, which costs 1.5."""
+    following = jnp.array([[3.0, 4.0], [6.0, 8.0]])
+    for discounts, distance in (
+        ((0.9, 0.9), 4.5),
+        ((0.0, 0.0), 0.0),
+        ((0.9, 0.0), 4.5),
+        ((0.0, 0.9), 9.0),
+        ((0.8, 0.4), 0.0),
+    ):
+        target = gcb.bisimulation_target(jnp.array([2.0, 0.0]), following, jnp.array(discounts), jnp.array([1, 0]), 2.0)
+        np.testing.assert_allclose(target, 2 * [2.0 * 1.5 + distance], rtol=1e-6)
+
+
+def test_targets_carry_no_gradient():
+    rewards, following, discounts = (
+        jnp.array([0.0, 1.0, 0.5]),
+        jax.random.normal(jax.random.key(0), (3, 4)),
+        jnp.full(3, 0.9),
+    )
+    partner, codes = jnp.array([1, 2, 0]), jax.random.normal(jax.random.key(1), (3, 4))
+    gradients = jax.grad(
+        lambda *of: gcb.paired_loss(codes, gcb.bisimulation_target(*of, partner, 1.0), partner), argnums=(0, 1, 2)
+    )(rewards, following, discounts)
+    gradients += jax.grad(gcb.difference_loss, argnums=(1, 2))(codes, codes + 1.0, codes + 3.0)
+    assert all(not gradient.any() for gradient in gradients)
+
+
+def test_gradients_are_finite_where_codes_are_equal():
+    equal, partner = jnp.ones((3, 4)), jnp.array([0, 2, 1])
+
+    def loss(codes):
+        return gcb.paired_loss(
+            codes, gcb.bisimulation_target(jnp.arange(3.0), codes, jnp.full(3, 0.9), partner, 1.0), partner
+        )
+
+    assert np.isfinite(jax.grad(loss)(equal)).all()
+
+
+INPUTS = jax.random.normal(jax.random.key(0), (2, 16))
+FEATURES = jax.nn.relu(jax.random.normal(jax.random.key(1), (6, 8)))
+FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END = range(6)
+DISCOUNT = 0.9
+STATES = np.array([FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END, FIRST, WORSE_END])
+GOALS = np.array([0, 0, 0, 0, 0, 0, 1, 1])
+REWARDS = jnp.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+FOLLOWING = np.array([WORSE_END, WORSE_END, WORSE_END, BETTER_END, FIRST, FIRST, WORSE_END, FIRST])
+DISCOUNTS = jnp.where((STATES == WORSE_END) | (STATES == BETTER_END), 0.0, DISCOUNT)
+"""Eight transitions of six states: two of equal reward and successor, one of another reward, one of another successor,
+two that end; and the first state and an end under another goal, where the first state earns more. All eight targets can
+be met at once."""
+
+
+def learner_and_params(**changes):
+    """The learner, its parameters, and its loss on the transitions above as a function of parameters, features, next
+    features and rewards."""
+    settings = {"hidden": (64, 64), "paired_hidden": (64, 64), "latent_size": 8, "reward_weight": 2.0}
+    learner = gcb.make(gcb.GCBConfig(**(settings | changes)))
+    params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), NoHyperparameters())
+
+    def loss(params, features, next_features, rewards, key):
+        codes = learner.encode(params, INPUTS)
+        seen = Steps(features, next_features, rewards, DISCOUNTS)
+        batch = hand_made.learner_batch(codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen)
+        value, metrics, after = learner.loss(params, state, batch, NoHyperparameters(), key)
+        assert after == state
+        return value, metrics
+
+    return learner, params, loss
+
+
+def test_the_loss_trains_every_network_of_the_method_and_nothing_of_the_agent():
+    _, params, loss = learner_and_params()
+    arguments = (params, FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, jax.random.key(3))
+    of_params, *of_agent = jax.jit(jax.grad(lambda *given: loss(*given)[0], argnums=(0, 1, 2, 3)))(*arguments)
+    assert all(np.abs(leaf).max() > 0 for leaf in jax.tree.leaves(of_params))
+    assert all(not gradient.any() for gradient in of_agent)
+
+
+def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
+    """Trained from random codes; distances are 1-norms summed over the code, and a gap of 1 between rewards costs 2 *
+    0.5."""
+    learner, params, loss = learner_and_params()
+    optimizer = optax.adam(optax.linear_schedule(2e-3, 1e-4, 600))
+
+    def step(carry, key):
+        params, optimizer_state = carry
+        gradient, metrics = jax.grad(loss, has_aux=True)(params, FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, key)
+        change, optimizer_state = optimizer.update(gradient, optimizer_state)
+        return (optax.apply_updates(params, change), optimizer_state), metrics
+
+    run = jax.jit(
+        lambda params: jax.lax.scan(step, (params, optimizer.init(params)), jax.random.split(jax.random.key(4), 600))
+    )
+    (trained, _), metrics = run(params)
+    paired = gcb.PairedEncoder((64, 64), (64, 64), 8, False)
+    before, codes = (
+        np.asarray(paired.apply(given["paired"], FEATURES[STATES], INPUTS[GOALS])) for given in (params, trained)
+    )
+
+    def distance(codes, first, second):
+        return np.abs(codes[first] - codes[second]).sum()
+
+    ends, worse_end, better_end = (
+        DISCOUNT * np.linalg.norm(code) for code in (codes[4] - codes[5], codes[4], codes[5])
+    )
+    assert distance(before, FIRST, TWIN) > 0.3 and min(ends, worse_end, better_end) > 0.2
+    # What ended has no successor, so that its partner's stands alone.
+    expected = {
+        (FIRST, TWIN): 0.0,
+        (FIRST, BETTER): 1.0,
+        (FIRST, ELSEWHERE): ends,
+        (BETTER, ELSEWHERE): 1.0 + ends,
+        (WORSE_END, BETTER_END): 1.0,
+        (FIRST, WORSE_END): worse_end,
+        (FIRST, BETTER_END): 1.0 + worse_end,
+        (ELSEWHERE, WORSE_END): better_end,
+    }
+    for pair, target in expected.items():
+        assert distance(codes, *pair) == pytest.approx(target, abs=0.05), pair
+    assert distance(codes, 6, FIRST) == pytest.approx(1.0, abs=0.05)  # One state under two goals.
+    difference = learner.condition(trained, learner.encode(trained, INPUTS[GOALS]), FEATURES[STATES]).mean
+    assert np.square(difference - codes).mean() < 0.1 * np.square(codes).mean()
+    assert metrics["paired_loss"][-1] < 0.01 * metrics["paired_loss"][0] and metrics["code_spread"][-1] > 0.05
+    assert metrics["reward_error"][-1] < 1e-2 < metrics["reward_error"][0]  # The reward can be read out of the codes.
+
+
+def test_without_a_decoder_nothing_of_it_is_left():
+    _, params, loss = learner_and_params(reward_hidden=0)
+    _, metrics = loss(params, FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, jax.random.key(3))
+    assert "reward_decoder" not in params and "reward_error" not in metrics
+
+
+def test_the_policy_is_given_what_is_left_to_do():
+    """psi(g) - psi(s): one vector for each goal less one for each state."""
+    learner, params, _ = learner_and_params()
+    codes = learner.encode(params, INPUTS)
+    given = np.stack([conditioned(learner, params, codes, jnp.stack([state, state])).mean for state in FEATURES])
+    np.testing.assert_allclose(given[:, 1] - given[:, 0], np.tile(codes.mean[1] - codes.mean[0], (6, 1)), atol=1e-5)
+    assert all(np.abs(given[0] - other).max() > 1e-3 for other in given[1:])
+    of_states = networks.MLP((64, 64), 8).apply(params["state_head"], FEATURES)
+    np.testing.assert_allclose(given[:, 0], codes.mean[0] - of_states, atol=1e-5)
+
+
+def test_the_policy_can_be_given_the_goal_alone():
+    learner, params, _ = learner_and_params(policy_input="goal")
+    codes = GoalCode(jnp.arange(8.0)[None])
+    assert conditioned(learner, params, codes, FEATURES[:1]) is codes
+
+
+def test_wrong_settings_are_refused():
+    for field, value in (
+        ("latent_size", 0),
+        ("paired_hidden", (128, 0)),
+        ("reward_weight", 0.0),
+        ("policy_input", "sum"),
+        ("reward_hidden", -1),
+        ("relabelled_share", 1.5),
+    ):
+        with pytest.raises(UserError, match=field):
+            hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
+
+
+def test_trains_on_the_hand_made_rooms():
+    train = make_train(hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
+    result = jax.jit(train)(jax.random.key(0))
+    assert {"gcb/paired_loss", "gcb/psi_loss", "gcb/code_spread"} <= set(result.epochs)
+    for name, values in {**result.metrics, **result.epochs}.items():
+        assert np.isfinite(values).all(), name
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.params))

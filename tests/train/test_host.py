@@ -1,0 +1,108 @@
+"""Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in
+distribution."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import hand_made
+import jax
+import numpy as np
+import pytest
+import scipy.stats
+from places import TESTS
+
+from infogoal_jax import make_train
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import devices, host
+
+ON_TWO_DEVICES = """
+import sys
+from pathlib import Path
+import hand_made, jax
+from infogoal_jax.train import host
+assert len(jax.devices()) == 2
+epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
+if at_once < 2:
+    host.seeds_at_once = lambda *arguments: at_once
+config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
+seen = []
+listen = lambda progress: seen.extend(progress.epochs)
+sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(listen,), env=hand_made.environment())
+assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
+"""
+
+
+@pytest.fixture(scope="module")
+def one_device(tmp_path_factory):
+    """Rows of four seeds trained side by side on one device."""
+    folder = tmp_path_factory.mktemp("one_device")
+    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], folder / "run", env=hand_made.environment())
+    return read_losses(folder / "run")
+
+
+def read_losses(folder: Path) -> list[float]:
+    return [json.loads(line)["agent/loss"] for line in (folder / "epochs.jsonl").read_text().splitlines()]
+
+
+def train_on_two_devices(folder: Path, epochs: int, at_once: int) -> None:
+    """Train four seeds on two devices, so many of a device's two at once."""
+    environment = os.environ | {
+        "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
+    }
+    command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), str(epochs), str(at_once)]
+    subprocess.run(command, cwd=TESTS, env=environment, check=True)
+
+
+def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
+    train_on_two_devices(tmp_path / "run", 1, 2)
+    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+
+
+def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_path, monkeypatch):
+    monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
+    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], tmp_path / "run", env=hand_made.environment())
+    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+
+
+@pytest.mark.long
+def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, tmp_path):
+    """A chunk after the first takes the states from where the first left them."""
+    train_on_two_devices(tmp_path / "run", 2, 1)
+    losses = read_losses(tmp_path / "run")
+    np.testing.assert_allclose(losses[:4], one_device, rtol=1e-3)
+    assert len(losses) == 8 and losses[:4] != losses[4:]
+
+
+def test_slices_follow_from_the_memory_of_the_devices():
+    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10;
+    the environment takes 30."""
+    for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
+        assert devices.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / devices.MEMORY_SHARE)) == at_once
+    with pytest.raises(UserError, match="seeds = 10"):
+        devices.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / devices.MEMORY_SHARE))
+    with pytest.raises(UserError, match="seeds = 20.*give at most 18"):
+        devices.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / devices.MEMORY_SHARE), 2)
+
+
+@pytest.mark.long
+def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
+    config = hand_made.config(
+        num_epochs=16,
+        epochs_per_evaluation=16,
+        updates_per_epoch=50,
+        batch_size=64,
+        buffer_steps=5120,
+        evaluation_starts=10,
+    )
+    train = make_train(config, hand_made.environment())
+    keys = jax.random.split(jax.random.key(0), 32)
+    together = np.asarray(jax.jit(jax.vmap(train))(keys).metrics["test_goal/success_rate"][:, -1])
+    single = jax.jit(train)
+    alone = np.asarray([single(key).metrics["test_goal/success_rate"][-1] for key in keys])
+    assert together.std() > 0  # Not all at the ceiling: the comparison could fail.
+    assert scipy.stats.ks_2samp(together, alone).pvalue > 0.01

@@ -1,0 +1,215 @@
+"""A killed run goes on to the same bits; a checkpoint that is damaged or of another configuration is refused; nothing
+on disk is lost."""
+
+import dataclasses
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from killed_run import chunk_config
+from places import TESTS
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.presets.saved import to_json
+from infogoal_jax.train import checkpoint, files, host
+
+FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
+
+
+@pytest.fixture(scope="module")
+def env():
+    return hand_made.environment()
+
+
+def start(folder: Path) -> subprocess.Popen:
+    """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not
+    the compiler."""
+    environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    command = [sys.executable, str(TESTS / "killed_run.py"), str(folder), "resume"]
+    return subprocess.Popen(command, env=environment, cwd=TESTS, stdout=subprocess.DEVNULL)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    """A run that was never killed, and the seconds that it took with everything compiled."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert start(folder / "first").wait() == 0
+    started = time.monotonic()
+    assert start(folder / "second").wait() == 0
+    return folder / "second", time.monotonic() - started
+
+
+def same_run(first: Path, second: Path) -> bool:
+    """Whether two runs left the same bits in every file."""
+    return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
+
+
+def test_two_whole_runs_leave_the_same_bits(uninterrupted):
+    whole, _ = uninterrupted
+    assert same_run(whole.parent / "first", whole)
+
+
+def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
+    """Kill runs at random moments, going on after each; runs that finish are compared and followed by new ones, until
+    `kills` were killed."""
+    whole, seconds = uninterrupted
+    killed, runs, process = 0, 0, None
+    while killed < kills or process.returncode != 0:
+        process, started = start(folder / str(runs)), time.perf_counter()
+        try:
+            process.wait(timeout=random.uniform(0.4, 1.0) * seconds if killed < kills else None)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            killed += 1
+        else:
+            assert process.returncode == 0 and same_run(folder / str(runs), whole)
+            runs += 1
+            # The machine may be less busy than when the whole run was timed.
+            seconds = min(seconds, time.perf_counter() - started)
+
+
+def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp_path):
+    kill_and_resume(tmp_path, uninterrupted, kills=1)
+
+
+@pytest.mark.long
+def test_killed_at_twenty_random_moments_it_ends_with_the_same_bits(uninterrupted, tmp_path):
+    kill_and_resume(tmp_path, uninterrupted, kills=20)
+
+
+def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
+    rows = [
+        {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
+    ]
+    files.append_rows(tmp_path, "epochs", rows)
+    with open(tmp_path / "epochs.jsonl", "a") as file:
+        file.write('{"seed": 0, "epo')  # The line that the kill cut short.
+    files.cut_back(tmp_path, 2)
+    assert files.read_table(tmp_path, "epochs") == rows[:4]
+    assert (tmp_path / "epochs.csv").read_text().splitlines() == [
+        "seed,epoch,x",
+        "0,1,0.1",
+        "1,1,0.1",
+        "0,2,0.2",
+        "1,2,0.2",
+    ]
+
+
+@pytest.fixture
+def copy_of_whole(uninterrupted, tmp_path):
+    """A finished run that a test may spoil."""
+    for path in uninterrupted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "text", "missing"])
+def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, damage):
+    path = copy_of_whole / "checkpoint"
+    content = bytearray(path.read_bytes())
+    if damage == "flipped":
+        content[len(content) // 2] ^= 1
+    spoiled = {"cut": bytes(content[:-100]), "flipped": bytes(content), "empty": b"", "text": b"hello\nworld"}.get(
+        damage
+    )
+    path.unlink() if spoiled is None else path.write_bytes(spoiled)
+    with pytest.raises(UserError, match="damaged|no checkpoint"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+    assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
+
+
+def test_a_checkpoint_of_another_configuration_names_the_fields(copy_of_whole, env):
+    other = hand_made.config(num_epochs=12, epochs_per_evaluation=2, updates_per_epoch=5, batch_size=64)
+    with pytest.raises(UserError, match="batch_size was 32, now 64"):
+        host.run(other, [0, 1], copy_of_whole, resume=True, env=env)
+    with pytest.raises(UserError, match=r"seeds was \[0, 1\], now \[0, 1, 2\]"):
+        host.run(chunk_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
+
+
+def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
+    before = {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
+    with pytest.raises(UserError, match="holds a run already"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, env=env)
+    assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
+
+
+def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrupted, copy_of_whole, env):
+    """Poison one seed's parameters in a checkpoint, go on for a chunk, and compare with going on from the sound
+    checkpoint."""
+    longer = dataclasses.replace(chunk_config(), num_epochs=14)
+    sound = copy_of_whole / "sound"
+    sound.mkdir()
+    for name in FILES:
+        (sound / name).write_bytes((copy_of_whole / name).read_bytes())
+    train = host.make_train(longer, env)
+    keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
+    template = jax.eval_shape(jax.vmap(lambda key: train.initial(key, longer.hyper, env)), keys)
+    header, states = checkpoint.load(copy_of_whole / "checkpoint", template)
+    params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
+    for leaf in jax.tree.leaves(params):
+        leaf[1] = np.nan
+    kept = {name: value for name, value in header.items() if name not in ("format", "sha256", "bytes")}
+    checkpoint.save(copy_of_whole / "checkpoint", kept, states.replace(params=params))
+    poisoned = host.run(longer, [0, 1], copy_of_whole, resume=True, env=env)
+    healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
+    assert poisoned.diverged == {1: 13} and healthy.diverged == {}
+    first, second = (jax.tree.map(lambda leaf: leaf[0], sweep.params) for sweep in (poisoned, healthy))
+    jax.tree.map(np.testing.assert_array_equal, first, second)
+
+
+def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
+    whole, _ = uninterrupted
+    process = start(tmp_path / "run")
+    while not (tmp_path / "run" / "checkpoint").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 0
+    reached = json.loads((tmp_path / "run" / "checkpoint").read_bytes().partition(b"\n")[0])["epoch"]
+    assert 2 <= reached <= 12
+    assert start(tmp_path / "run").wait() == 0
+    assert same_run(tmp_path / "run", whole)
+
+
+def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):
+    """With a limit on file sizes as the disk that refuses; in a process of its own, since the limit cannot be taken
+    back."""
+    (tmp_path / "checkpoint").write_bytes(b"old")
+    code = f"""
+import resource, signal, sys
+from pathlib import Path
+from infogoal_jax.errors import UserError
+from infogoal_jax.train import files
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+try:
+    files.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
+except UserError as error:
+    print(error)
+"""
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "could not be written" in printed and "--resume" in printed
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"] and (
+        tmp_path / "checkpoint"
+    ).read_bytes() == b"old"
+
+
+def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):
+    """A field that it does not have cannot be given the same value."""
+    config = json.loads(to_json(hand_made.config()))
+    description = {"seeds": [0], "data": "rooms", "config": config, "epoch": 1}
+    earlier = description | {"config": {name: value for name, value in config.items() if name != "format"}}
+    checkpoint.save(tmp_path / "checkpoint", earlier, {"weight": np.zeros(2)})
+    with pytest.raises(UserError, match="earlier version, which has no format.*start a new run"):
+        host.resume_from(tmp_path / "checkpoint", None, description)

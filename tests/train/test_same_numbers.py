@@ -1,0 +1,94 @@
+"""Every (task, method) of the presets still gives the numbers that it gave when this file's record was made: nothing is
+learned differently.
+
+The record holds two short epochs of each. To see whether a change of the code leaves every bit as it was, on one
+machine:
+
+    PYTHONPATH=tests python tests/train/test_same_numbers.py record FILE [TASK ...]     # before the change
+    PYTHONPATH=tests python tests/train/test_same_numbers.py compare FILE [TASK ...]    # after it
+"""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from places import FIXTURES
+
+from infogoal_jax import compiler_options, make_train, presets
+from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.train.combinations import reasons_against
+
+RECORD = FIXTURES / "same_numbers.json"
+SMALL = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 3, "batch_size": 16, "evaluation_starts": 1}
+KEPT = ("epochs/agent/loss", "epochs/agent/gradient_norm", "test_goal/success_rate")
+COLLECTED = {"num_envs": 4, "rollout_steps": 25}
+
+
+def small_config(task: str, method: str):
+    """The preset with two epochs of a few updates."""
+    config = presets.load(task, method, **SMALL | (COLLECTED if task != "embodied_qa" else {}))
+    return with_values(config, {"learner.num_pairs": 16}) if hasattr(config.learner, "num_pairs") else config
+
+
+def numbers(task: str, method: str) -> dict[str, list[float]]:
+    """The metrics of both epochs and of the evaluation."""
+    train = make_train(small_config(task, method))
+    result = jax.jit(train, compiler_options=compiler_options())(jax.random.key(0), None, train.env)
+    values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
+    return {
+        name: np.ravel(np.asarray(value, np.float64)).tolist()
+        for name, value in sorted(values.items())
+        if np.ndim(value) <= 1
+    }
+
+
+def summary(found: dict[str, list[float]]) -> dict:
+    """What is kept of the metrics: a few of them, and a digest of the bits of all."""
+    digest = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()[:16]
+    return {name.removeprefix("epochs/"): found[name] for name in KEPT} | {"digest": digest}
+
+
+def combinations() -> list[tuple[str, str]]:
+    """Every task with every method that goes with it."""
+    return [
+        (task, method)
+        for task in presets.TASKS
+        for method in presets.METHODS
+        if not reasons_against(presets.load(task, method))
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("task", "method"), combinations())
+def test_nothing_is_learned_differently(task, method):
+    """To what rounding on another machine leaves of two epochs; `compare` is exact, on the machine that recorded."""
+    expected, found = json.loads(RECORD.read_text())[f"{task}/{method}"], summary(numbers(task, method))
+    for name in KEPT:
+        name = name.removeprefix("epochs/")
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-3, atol=1e-5, err_msg=name)
+
+
+def main():
+    """Record, or compare bit by bit."""
+    command, path, *only = sys.argv[1], Path(sys.argv[2]), *sys.argv[3:]
+    record = json.loads(path.read_text()) if path.exists() else {}
+    for task, method in combinations():
+        name = f"{task}/{method}"
+        if only and task not in only:
+            continue
+        found = numbers(task, method)
+        if command == "record":
+            record[name] = summary(found)
+            path.write_text(json.dumps(record, indent=0))
+            print(name, flush=True)
+        else:
+            print(name, "equal" if summary(found) == record[name] else "DIFFERENT", flush=True)
+        jax.clear_caches()
+
+
+if __name__ == "__main__":
+    main()

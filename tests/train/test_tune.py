@@ -1,0 +1,397 @@
+"""Random search: fair to every method, blind to test goals, and each lane is the run that its values would make
+alone."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import Hyperparameters, make_train, presets
+from infogoal_jax.cli.main import main
+from infogoal_jax.data.splits import make_split
+from infogoal_jax.envs.object_search import lay_out
+from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import check, search_space, with_values
+from infogoal_jax.report import tuning
+from infogoal_jax.train import host
+from infogoal_jax.train import tune as search
+from infogoal_jax.train.tune import Trial, TuneResult, tune
+
+USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
+
+
+@pytest.fixture(scope="module")
+def env():
+    """The hand-made task, with two of its test goals for validation."""
+    split = make_split(
+        {
+            name: (f"room {hand_made.SPLIT.rooms[name]}", use)
+            for name, use in zip(hand_made.SPLIT.objects, USES, strict=True)
+        }
+    )
+    return lay_out(hand_made.scenes(), split, np.eye(8, 16, dtype=np.float32), 20)
+
+
+def small(method: str = "none", **changes):
+    sizes = {
+        "num_epochs": 2,
+        "epochs_per_evaluation": 1,
+        "updates_per_epoch": 3,
+        "batch_size": 16,
+        "num_envs": 4,
+        "rollout_steps": 20,
+    }
+    return hand_made.config(method, **(sizes | changes))
+
+
+@pytest.fixture(scope="module")
+def result(env, tmp_path_factory):
+    """Two trials with two seeds, with what is left on disk after each evaluation."""
+    folder, left = tmp_path_factory.mktemp("search"), []
+
+    def watch(found):
+        tuning.save(found, folder)
+        left.append({path.name: path.read_text() for path in folder.iterdir()})
+
+    return tune(small(), 2, [1000, 1001], jax.random.key(0), env=env, watch=watch), left
+
+
+def test_each_lane_is_the_run_of_its_values_alone(result, env):
+    found, _ = result
+    train = make_train(found.config, search.scored_goals_only(env)[0])
+
+    @jax.jit
+    def begin(seed, hyper):
+        state = train.initial(jax.random.key(seed), hyper, train.env)
+        _, epochs, metrics = train.chunk(state, jnp.arange(1), hyper, train.env)
+        return epochs["agent/loss"][-1], metrics["validation_goal/success_rate"]
+
+    settings = [jax.tree.map(jnp.float32, found.config_of(trial).hyper) for trial in found.trials]
+    alone = np.array([[begin(jnp.uint32(seed), hyper) for seed in found.seeds] for hyper in settings])
+    np.testing.assert_allclose([trial.loss[0] for trial in found.trials], alone[..., 0], rtol=1e-4)
+    np.testing.assert_allclose([trial.success[0] for trial in found.trials], alone[..., 1], atol=1e-4)
+    assert len(np.unique(alone[..., 0])) == 4
+
+
+def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
+    found, _ = result
+    assert found.config_of(found.trials[0]) == found.config
+    assert found.fields == ("learning_rate", "discount", "target_rate")  # The bare agent has no other weight.
+    values = found.trials[1].values
+    space = search_space(found.config.hyper)
+    assert all(space[field].low <= values[field] <= space[field].high for field in found.fields)
+    assert values != found.trials[0].values
+
+
+def test_what_is_left_on_disk_says_nothing_of_test_goals(result, env):
+    found, left = result
+    assert found.group == "validation" and [len(files) for files in left] == [3, 3]
+    # There after the first evaluation already.
+    assert [json.loads(files["best.json"])["epoch"] for files in left] == [1, 2]
+    lines = [json.loads(line) for line in left[-1]["trials.jsonl"].splitlines()]
+    assert [(line["trial"], line["preset"], line["seeds"], line["goals"]) for line in lines] == [
+        (0, True, [1000, 1001], "validation"),
+        (1, False, [1000, 1001], "validation"),
+    ]
+    assert all(np.shape(line["success"]) == (2, 2) and line["score"] == np.mean(line["success"][-1]) for line in lines)
+    assert "test" not in left[-1]["trials.jsonl"] + left[-1]["best.json"]
+
+
+@pytest.mark.parametrize(("make", "group"), [(None, "validation"), (hand_made.environment, "train")])
+def test_test_goals_are_not_evaluated(make, group, env):
+    """Where there are no validation goals, training goals are scored."""
+    whole = env if make is None else make()
+    restricted, scored = search.scored_goals_only(whole)
+    evaluated = np.zeros(whole.goals.num_goals, bool)
+    evaluated[restricted.goals.evaluated] = True
+    assert scored == group and restricted.goals.groups == (group,)
+    np.testing.assert_array_equal(evaluated, getattr(whole.goals, f"{group}_mask"))
+    np.testing.assert_array_equal(restricted.goals.commanded, whole.goals.commanded)
+
+
+EVERY = [presets.load("fetch_reach", "infogoal").hyper, presets.load("embodied_qa", "infobot").hyper]
+"""Together all floats that are searched."""
+SPACE = {field: hyper for hyper in EVERY for field in search_space(hyper)}
+
+
+@pytest.mark.parametrize("field", list(SPACE))
+def test_draws_fill_the_range_evenly_on_its_scale(field):
+    """Half of them lie below the middle of the scale, and all within the range; a discount's middle is near its upper
+    end."""
+    found, space = search.draw(jax.random.key(3), SPACE[field], [field], 1000), search_space(SPACE[field])[field]
+    values, (low, high, scale, _) = np.array([trial[field] for trial in found[1:]]), space
+    middle = {
+        "linear": (low + high) / 2,
+        "log": np.sqrt(low * high),
+        "log of 1 - x": 1 - np.sqrt(abs((1 - low) * (1 - high))),
+    }[scale]
+    assert low <= values.min() and values.max() <= high
+    assert 0.4 < (values < middle).mean() < 0.6
+    assert 0.15 < (values < space.at(0.25)).mean() < 0.35
+
+
+def test_methods_try_the_same_values_of_the_fields_that_they_share():
+    first = search.draw(jax.random.key(0), Hyperparameters(), ["learning_rate", "discount"], 5)
+    second = search.draw(jax.random.key(0), Hyperparameters(), ["intrinsic_weight", "discount", "learning_rate"], 5)
+    assert first == [{field: trial[field] for field in ("learning_rate", "discount")} for trial in second]
+
+
+def test_the_space_is_one_of_hyperparameters_that_can_be_had():
+    """Both ends of every range; but not what only evaluations depend on."""
+    for field, hyper in SPACE.items():
+        for value in search_space(hyper)[field][:2]:
+            check(with_values(hyper, {field: value}))
+    assert "test_epsilon" not in SPACE
+
+
+@pytest.mark.parametrize(
+    ("method", "changes", "searched", "left_alone"),
+    [
+        (
+            "none",
+            {"agent": "cql"},
+            {"agent.conservative_weight", "epsilon"},
+            {"learner_weight", "intrinsic_weight", "bonus_weight", "noise"},
+        ),
+        ("infogoal", {}, {"learner_weight", "intrinsic_weight", "learner.beta_step"}, {"learner.fixed_beta", "noise"}),
+    ],
+)
+def test_a_method_is_searched_in_what_it_depends_on(method, changes, searched, left_alone, env):
+    matter = search.fields_that_matter(make_train(small(method, **changes), env))
+    assert {"learning_rate", "discount", "target_rate"} | searched <= set(matter)
+    assert not left_alone & set(matter)
+
+
+def test_methods_have_the_same_budget():
+    for task in presets.TASKS:
+        budgets = [search.same_budget(presets.load(task, method)) for method in presets.METHODS]
+        assert len({tuple(getattr(config, name) for name in search.BUDGET) for config in budgets}) == 1
+
+
+@pytest.mark.parametrize(
+    ("trials", "seeds", "fields", "message"),
+    [
+        (2, [1000], ["learning_rte"], "fields = 'learning_rte'.*Did you mean 'learning_rate'"),
+        (2, [1000], ["test_epsilon"], "fields = 'test_epsilon': is not searched"),
+        (2, [1000], ["discount", "discount"], "fields = .*once"),
+        (2, [1000], ["intrinsic_weight"], "fields = 'intrinsic_weight': changes nothing about none"),
+        (2, [0, 1], [], "first_seed = 0.*1000 or more"),
+        (2, [], [], "seeds = 0"),
+        (0, [1000], [], "trials = 0"),
+        (2, [1000, 1000], [], "different"),
+    ],
+)
+def test_mistakes_are_refused_before_anything_is_compiled(trials, seeds, fields, message, env, monkeypatch):
+    monkeypatch.setattr(jax.stages.Lowered, "compile", lambda *arguments: pytest.fail("compiled"))
+    with pytest.raises(UserError, match=message):
+        tune(small(), trials, seeds, jax.random.key(0), fields, env=env)
+
+
+def made(config, successes, diverged=()) -> TuneResult:
+    """A search of one field that came to these successes [trials][evaluations] of one seed."""
+    trials = [
+        Trial(
+            number,
+            {"learning_rate": 1e-3 / (number + 1)},
+            [[value] for value in each],
+            [[0.0]] * len(each),
+            [1000] * (number in diverged),
+        )
+        for number, each in enumerate(successes)
+    ]
+    return TuneResult(
+        config,
+        "train",
+        ("learning_rate",),
+        [1000],
+        list(range(1, len(successes[0]) + 1)),
+        trials,
+        0.0,
+        0.0,
+        {"data": "made up"},
+    )
+
+
+def test_the_best_trial():
+    config = small()
+    # The last evaluation counts, not the best.
+    assert made(config, [[0.0, 0.5], [0.9, 0.4], [0.0, 0.7]]).best.number == 2
+    assert made(config, [[0.0, 0.7], [0.0, 0.7]]).best.number == 0  # Among equals the preset,
+    assert made(config, [[0.0, 0.7], [0.5, 0.7]]).best.number == 1  # unless another was good earlier.
+    assert made(config, [[0.0, 0.2], [0.0, 0.7]], diverged=[1]).best.number == 0
+
+
+def test_finalists_are_the_preset_and_the_best_others_of_different_values():
+    found = made(small(), [[0.1], [0.3], [0.9], [0.5], [0.9]], diverged=[1])
+    trials = [
+        dataclasses.replace(trial, values=found.trials[2].values) if trial.number == 4 else trial
+        for trial in found.trials
+    ]
+    finalists = search.finalists(trials, 3)
+    assert [trial.number for trial in finalists] == [0, 2, 3]  # 4 has the values of 2.
+    assert all(trial.success == [] and trial.values == found.trials[trial.number].values for trial in finalists)
+    assert [trial.number for trial in search.finalists(trials, 4)] == [0, 2, 3, 1]  # What diverged comes last.
+    for count, message in (
+        (1, "trials = 1: a final has at least 2"),
+        (5, "trials = 5: the search has 4 different settings"),
+    ):
+        with pytest.raises(UserError, match=message):
+            search.finalists(trials, count)
+
+
+def test_a_final_runs_trials_of_a_search_again(result, env):
+    """With the seeds of the search each is what it was there, wherever it stands; with others it is not."""
+    found, _ = result
+    finalists = [
+        search.Trial(5, found.trials[1].values, [], [], []),
+        search.Trial(0, found.trials[0].values, [], [], []),
+    ]
+    again = search.final(found.config, finalists, found.seeds, env=env)
+    assert (
+        [trial.number for trial in again.trials] == [5, 0]
+        and again.fields == found.fields
+        and again.epochs == found.epochs
+    )
+    np.testing.assert_allclose(
+        [trial.loss for trial in again.trials], [found.trials[number].loss for number in (1, 0)], rtol=1e-4
+    )
+    others = search.final(found.config, finalists[:1], [1002], env=env)
+    assert not np.isclose(others.trials[0].loss[-1][0], found.trials[1].loss[-1]).any()
+
+
+@pytest.fixture
+def searched(env, tmp_path, monkeypatch):
+    """A search of six trials on disk, in the folder `search`, and what `infogoal final` would run: (configuration,
+    trials, seeds) a call."""
+    found, asked = made(small("vae"), [[0.0, 0.1], [0.0, 0.3], [0.0, 0.9], [0.0, 0.5], [0.0, 0.7], [0.0, 0.2]]), []
+    found = dataclasses.replace(found, description=host.describe(found.config, env, found.seeds))
+    tuning.save(found, tmp_path / "search")
+
+    def interrupted(config, trials, seeds, watch):
+        asked.append((config, [trial.number for trial in trials], list(seeds)))
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(search, "final", interrupted)
+    return found, asked
+
+
+def test_the_command_for_a_final(searched):
+    """Configuration and trials are the search's, seeds are others."""
+    found, asked = searched
+    assert tuning.read(Path("search"))[1] == found.trials
+    assert (
+        main(["final", "search"]) == 130
+        and main(["final", "search", "--trials", "2", "--seeds", "1", "--first-seed", "1500"]) == 130
+    )
+    assert asked == [(found.config, [0, 2, 4, 3], list(range(1001, 1009))), (found.config, [0, 2], [1500])]
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"),
+        (["search", "--trials", "9"], "trials = 9"),
+        (["nowhere"], "search = 'nowhere': holds no trials.jsonl"),
+        (["search", "--out", "search"], "out = 'search': is there already"),
+    ],
+)
+def test_what_cannot_be_a_final(flags, message, searched, capsys):
+    assert main(["final", *flags]) == 2 and not searched[1]
+    assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (lambda lines: [], "is damaged"),
+        (lambda lines: lines[1:], "is damaged (it should have the trials 0, 1, 2"),
+        (lambda lines: [line | {"values": None} for line in lines], "is damaged"),
+        (lambda lines: [{"trial": 0}], "is damaged"),
+        (lambda lines: [lines[0] | {"values": {"discount": 0.9}}, *lines[1:]], "different fields"),
+        (
+            lambda lines: [line | {"success": line["success"][:1]} for line in lines],
+            "was stopped after 1 of 2 evaluations",
+        ),
+        (lambda lines: [line | {"success": []} for line in lines], "was stopped after 0 of 2 evaluations"),
+    ],
+)
+def test_a_search_that_is_damaged_or_unfinished_has_no_final(changes, message, searched, capsys):
+    path = Path("search/trials.jsonl")
+    path.write_text(
+        "".join(
+            f"{json.dumps(line)}\n" for line in changes([json.loads(line) for line in path.read_text().splitlines()])
+        )
+    )
+    assert main(["final", "search"]) == 2 and not searched[1]
+    assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("task", "method", "changes"),
+    [
+        ("object_search", "her", {"num_epochs": 40, "stop_encoder_gradient": False}),
+        ("object_manipulation", "infogoal", {"agent": "dqn", "relabelling": "her"}),
+        ("embodied_qa", "none", {"relabelling": "none", "evaluation_starts": 3}),
+    ],
+)
+def test_the_flags_of_the_best_train_with_its_configuration(task, method, changes, tmp_path, monkeypatch):
+    """`infogoal train` is given them, and would run what was best: other parts, switches and lists included."""
+    config = presets.load(task, method, **changes)
+    config = dataclasses.replace(
+        config,
+        env=dataclasses.replace(config.env, episode_length=60),
+        agent=dataclasses.replace(config.agent, hidden=(16, 8)),
+        learner=dataclasses.replace(config.learner, standardise_images=True),
+    )
+    found = made(config, [[0.0], [1.0]])
+    tuning.save(found, tmp_path / "search")
+    ran = []
+
+    def run(config, *arguments, **named):
+        ran.append(config)
+        raise UserError("that is enough")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(host, "run", run)
+    assert main(["train", task, *json.loads((tmp_path / "search" / "best.json").read_text())["flags"]]) == 2
+    assert ran == [found.config_of(found.trials[1])] and ran[0].hyper.learning_rate == 5e-4
+
+
+def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
+    """Ctrl-C after the first evaluation; the command had its own flags, and those of the configuration."""
+    asked = []
+
+    def interrupted(config, trials, seeds, key, fields, watch):
+        asked.append((config.num_epochs, presets.names_of(config)["learner"], trials, list(seeds), fields))
+        watch(made(config, [[0.25], [0.5]]))
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(search, "tune", interrupted)
+    flags = (
+        "--method her --num-epochs 40 --trials 2 --seeds 1 --first-seed 1005 --fields learning-rate discount "
+        "--out "
+        "search"
+    )
+    assert main(["tune", "object_search", *flags.split()]) == 130
+    assert asked == [(40, "none", 2, [1005], ("learning_rate", "discount"))]
+    assert json.loads((tmp_path / "search" / "best.json").read_text())["score"] == 0.5
+    assert "search" in capsys.readouterr().out
+    assert main(["tune", "object_search", *flags.split()]) == 2  # The folder holds a search.
+    assert "out = 'search': is there already" in capsys.readouterr().err
+
+
+def test_the_table_says_what_was_scored_and_how_to_train(capsys):
+    tuning.print_result(made(small(), [[0.0, 0.7], [0.0, 0.75]]))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "training goals, for want of validation goals" in printed and "0.75" in printed and "s compiling" in printed
+    assert "infogoal train object_search --method none" in printed and "--hyper.learning-rate 0.0005" in printed
