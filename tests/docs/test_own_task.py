@@ -21,8 +21,8 @@ def block() -> str:
 @pytest.fixture(scope="module")
 def script(block) -> dict:
     """The names that the block leaves behind, with half of the training."""
-    assert block.count('"num_epochs": 20') == 1
-    with run(block.replace('"num_epochs": 20', '"num_epochs": 10'), *REGISTERED) as names:
+    assert block.count("num_epochs=20") == 1
+    with run(block.replace("num_epochs=20", "num_epochs=10"), *REGISTERED) as names:
         yield names
 
 
