@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from study import KINDS, markdown
 
-from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.report.statistics import mean_interval, paired_difference
 
 FILE = "numbers.csv"
 LAST = 3
@@ -118,3 +118,24 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
     return markdown(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+
+
+def differences(rows: list[Row], pairs: Iterable[tuple[str, str]]) -> str:
+    """A line for each pair of trials with one lane: success of the first minus that of the second, seed by seed, over
+    the last evaluations that both have."""
+    lines, machines = [], {}
+    for pair in pairs:
+        first, second = ([row for row in rows if row["trial"] == trial] for trial in pair)
+        last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
+        shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
+        cells = [f"`{pair[0]}`", f"`{pair[1]}`", f"{int(last[0]):,} to {int(last[-1]):,}"]
+        for kind in SUCCESS:
+            values = [seed_means(own, f"{kind}/success_rate") for own in shown]
+            cells.append(paired_difference(*values).show(2))
+        lines.append(cells)
+        machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
+    words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
+    return (
+        markdown(["trial", "minus", "updates", *(words[kind] for kind in SUCCESS)], lines)
+        + f"\n\n{'; '.join(machines)}."
+    )

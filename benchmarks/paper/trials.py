@@ -196,6 +196,9 @@ QUEUE = {
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
 shown on others."""
 
+COMPARISONS = [(f"cube_{dataset}_infogoal_her_window_1", f"cube_{dataset}_her") for dataset in (0, 1, 2)]
+"""Trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
+
 
 def configuration(trial: Trial, folder: Path) -> TrainConfig:
     """What is trained. Object search is in the house of the tuning, which is built in FOLDER unless it is there."""
@@ -312,7 +315,9 @@ def tables(rows: list[Row]) -> dict[str, str]:
         name: [trial for trial in QUEUE if trial in done and QUEUE[trial].task in tasks]
         for name, (tasks, _) in TABLES.items()
     }
-    return {name: trial_numbers.table(rows, trials, TABLES[name][1]) for name, trials in grouped.items() if trials}
+    shown = {name: trial_numbers.table(rows, trials, TABLES[name][1]) for name, trials in grouped.items() if trials}
+    compared = [pair for pair in COMPARISONS if done.issuperset(pair)]
+    return shown | ({"comparisons": trial_numbers.differences(rows, compared)} if compared else {})
 
 
 def list_queue() -> None:
