@@ -43,9 +43,9 @@ class InfoGoalConfig(GoalEncoderConfig):
     negatives: Literal["anchored", "independent"] = "anchored"
     """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn
     for it [A]."""
-    beta_rule: Literal["linear", "sign", "fixed"] = "linear"
+    beta_rule: Literal["linear", "sign", "fixed", "relative"] = "linear"
     """`linear`: Eq. 15; `sign`: the authors' constant step; `fixed`: ramps to `--hyper.learner.fixed-beta` (ablation of
-    Fig. 15)."""
+    Fig. 15); `relative`: Eq. 15 with a threshold that follows the accuracy of the mean codes (not in the paper)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -75,10 +75,10 @@ class InfoGoalConfig(GoalEncoderConfig):
             "give anchored or independent",
         )
         require(
-            self.beta_rule in ("linear", "sign", "fixed"),
+            self.beta_rule in ("linear", "sign", "fixed", "relative"),
             "learner.beta_rule",
             self.beta_rule,
-            "give linear, sign or fixed",
+            "give linear, sign, fixed or relative",
         )
 
 
@@ -90,8 +90,10 @@ class InfoGoalHyperparameters:
     """First value of beta."""
     beta_step: Annotated[float, Number("[0, inf)", Search(1e-5, 1e-2, "log", always=False))] = 2.5e-4
     """rho of Eq. 15, for the linear rule only. The step of the sign rule is always 1e-5. 0 keeps beta constant."""
-    beta_threshold: Annotated[float, Number("(0, 1)", Search(0.8, 0.99, "log of 1 - x", always=False))] = 0.96
+    beta_threshold: Annotated[float, Number("(0, 1)", Search(0.8, 0.999, "log of 1 - x", always=False))] = 0.96
     """alpha of Eq. 15: the accuracy above which beta grows [A]."""
+    beta_margin: Annotated[float, Number("(0, 1)", Search(1e-3, 0.1, "log", always=False))] = 0.005
+    """With `--learner.beta-rule relative`: the accuracy that the noise of the codes may cost, in place of alpha."""
     fixed_beta: Annotated[float, Number("[0, 1]")] = 0.01
     """Final value of beta with `--learner.beta-rule fixed`; it grows by 1e-5 an update [A]."""
 
@@ -114,10 +116,14 @@ def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
     return information.log_score(first, second)
 
 
-def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, hyper) -> jax.Array:
-    """beta after an update (Eq. 15), clipped to [0, 1]: a negative beta would reward a growing KL."""
-    surplus = accuracy - hyper.beta_threshold
-    if config.beta_rule == "linear":
+def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, threshold, hyper) -> jax.Array:
+    """beta after an update (Eq. 15), clipped to [0, 1]: a negative beta would reward a growing KL.
+
+    threshold: alpha, or with the relative rule what the mean codes get right less `beta_margin`. How well goals can be
+    told apart differs from task to task: a threshold that one task never reaches costs another half of its code.
+    """
+    surplus = accuracy - threshold
+    if config.beta_rule in ("linear", "relative"):
         beta = beta + hyper.beta_step * surplus
     elif config.beta_rule == "sign":
         beta = beta + SIGN_STEP * jnp.sign(surplus)
@@ -174,7 +180,14 @@ def make(config: InfoGoalConfig) -> Learner:
             "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
             "no_negative": 1.0 - weighted_mean(pairs.negative_weight.max(1), pairs.positive_weight),
         }
-        state = state.replace(beta=next_beta(config, state.beta, accuracy, hyper))
+        threshold = hyper.beta_threshold
+        if config.beta_rule == "relative":
+            anchor, positive, negative = (code.mean for code in codes[:3])
+            contrast = codes[3].mean if independent else anchor[:, None]
+            right = log_score(params, anchor, positive)[:, None] > log_score(params, contrast, negative)
+            metrics["mean_code_accuracy"] = weighted_mean(right, weights)
+            threshold = metrics["mean_code_accuracy"] - hyper.beta_margin
+        state = state.replace(beta=next_beta(config, state.beta, accuracy, threshold, hyper))
         return infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin, metrics, state
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):

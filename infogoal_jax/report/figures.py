@@ -132,7 +132,7 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     beta_axes.set_ylim(bottom=0)
     beta_axes.grid(alpha=0.3, linewidth=0.6)
     draw_curve(accuracy_axes, epochs, values[names[1]], USE_COLOURS["test"], "accuracy")
-    if getattr(config.learner, "beta_rule", "fixed") != "fixed":
+    if getattr(config.learner, "beta_rule", "fixed") in ("linear", "sign"):
         alpha = config.hyper.learner.beta_threshold
         accuracy_axes.axhline(
             alpha, color="black", linestyle="--", linewidth=1, label=rf"threshold $\alpha$ = {alpha:g}"

@@ -76,7 +76,7 @@ def test_bound_is_tight_where_it_can_be():
 def test_beta_follows_equation_15(rule, accuracy, expected):
     config = infogoal.InfoGoalConfig(beta_rule=rule)
     assert np.isclose(
-        infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), InfoGoalHyperparameters()),
+        infogoal.next_beta(config, jnp.asarray(0.5), jnp.asarray(accuracy), 0.96, InfoGoalHyperparameters()),
         expected,
         atol=1e-8,
     )
@@ -85,7 +85,8 @@ def test_beta_follows_equation_15(rule, accuracy, expected):
 def test_beta_never_leaves_zero_to_one():
     for start, accuracy in ((0.0, 0.0), (1.0, 1.0)):
         hyper = InfoGoalHyperparameters(beta_step=10.0)
-        assert infogoal.next_beta(infogoal.InfoGoalConfig(), jnp.asarray(start), jnp.asarray(accuracy), hyper) == start
+        beta = infogoal.next_beta(infogoal.InfoGoalConfig(), jnp.asarray(start), jnp.asarray(accuracy), 0.96, hyper)
+        assert beta == start
 
 
 def test_fixed_beta_ramps_to_its_value_and_stays():
@@ -93,9 +94,33 @@ def test_fixed_beta_ramps_to_its_value_and_stays():
     _, state = infogoal.make(config).init(jax.random.key(0), hand_made.example(jnp.zeros((1, 4))), hyper)
     betas, beta = [], state.beta
     for _ in range(5):
-        beta = infogoal.next_beta(config, beta, jnp.asarray(0.0), hyper)
+        beta = infogoal.next_beta(config, beta, jnp.asarray(0.0), 0.96, hyper)
         betas.append(float(beta))
     np.testing.assert_allclose(betas, [1e-5, 2e-5, 3e-5, 3e-5, 3e-5], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rule", "noise", "grows"), [("relative", 1e-3, True), ("relative", 30.0, False), ("linear", 1e-3, False)]
+)
+def test_relative_threshold_asks_what_the_noise_costs(rule, noise, grows):
+    """Half of the pairs cannot be told apart by their mean codes. The paper's threshold is then out of reach; relative
+    to the mean codes, beta grows for as long as noise costs nothing."""
+    learner = infogoal.make(infogoal.InfoGoalConfig(beta_rule=rule, latent_size=1))
+    codes = GoalCode(jnp.array([[0.0], [1.0], [2.0]]), jnp.full((3, 1), noise))
+    pairs = GoalPairs(
+        jnp.zeros(64, int),
+        jnp.tile(jnp.array([1, 2]), 32),  # The second positive lies beyond the negative.
+        jnp.zeros((64, 1), int),
+        jnp.tile(jnp.array([[2], [1]]), (32, 1)),
+        jnp.ones(64),
+        jnp.ones((64, 1)),
+    )
+    state, hyper = infogoal.InfoGoalState(jnp.asarray(0.5), jnp.ones(())), InfoGoalHyperparameters()
+    batch = hand_made.learner_batch(codes.__getitem__, pairs=pairs)
+    _, metrics, after = learner.loss({}, state, batch, hyper, jax.random.key(0))
+    assert (after.beta > 0.5) == grows
+    if rule == "relative":
+        assert metrics["mean_code_accuracy"] == 0.5
 
 
 def test_intrinsic_reward_is_never_positive_and_zero_at_the_goal():
