@@ -26,6 +26,7 @@ from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.program import make_train
+from infogoal_jax.train.settings import corrupted_view
 
 SEEDS = [3, 4, 5]
 EVERY_TASKS_FIGURES = {
@@ -362,16 +363,16 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
 
 @pytest.mark.long
 def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
-    env = image_goal_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
+    env = reach_run.train.env
     clean, half, background = (
-        image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
+        image_goal_episodes.seen_images(env, np.array([5, 3]), weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
     )
     np.testing.assert_array_equal(clean, np.asarray(env.goals.inputs)[[5, 3]])
     assert np.abs(half - (clean + background) / 2).max() <= 0.5
     assert all((np.asarray(env.test_backgrounds) == image).all((1, 2, 3)).any() for image in background)
 
 
-def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_subject, monkeypatch):
+def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_subject):
     """The learner of the run, asked what it encodes."""
     seen, learner = [], points.train.parts.learner
 
@@ -379,12 +380,10 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
         seen.append(np.asarray(inputs))
         return learner.encode(params, inputs)
 
-    some = image_goal_episodes.with_evaluated(points.train.env, np.array([126, 130]))
+    some, env = np.array([126, 130]), points.train.env
     parts = points.train.parts._replace(learner=learner._replace(encode=encode))
-    monkeypatch.setattr("infogoal_jax.train.program.make_parts", lambda *arguments: parts)
-    train = make_train(points.train.config, points.train.env)
-    train.test_policies(points_subject.params, train.config.hyper, some, 1, 0.4, 9)
-    np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(some, 0.4, 9))
+    corrupted_view(parts, points_subject.params, env, jnp.asarray(some), 1, 0.4, 9)
+    np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(env, some, 0.4, 9))
 
 
 @pytest.mark.long

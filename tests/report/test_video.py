@@ -206,8 +206,8 @@ def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run,
     found = read(tmp_path / "policy.mp4")
     assert len(outcomes) == 2 and 2 * (2 + 25) <= len(found) <= 2 * (11 + 25)
     test = np.flatnonzero(np.asarray(reach_run.train.env.goals.test_mask))
-    shown = image_goal_episodes.with_evaluated(reach_run.train.env, np.random.default_rng(3).permutation(test)[:2])
-    images = image_goal_episodes.seen_images(shown, 0.8, 3)
+    shown = np.random.default_rng(3).permutation(test)[:2]
+    images = image_goal_episodes.seen_images(reach_run.train.env, shown, 0.8, 3)
     for frame, image in ((found[0], images[0]), (found[-1], images[1])):
         corner = frame[4:36, -36:-4].astype(float)
         assert np.abs(corner.mean((0, 1)) - image.mean((0, 1))).max() < 15

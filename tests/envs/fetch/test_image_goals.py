@@ -26,8 +26,9 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.encoding import training_view
-from infogoal_jax.train.evaluation import evaluate, goal_starts
+from infogoal_jax.train.evaluation import GoalView, draw_starts, evaluate, flat, group_means
 from infogoal_jax.train.low_level.file import shipped
+from infogoal_jax.train.settings import clean_view, corrupted_view
 
 GRIDS = {}
 
@@ -187,13 +188,17 @@ def mean_code_actions(train, params):
 
     @partial(jax.jit, static_argnums=2)
     def actions(env, key, seed):
-        policies = train.test_policies(params, train.config.hyper, env, STARTS, seed=seed)
-        starts = goal_starts(env, STARTS, seed)
-        observation = jnp.zeros_like(env.observe(starts))
+        goals, policy = env.goals.evaluated, train.policy(params, train.config.hyper, env, use_mean=True)
+        clean = clean_view(train.parts, params, env, goals)
+        corrupted = corrupted_view(train.parts, params, env, goals, STARTS, 0.4, seed)
+        observation = jnp.zeros_like(env.observe(jax.tree.map(flat, draw_starts(env, goals, STARTS))))
         return {
-            prefix: policies[f"{prefix}{{group}}_goal_mean_code"](observation, starts.goal, key).reshape(-1, STARTS, 3)
-            for prefix in ("", "corrupted_")
+            prefix: policy(observation, jax.tree.map(repeated, view.shown), key).reshape(-1, STARTS, 3)
+            for prefix, view in (("", clean), ("corrupted_", corrupted))
         }
+
+    def repeated(leaf):
+        return flat(jnp.broadcast_to(leaf, (len(leaf), STARTS, leaf.shape[-1])))
 
     return lambda env, key=0, seed=7: jax.tree.map(np.asarray, actions(env, jax.random.key(key), seed))
 
@@ -218,22 +223,35 @@ def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(tra
 
 
 def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
-    @jax.jit
-    def actions(params):
-        policies = train.test_policies(params, train.config.hyper, train.env, STARTS, corruption=0.0)
-        starts = goal_starts(train.env, STARTS)
-        return {
-            name: policy(train.env.observe(starts), starts.goal, jax.random.key(0)) for name, policy in policies.items()
-        }
+    env = train.env
+    clean = clean_view(train.parts, params, env, env.goals.evaluated).shown
+    unchanged = corrupted_view(train.parts, params, env, env.goals.evaluated, STARTS, 0.0).shown
+    jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), clean.mean + 0 * unchanged.mean, unchanged.mean)
+    metrics = jax.jit(train.evaluate, static_argnums=3)(params, train.config.hyper, env, STARTS, 0.0)
+    for group in ("train", "test"):
+        length = "goal_mean_code/episode_length"
+        assert metrics[f"corrupted_{group}_{length}"] == metrics[f"{group}_{length}"]
 
-    found = actions(params)
-    for suffix in ("", "_mean_code"):
-        clean, corrupted = (found[f"{prefix}{{group}}_goal{suffix}"] for prefix in ("", "corrupted_"))
-        np.testing.assert_allclose(clean, corrupted, atol=1e-5)
+
+def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
+    """Clean and corrupted goals, whose backgrounds belong to goal and start: the episodes are run in another order."""
+    env, policy = train.env, train.policy(params, train.config.hyper, train.env, use_mean=True)
+    goals = env.goals.evaluated
+    rows, columns = jnp.arange(len(goals))[::-1], jnp.array([3, 0, 4, 1, 2])
+    starts = draw_starts(env, goals, STARTS)
+    other_starts = jax.tree.map(lambda leaf: leaf[rows][:, columns], starts)
+    run = jax.jit(lambda goals, starts: evaluate(policy, env, goals, starts))
+    for view in (
+        clean_view(train.parts, params, env, goals),
+        corrupted_view(train.parts, params, env, goals, STARTS, 0.8),
+    ):
+        shown = jax.tree.map(lambda leaf: leaf[rows][:, columns if leaf.shape[1] > 1 else slice(None)], view.shown)
+        scores, other = run(view, starts), run(GoalView(goals[rows], shown), other_starts)
+        np.testing.assert_array_equal(other.steps, scores.steps[rows][:, columns])
 
 
 def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none(env):
-    """The evaluation steps the low level, and counts every group of goals for each policy."""
+    """The evaluation steps the low level, and counts every group of goals."""
     steered = hand_made_points.steered(env)
 
     def straight(observation, goal, key):
@@ -242,12 +260,13 @@ def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none(env):
     def stay(observation, goal, key):
         return jnp.zeros((len(goal), steered.action_size))
 
-    metrics = jax.jit(lambda: evaluate(steered, {"{group}_goal": straight, "idle_{group}_goal": stay}, STARTS))()
-    for group in ("train", "test"):
-        assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"idle_{group}_goal/success_rate"] == 0
-        assert metrics[f"idle_{group}_goal/episode_length"] == steered.episode_length
-    assert not any("validation" in name for name in metrics)
-    assert metrics["first_reached"].shape == (8, STARTS) and metrics["first_reached"].max() <= 6
+    goals = env.goals.evaluated
+    oracle, idle = (
+        jax.jit(lambda policy=policy: evaluate(policy, steered, goals, STARTS))() for policy in (straight, stay)
+    )
+    assert oracle.success.shape == (8, STARTS) and oracle.success.all() and oracle.steps.max() <= 6
+    assert not idle.success.any() and (idle.steps == steered.episode_length).all() and idle.spl is None
+    assert set(group_means(idle, steered.goals)) == {"train", "test"}
 
 
 PUSH = goal_images.shipped("fetch_push")
