@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.envs.fetch.image_goals import ImageGoals
+from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.canvas import Subject
-from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.video import LAST_PICTURE, write_video
 from infogoal_jax.train.evaluation import draw_starts, run_side_by_side
 from infogoal_jax.train.hierarchy import SubgoalState
