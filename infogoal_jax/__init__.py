@@ -10,18 +10,22 @@ if TYPE_CHECKING:
     from infogoal_jax.errors import UserError
     from infogoal_jax.report.runs import load_run
     from infogoal_jax.train.compilation import compiler_options, use_compilation_cache
+    from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult, make_train
     from infogoal_jax.train.rollout import rollout
 
 __version__ = "0.1.0"
 __all__ = [
+    "GoalView",
     "Hyperparameters",
+    "Scores",
     "Train",
     "TrainConfig",
     "TrainResult",
     "UserError",
     "compiler_options",
     "envs",
+    "evaluate",
     "load_run",
     "make_train",
     "presets",
@@ -39,6 +43,9 @@ MODULES = {
     "make_train": "train.program",
     "load_run": "report.runs",
     "rollout": "train.rollout",
+    "GoalView": "train.evaluation",
+    "Scores": "train.evaluation",
+    "evaluate": "train.evaluation",
 }
 """Where each name is written. They are imported when they are first asked for: JAX takes half a second, which a help
 text need not wait for."""

@@ -29,7 +29,6 @@ from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import evaluate
 
 METHODS = {"none": "DQN", "infogoal": "InfoGoal"}
 EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
@@ -49,15 +48,13 @@ def house_config(method: str, house: int, folder: Path):
 
 
 def scores_by_epsilon(sweep: host.Sweep) -> dict[str, dict[str, list]]:
-    """Every score of the last parameters at every epsilon, as part of result.json: {"scores": {"{group}_goal/{score}":
-    [seeds][epsilons]}}, and with `_mean_code` for the mean code."""
+    """Every score of the last parameters at every epsilon, as part of result.json: {"scores": {metric:
+    [seeds][epsilons]}}."""
     train = sweep.train
 
     def one(params, epsilon, env):
-        policies = train.test_policies(
-            params, train.config.hyper.replace(test_epsilon=epsilon), env, STARTS, seed=START_SEED
-        )
-        scores = evaluate(env, policies, STARTS, START_SEED)
+        hyper = train.config.hyper.replace(test_epsilon=epsilon)
+        scores = train.evaluate(params, hyper, env, STARTS, seed=START_SEED)
         return {name: value for name, value in scores.items() if name != "first_reached"}
 
     every = jax.vmap(jax.vmap(one, in_axes=(None, 0, None)), in_axes=(0, None, None))

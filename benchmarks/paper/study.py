@@ -17,7 +17,7 @@ from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
 from infogoal_jax.train import devices, host
-from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate, random_policy, shortest_path_policy
+from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate, group_means, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners
 
 CONVERGED = 0.99  # Success on training goals, twice in a row.
@@ -85,11 +85,12 @@ def write_baselines(load: Callable[[], Any], path: Path, starts: int, seed: int 
     if path.exists():
         return
     env = load()
-    policies = {"{group}_goal_random": random_policy(env), "{group}_goal_shortest": shortest_path_policy(env)}
-    scores = jax.device_get(jax.jit(lambda env: evaluate(env, policies, starts, seed))(env))
-    path.write_text(
-        json.dumps({name: float(value) for name, value in scores.items() if name != "first_reached"}) + "\n"
-    )
+    scores = {}
+    for name, policy in {"random": random_policy(env), "shortest": shortest_path_policy(env)}.items():
+        found = jax.jit(lambda env, policy=policy: evaluate(policy, env, env.goals.evaluated, starts, seed))(env)
+        for group, means in group_means(found, env.goals).items():
+            scores |= {f"{group}_goal_{name}/{score}": float(mean) for score, mean in means.items()}
+    path.write_text(json.dumps(scores) + "\n")
 
 
 def finish(

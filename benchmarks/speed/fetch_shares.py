@@ -50,8 +50,8 @@ def measure(task: str, seeds: int, updates: int) -> dict[str, float]:
     images = 3 * config.learner.num_pairs  # Anchors, positives and negatives of an update.
 
     def rollout(state, env):
-        policies = train.test_policies(state.params, hyper, env, 1)
-        return collect(env, state.env_states, policies["{group}_goal"], state.key, config.rollout_steps)[1]
+        policy = train.policy(state.params, hyper, env)
+        return collect(env, state.env_states, policy, state.key, config.rollout_steps)[1]
 
     def updating(state, rows, env):
         buffer = replay.add(state.buffer, rows, jnp.int32(0))

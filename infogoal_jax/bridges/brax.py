@@ -29,10 +29,10 @@ with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.environment import FetchState, make
 from infogoal_jax.envs.fetch.physics import Physics
+from infogoal_jax.envs.fetch.scene import ARM, GOAL, GOAL_RADIUS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.fetch.vectors import Vector
 from infogoal_jax.errors import require
-from infogoal_jax.report.fetch_scene import ARM, GOAL, GOAL_RADIUS
 
 REWARDS = ("sparse", "dense")
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]

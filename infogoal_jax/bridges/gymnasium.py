@@ -5,14 +5,13 @@ FetchReach-v4 and its like.
 registers both: `gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
 """
 
-import contextlib
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.envs.fetch import environment
+from infogoal_jax.bridges.gymnasium_goals import distance, goal_of, key_of, load, on_cpu, reset, rewards, view
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, require
@@ -31,12 +30,6 @@ FARTHEST, LARGEST = 10.0, 50.0
 is taken back."""
 
 
-def load(task: str, config: FetchConfig | None) -> Fetch:
-    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that
-    is no Fetch task."""
-    return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else config)
-
-
 def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
     """The observation and action space of one environment."""
     goal = gymnasium.spaces.Box(-FARTHEST, FARTHEST, (3,), np.float32)
@@ -47,74 +40,9 @@ def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
     )
 
 
-def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:
-    """A new episode, for `goal` [3] where one is given; otherwise as `env.reset` draws it."""
-    goal_key, object_key = jax.random.split(key)
-    return env.reset_to(object_key, jnp.where(given, goal, env.sample_goal(goal_key)))
-
-
-def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
-    """The observation as Gymnasium's goal environments have it."""
-    return {"observation": state.observation, "achieved_goal": env.achieved(state), "desired_goal": state.goal}
-
-
 jitted_reset = jax.jit(reset)
 # The environment has no leaves: one program for each task and setting, however many environments there are.
 jitted_step = jax.jit(Fetch.step)
-
-
-def distance(achieved, desired) -> np.ndarray:
-    """Metres between positions [..., 3]. Raises `UserError` for other shapes."""
-    achieved, desired = np.asarray(achieved), np.asarray(desired)
-    fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
-    require(
-        fit,
-        "achieved_goal",
-        f"of shape {achieved.shape}, desired_goal of {desired.shape}",
-        "give positions [..., 3] of one shape",
-    )
-    return np.linalg.norm(achieved - desired, axis=-1)
-
-
-def rewards(achieved, desired) -> np.ndarray:
-    """0 at the goal and -1 farther than 5 cm, float32 [...]."""
-    return -(distance(achieved, desired) > DISTANCE_THRESHOLD).astype(np.float32)
-
-
-def key_of(generator: np.random.Generator) -> jax.Array:
-    """A PRNG key drawn from Gymnasium's generator."""
-    return jax.random.key(int(generator.integers(2**31)))
-
-
-def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) -> tuple[np.ndarray, bool]:
-    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what
-    cannot be one."""
-    unknown = set(options or {}) - {"goal"}
-    require(not unknown, "options", sorted(unknown), 'only "goal" is known')
-    if not options:
-        return np.zeros(shape, np.float32), False
-    try:
-        goal = np.asarray(options["goal"], np.float32)
-    except (TypeError, ValueError) as error:
-        raise UserError(f'options["goal"] = {options["goal"]!r}: give a position of 3 numbers, in m') from error
-    env.check_goals(goal)
-    require(
-        goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)),
-        'options["goal"]',
-        f"of shape {goal.shape}",
-        f"give {list(shape)} or [3]",
-    )
-    return np.broadcast_to(goal, shape), True
-
-
-def on_cpu() -> contextlib.AbstractContextManager:
-    """Runs what is inside on the CPU: one robot is faster there than on any accelerator."""
-    if jax.default_backend() == "cpu":
-        return contextlib.nullcontext()
-    try:
-        return jax.default_device(jax.local_devices(backend="cpu")[0])
-    except RuntimeError:  # jax was told to use the accelerator only.
-        return contextlib.nullcontext()
 
 
 class FetchGymnasium(gymnasium.Env):
@@ -183,7 +111,7 @@ class FetchGymnasium(gymnasium.Env):
         """A picture uint8 [480, 640, 3] in mode "rgb_array"."""
         if self.render_mode is None:
             return None
-        from infogoal_jax.report.fetch_scene import draw_fetch
+        from infogoal_jax.envs.fetch.scene import draw_fetch
 
         require(self.state is not None, "state", None, "call reset() before render()")
         return draw_fetch(self.env, self.state)
@@ -273,7 +201,7 @@ class FetchVector(VectorEnv):
         """A picture uint8 [480, 640, 3] of each environment in mode "rgb_array"."""
         if self.render_mode is None:
             return None
-        from infogoal_jax.report.fetch_scene import draw_fetch
+        from infogoal_jax.envs.fetch.scene import draw_fetch
 
         require(self.state is not None, "state", None, "call reset() before render()")
         return tuple(

@@ -77,8 +77,9 @@ def check_fetch(
     Returns:
         0 whatever the numbers: it measures and passes no judgement.
     """
+    from infogoal_jax.envs.fetch.parity import read_kinds
     from infogoal_jax.envs.fetch.recordings import load_recordings
-    from infogoal_jax.report.fetch_parity import check_recordings, read_kinds
+    from infogoal_jax.report.fetch_parity import check_recordings
     from infogoal_jax.train.compilation import use_compilation_cache
 
     words, recordings = read_kinds(kinds), load_recordings(file)

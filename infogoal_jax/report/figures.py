@@ -33,7 +33,7 @@ from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.image_goal_figures import draw_image_goals
 from infogoal_jax.report.runs import load_run, read_params
 from infogoal_jax.report.shelf_figures import draw_shelves
-from infogoal_jax.train.evaluation import goal_starts
+from infogoal_jax.train.evaluation import draw_starts
 from infogoal_jax.train.program import make_train
 
 MOST_BARS = 60  # Goals up to which every one gets a bar of its own.
@@ -167,7 +167,8 @@ def success_by_length(subject: Subject) -> Figure:
     num_starts, longest = first_reached.shape[-1], env.episode_length
     shortest = None
     if env.has_shortest_path:
-        shortest = np.asarray(jax.vmap(env.shortest_path)(goal_starts(env, num_starts))).reshape(-1, num_starts)
+        starts = draw_starts(env, env.goals.evaluated, num_starts)
+        shortest = np.asarray(jax.vmap(jax.vmap(env.shortest_path))(starts))
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
     for group in env.goals.groups:

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.envs.fetch.image_goals import ImageGoals
+from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.canvas import Subject
-from infogoal_jax.report.fetch_scene import draw_fetch
 from infogoal_jax.report.video import LAST_PICTURE, write_video
-from infogoal_jax.train.evaluation import corrupted_images, goal_starts, has_image_goals, run_side_by_side
+from infogoal_jax.train.evaluation import draw_starts, run_side_by_side
 from infogoal_jax.train.hierarchy import SubgoalState
 from infogoal_jax.train.rollout import Episodes, Policy
+from infogoal_jax.train.settings import corrupted_images, corrupted_view, has_image_goals
 
 PICTURES_A_FRAME = 8
 """How often each frame of a walk is shown: about three steps a second."""
@@ -48,20 +49,14 @@ class Watched:
         return lambda robot, goal, key: policy(robot.observation, goal, key)
 
 
-def with_evaluated(env: Any, which: np.ndarray) -> Any:
-    """The same environment, of whose goals only these [M] are evaluated, in this order."""
-    return env.with_goals(env.goals.replace(evaluated=jnp.asarray(which, jnp.int32)))
-
-
 def is_fetch(env: Any) -> bool:
     """Whether a robot can be drawn."""
     return isinstance(env.unwrapped, ImageGoals)
 
 
-def seen_images(env: Any, weight: float, seed: int) -> np.ndarray:
-    """The corrupted images uint8 [M, H, W, 3] of the evaluated goals that `Train.test_policies` looks at, for one start
-    a goal."""
-    return np.asarray(corrupted_images(env, 1, weight, seed))
+def seen_images(env: Any, goals: np.ndarray, weight: float, seed: int) -> np.ndarray:
+    """The corrupted images uint8 [M, H, W, 3] of these goals [M] that the policy of `policy_episodes` looks at."""
+    return np.asarray(corrupted_images(env, jnp.asarray(goals, jnp.int32), 1, weight, seed))[:, 0]
 
 
 def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
@@ -74,15 +69,15 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
 
     @jax.jit
     def run(params, env):
-        test_policies, hyper = subject.train.test_policies, subject.run.config.hyper
-        policies = [test_policies(params, hyper, env, 1, weight, seed)["corrupted_{group}_goal"] for weight in weights]
-        starts, key = goal_starts(env, 1, seed), jax.random.key(seed + 1)
-        if not is_fetch(env):
-            return run_side_by_side(env, policies, starts, key)
-        watched = Watched(env)
-        return run_side_by_side(watched, [watched.policy(policy) for policy in policies], starts, key)
+        goals, policy = jnp.asarray(which, jnp.int32), subject.train.policy(params, subject.run.config.hyper, env)
+        views = [corrupted_view(subject.train.parts, params, env, goals, 1, weight, seed) for weight in weights]
+        starts, key = draw_starts(env, goals, 1, seed), jax.random.key(seed + 1)
+        watched = Watched(env) if is_fetch(env) else env
+        acting = watched.policy(policy) if is_fetch(env) else policy
+        found = run_side_by_side(watched, [(acting, view) for view in views], starts, key)
+        return jax.tree.map(lambda leaf: leaf[:, 0], found)
 
-    return jax.device_get(run(subject.params, with_evaluated(subject.train.env, which)))
+    return jax.device_get(run(subject.params, subject.train.env))
 
 
 def policy_video(
@@ -119,7 +114,7 @@ def policy_video(
     which = np.resize(
         np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes
     )
-    images, outcomes = seen_images(with_evaluated(env, which), corruption, seed), []
+    images, outcomes = seen_images(env, which, corruption, seed), []
 
     def frames():
         (found,) = policy_episodes(subject, which, [corruption], seed)

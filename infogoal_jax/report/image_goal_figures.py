@@ -15,9 +15,10 @@ from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report import fetch_figures, pose_figures
 from infogoal_jax.report.canvas import Subject, empty_figure, new_figure, save
 from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
-from infogoal_jax.report.image_goal_episodes import policy_episodes, seen_images, with_evaluated
-from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
+from infogoal_jax.report.image_goal_episodes import policy_episodes, seen_images
+from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.rollout import Episodes
+from infogoal_jax.train.settings import has_image_goals
 
 WEIGHTS = (0.1, 0.2, 0.4, 0.8)
 """Of the backgrounds, in the paper's figures."""
@@ -114,11 +115,12 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
     panels = figure.subplots(2, len(WEIGHTS))
     groups = tuple(group for group in ("train", "test") if group in goals.groups)
     which = np.flatnonzero(np.any([np.asarray(getattr(goals, f"{group}_mask")) for group in groups], axis=0))
-    some = with_evaluated(env, which)
     clean, *codes = (
         jax.tree.map(
             np.asarray,
-            subject.train.parts.learner.encode(subject.params["goal"], seen_images(some, weight, EVALUATION_SEED)),
+            subject.train.parts.learner.encode(
+                subject.params["goal"], seen_images(env, which, weight, EVALUATION_SEED)
+            ),
         )
         for weight in (0.0, *WEIGHTS)
     )

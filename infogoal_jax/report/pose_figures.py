@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from infogoal_jax.envs.object_manipulation import REACHED, ObjectManipulation
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour
-from infogoal_jax.report.image_goal_episodes import seen_images, with_evaluated
+from infogoal_jax.report.image_goal_episodes import seen_images
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.rollout import Episodes
 
@@ -111,7 +111,7 @@ def poses_on_the_way(
     rows, across = -(-len(chosen) // 2), min(2, len(chosen))
     figure = new_figure(subject, "ways to corrupted test poses", (7.4 * across, 4.6 * rows + 1.0), shown=shown)
     blocks = figure.subfigures(rows, across, squeeze=False, hspace=0.02, wspace=0.02).ravel()
-    seen = [seen_images(with_evaluated(env, chosen), weight, EVALUATION_SEED) for weight in weights]
+    seen = [seen_images(env, chosen, weight, EVALUATION_SEED) for weight in weights]
     angles = [angles_to_goals(env, chosen, found) for found in episodes]
     for number, block in zip(range(len(chosen)), blocks, strict=False):
         block.suptitle(

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.learners.learner import encode_goals
 from infogoal_jax.presets.saved import from_dict
 from infogoal_jax.train import checkpoint
-from infogoal_jax.train.policies import tested_policy
+from infogoal_jax.train.evaluation import GoalView
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
+from infogoal_jax.train.settings import corrupted_view, has_image_goals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,14 +42,26 @@ class Run:
 
     def policy(self, seed: int = 0, use_mean: bool = False) -> Policy:
         """The last policy of a seed, greedy: observations [E, ...], goals int32 [E] and a key to actions. use_mean: of
-        the goal's code, not a sample.
+        the goal's code, not a sample. Codes of goals can be given in place of the goals.
 
         Raises `UserError` for a seed that the run does not have, or a damaged file.
         """
+        return self.train.policy(self.params(seed), self.config.hyper, self.env, use_mean)
+
+    def params(self, seed: int = 0) -> dict[str, Any]:
+        """The last parameters of a seed, {"goal", "state", "agent"}. Raises `UserError` as `policy` does."""
         require(seed in self.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, self.seeds))}")
-        params = jax.tree.map(lambda leaf: jnp.asarray(leaf[self.seeds.index(seed)]), read_params(self, self.train))
-        encode = encode_goals(self.train.parts.learner, params["goal"], self.env.goals, self.config.batch_size)
-        return tested_policy(self.train.parts, params, self.config.hyper, self.env, encode, use_mean)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[self.seeds.index(seed)]), read_params(self, self.train))
+
+    def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int = 0) -> GoalView:
+        """These goals, int32 [M], as the encoder of a seed sees their images under test backgrounds of this weight,
+        another background for each start; for `infogoal_jax.evaluate`. Raises `UserError` where goals are not images,
+        and as `policy` does.
+        """
+        require(
+            has_image_goals(self.env), "task", self.config.task, "its goals are not images; evaluate goals as they are"
+        )
+        return corrupted_view(self.train.parts, self.params(seed), self.env, jnp.asarray(goals), num_starts, weight)
 
 
 def load_run(folder: str | Path) -> Run:

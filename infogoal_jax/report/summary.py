@@ -16,8 +16,8 @@ from infogoal_jax.report import tables
 from infogoal_jax.report.runs import Run, load_run, read_params, read_timing
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.train import checkpoint, files, host
-from infogoal_jax.train.evaluation import evaluate, has_image_goals
 from infogoal_jax.train.program import make_train
+from infogoal_jax.train.settings import has_image_goals
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {
@@ -54,7 +54,7 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
-    [seeds]} with the names of `evaluation.summarise`."""
+    [seeds]} with the names of `settings.Setting`."""
     table = Table()
     columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
     for column in ("goals", "code", *(title for title, _ in columns.values())):
@@ -196,7 +196,7 @@ def evaluate_run(
 
     def evaluate_seed(params, env):
         hyper = run.config.hyper.replace(test_epsilon=epsilon)
-        return evaluate(env, train.test_policies(params, hyper, env, starts, weight, start_seed), starts, start_seed)
+        return train.evaluate(params, hyper, env, starts, weight, start_seed)
 
     metrics = jax.device_get(jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None)))(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
+from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.report.fetch_scene import draw_fetch
 
 Policy = Callable[[FetchState, jax.Array], jax.Array]
 """(state, key) -> action [4]."""

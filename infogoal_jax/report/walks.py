@@ -9,8 +9,8 @@ import numpy as np
 
 from infogoal_jax.learners.learner import InputSpec, Visited, encode_goals
 from infogoal_jax.report.canvas import Subject, in_words
-from infogoal_jax.train.evaluation import EVALUATION_SEED, goal_starts
-from infogoal_jax.train.rollout import run_episodes
+from infogoal_jax.train.evaluation import EVALUATION_SEED, draw_starts, run_side_by_side
+from infogoal_jax.train.settings import clean_view
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,18 +31,25 @@ def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
 
     @jax.jit
     def episodes(params, env):
-        policy = subject.train.test_policies(params, run.config.hyper, env, num_starts)["{group}_goal"]
-        return run_episodes(env, goal_starts(env, num_starts), policy, jax.random.key(EVALUATION_SEED + 1))
+        view = clean_view(subject.train.parts, params, env, env.goals.evaluated)
+        policy = subject.train.policy(params, run.config.hyper, env)
+        starts, key = draw_starts(env, env.goals.evaluated, num_starts), jax.random.key(EVALUATION_SEED + 1)
+        (found,) = run_side_by_side(env, [(policy, view)], starts, key)
+        return found, jax.vmap(jax.vmap(env.shortest_path))(starts)
 
-    found = jax.device_get(episodes(subject.params, env))
-    shortest = jax.device_get(jax.vmap(env.shortest_path)(goal_starts(env, num_starts)))
-    walks: dict[int, list[Walk]] = {}
-    goals = np.repeat(np.asarray(env.goals.evaluated), num_starts).tolist()
-    for goal, nodes, steps, success, fewest in zip(
-        goals, found.observations, found.steps, found.success, shortest, strict=True
-    ):
-        walks.setdefault(goal, []).append(Walk(goal, nodes[: steps + 1], bool(success), int(fewest)))
-    return walks
+    found, shortest = jax.device_get(episodes(subject.params, env))
+    return {
+        goal: [
+            Walk(
+                goal,
+                found.observations[row, start, : steps + 1],
+                bool(found.success[row, start]),
+                int(shortest[row, start]),
+            )
+            for start, steps in enumerate(found.steps[row])
+        ]
+        for row, goal in enumerate(np.asarray(env.goals.evaluated).tolist())
+    }
 
 
 def from_farthest(walks: list[Walk]) -> Walk:

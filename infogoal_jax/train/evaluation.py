@@ -1,88 +1,128 @@
-"""Evaluation inside the program: every goal from several starts, the same starts for every seed and every
-evaluation."""
+"""Evaluation: goals from several starts, and how often a policy reaches them.
 
-from collections.abc import Iterable
+`evaluate(policy, env, goals, starts)` takes any policy. A policy is given the desired goals of its episodes, or
+whatever a `GoalView` shows in their place, such as the codes of corrupted goal images.
+"""
 
+from collections.abc import Sequence
+from typing import Any
+
+import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.train.rollout import Episodes, Policy, run_episodes
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
 EVALUATION_SEED = 20_240_000
 
 
-def goal_starts(env, num_starts: int, seed: int = EVALUATION_SEED):
-    """Start states for every evaluated goal: env states [M * num_starts], goal by goal."""
-    goals = jnp.repeat(env.goals.evaluated, num_starts)
-    return jax.vmap(env.reset_to)(jax.random.split(jax.random.key(seed), goals.shape[0]), goals)
+@flax.struct.dataclass
+class GoalView:
+    """M desired goals, and what the policy is shown in place of each."""
+
+    goals: jax.Array
+    """int32 [M], the desired goals, which decide what counts as success."""
+    shown: Any
+    """A pytree [M, S, ...], such as a `GoalCode`: what the policy is given in each of the S episodes of a goal. S is 1
+    where it is the same for every start."""
 
 
-def has_image_goals(env) -> bool:
-    """Whether goals of this environment are images that can be corrupted."""
-    return env.test_backgrounds is not None
+@flax.struct.dataclass
+class Scores:
+    """How S episodes for each of M goals ended."""
+
+    success: jax.Array
+    """bool [M, S], whether the goal was reached."""
+    steps: jax.Array
+    """int32 [M, S], steps until the end of the episode."""
+    spl: jax.Array | None
+    """float32 [M, S], success * shortest path / max(steps, shortest path) (Anderson et al. 2018); None where shortest
+    paths are unknown."""
+
+    def by_name(self) -> dict[str, jax.Array]:
+        """The scores [M, S] by the names that metrics have."""
+        scores = {"success_rate": self.success, "episode_length": self.steps}
+        return scores if self.spl is None else scores | {"spl": self.spl}
+
+    def first_reached(self, episode_length: int) -> jax.Array:
+        """Steps after which each goal was first reached, int32 [M, S]; episode_length + 1 where it never was."""
+        return jnp.where(self.success, self.steps, episode_length + 1)
 
 
-def corrupted_images(env, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED) -> jax.Array:
-    """What is seen of the corrupted goals of the episodes of `goal_starts`, uint8 [M * num_starts, H, W, C]: each has a
-    background of the test."""
-    images = jnp.repeat(env.goals.inputs_of(env.goals.evaluated), num_starts, axis=0)
-    return corrupt(images, draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, images.shape[:1]), weight)
+def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:
+    """Draw start states for each goal: goals int32 [M] to states [M, num_starts]."""
+    desired = jnp.repeat(goals, num_starts)
+    states = jax.vmap(env.reset_to)(jax.random.split(jax.random.key(seed), desired.shape[0]), desired)
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, num_starts, *leaf.shape[1:]), states)
 
 
-def summarise(env, starts, episodes: Episodes, name: str) -> dict[str, jax.Array]:
-    """Success rate, episode length and, where a shortest path is known, success weighted by path length, for each group
-    of goals of the task.
+def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10, seed: int = EVALUATION_SEED) -> Scores:
+    """Run the policy to the end of an episode for each goal and start, all side by side. Compile it with `jax.jit`.
 
-    name: of the metrics, with `{group}` for train, validation or test. SPL is success * shortest / max(steps, shortest)
-    (Anderson et al. 2018).
+    policy: (observations [E, ...], goals int32 [E] or what the view shows [E, ...], key) -> actions [E, ...].
+    goals: int32 [M], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
+    in any order. seed: of the starts that are drawn and of the policy's noise.
     """
-    scores = {"success_rate": episodes.success, "episode_length": episodes.steps}
-    if env.has_shortest_path:
-        shortest = jax.vmap(env.shortest_path)(starts)
-        scores["spl"] = episodes.success * shortest / jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
-    by_goal = jax.tree.map(lambda leaf: leaf.reshape(len(env.goals.evaluated), -1).mean(1), scores)
-    metrics = {}
-    for group in env.goals.groups:
-        mask = getattr(env.goals, f"{group}_mask")[env.goals.evaluated]
-        for score, value in by_goal.items():
-            metrics[f"{name.format(group=group)}/{score}"] = (value * mask).sum() / mask.sum()
-    return metrics
+    desired = goals.goals if isinstance(goals, GoalView) else jnp.asarray(goals, jnp.int32)
+    states = draw_starts(env, desired, starts, seed) if isinstance(starts, int) else starts
+    (episodes,) = run_side_by_side(env, [(policy, goals)], states, jax.random.key(seed + 1))
+    return score(env, states, episodes)
 
 
-def run_side_by_side(env, policies: Iterable[Policy], starts, key: jax.Array) -> list[Episodes]:
-    """Episodes [E] of each policy from the same E start states, all in one rollout: the environment is compiled and
-    stepped once."""
-    policies, count = list(policies), starts.goal.shape[0]
+def run_side_by_side(
+    env, policies: Sequence[tuple[Policy, jax.Array | GoalView]], starts: Any, key: jax.Array
+) -> list[Episodes]:
+    """Episodes [M, S] of each policy, on goals as it is shown them, from the same start states [M, S]; all in one
+    rollout, so that the environment is compiled and stepped once."""
+    shape = starts.goal.shape
+    starts, count = jax.tree.map(flat, starts), shape[0] * shape[1]
+
+    def shown_to_all(goals):
+        if not isinstance(goals, GoalView):
+            return starts.goal
+        return jax.tree.map(lambda leaf: flat(jnp.broadcast_to(leaf, (*shape, *leaf.shape[2:]))), goals.shown)
 
     def block_of(tree, block):
         return jax.tree.map(lambda leaf: leaf[block * count : (block + 1) * count], tree)
 
     def act(observation, goal, key):
         return jnp.concatenate(
-            [policy(*block_of((observation, goal), block), key) for block, policy in enumerate(policies)]
+            [policy(block_of(observation, block), seen, key) for block, (policy, seen) in enumerate(shown)]
         )
 
+    shown = [(policy, shown_to_all(goals)) for policy, goals in policies]
     together = run_episodes(env, jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(policies)), starts), act, key)
-    return [block_of(together, block) for block in range(len(policies))]
+    return [
+        jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), block_of(together, block))
+        for block in range(len(policies))
+    ]
 
 
-def evaluate(env, policies: dict[str, Policy], num_starts: int, seed: int = EVALUATION_SEED) -> dict[str, jax.Array]:
-    """Metrics of each policy, and of the first policy when each goal was first reached. seed: of starts and noise.
+def flat(leaf: jax.Array) -> jax.Array:
+    """The array [M, S, ...] as [M * S, ...]."""
+    return leaf.reshape(-1, *leaf.shape[2:])
 
-    The name of a policy is that of its metrics, with `{group}` for the group of goals, such as `{group}_goal` or
-    `corrupted_{group}_goal`. All of them run side by side from the same starts.
-    `first_reached`: int32 [M, num_starts] steps, episode_length + 1 where it never was; success within t steps is
-    `first_reached <= t`.
-    """
-    starts = goal_starts(env, num_starts, seed)
-    found = run_side_by_side(env, policies.values(), starts, jax.random.key(seed + 1))
-    metrics = {}
-    for name, episodes in zip(policies, found, strict=True):
-        metrics |= summarise(env, starts, episodes, name)
-    first = jnp.where(found[0].success, found[0].steps, env.episode_length + 1)
-    return metrics | {"first_reached": first.reshape(-1, num_starts)}
+
+def score(env, starts: Any, episodes: Episodes) -> Scores:
+    """The scores of episodes [M, S] from these start states [M, S]."""
+    if not env.has_shortest_path:
+        return Scores(episodes.success, episodes.steps, spl=None)
+    shortest = jax.vmap(jax.vmap(env.shortest_path))(starts)
+    spl = episodes.success * shortest / jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
+    return Scores(episodes.success, episodes.steps, spl)
+
+
+def group_means(scores: Scores, goals: GoalSet) -> dict[str, dict[str, jax.Array]]:
+    """The mean of each score over the goals of each group, {"train", "validation" or "test": {score: []}}, of scores
+    [M, S] of all evaluated goals."""
+    by_goal = {name: value.mean(1) for name, value in scores.by_name().items()}
+    masks = {group: getattr(goals, f"{group}_mask")[goals.evaluated] for group in goals.groups}
+    return {
+        group: {name: (value * mask).sum() / mask.sum() for name, value in by_goal.items()}
+        for group, mask in masks.items()
+    }
 
 
 def random_policy(env) -> Policy:

@@ -1,11 +1,10 @@
-"""Policies: how parameters act on observations and goals, while collecting and when they are tested."""
+"""Policies: how parameters act on observations and goals, while collecting and when they are evaluated."""
 
 import jax
 
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.learners.learner import Encode, conditioned, encode_commanded, lookup
+from infogoal_jax.learners.learner import Encode, GoalCode, conditioned, encode_commanded, encode_goals
 from infogoal_jax.train.encoding import encode_states, training_view
-from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_images, has_image_goals
 from infogoal_jax.train.rollout import Policy
 
 
@@ -38,39 +37,13 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
 
-def tested_policy(parts, params, hyper, env, encode: Encode, use_mean: bool = False) -> Policy:
-    """The policy that is tested: greedy but for `test_epsilon`, on goals as `encode` sees them."""
-    return policy(
-        parts,
-        params,
-        Exploration(hyper.test_epsilon, 0.0),
-        env,
-        encode,
-        use_mean=use_mean or parts.learner.mean_at_test,
-    )
+def trained_policy(parts, params, hyper, env, use_mean: bool = False) -> Policy:
+    """The policy that training is for: greedy but for `test_epsilon`. It takes goals int32 [E], or their codes
+    `GoalCode` [E], which may be those of other inputs. use_mean: of the code, not a sample."""
 
+    def encode(goal: jax.Array | GoalCode) -> GoalCode:
+        return goal if isinstance(goal, GoalCode) else encode_index(goal)
 
-def test_policies(
-    parts, params, hyper, env, num_starts: int, corruption: float | None = None, seed: int = EVALUATION_SEED
-) -> dict[str, Policy]:
-    """The policies that an evaluation compares, by the names of their metrics: code sampled or mean, goals as they are
-    or corrupted.
-
-    They act on the episodes of `evaluation.goal_starts` with this number of starts. corruption: weight, None for the
-    configuration's.
-    """
-    learner = parts.learner
-    views = {
-        "": lookup(
-            learner.encode(params["goal"], env.goals.inputs_of(env.goals.evaluated)), env.goals, env.goals.evaluated
-        )
-    }
-    if has_image_goals(env):
-        weight = parts.config.test_corruption if corruption is None else corruption
-        codes = learner.encode(params["goal"], corrupted_images(env, num_starts, weight, seed))
-        views["corrupted_"] = lambda goal: codes  # A background for each episode, the same for its whole length.
-    return {
-        f"{prefix}{{group}}_goal{suffix}": tested_policy(parts, params, hyper, env, encode, use_mean=bool(suffix))
-        for suffix in ("", "_mean_code")
-        for prefix, encode in views.items()
-    }
+    encode_index = encode_goals(parts.learner, params["goal"], env.goals, parts.config.batch_size)
+    exploration = Exploration(hyper.test_epsilon, 0.0)
+    return policy(parts, params, exploration, env, encode, use_mean or parts.learner.mean_at_test)

@@ -24,11 +24,11 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.collection import collect_epoch, update_statistics
 from infogoal_jax.train.encoding import encode_states
-from infogoal_jax.train.evaluation import evaluate
 from infogoal_jax.train.experience import Experience, experience_of
 from infogoal_jax.train.parts import Parts, check_hyperparameters, load_environment, make_parts
-from infogoal_jax.train.policies import test_policies, training_policy
+from infogoal_jax.train.policies import trained_policy, training_policy
 from infogoal_jax.train.rollout import Policy, rows_shape
+from infogoal_jax.train.settings import evaluate_settings
 from infogoal_jax.train.state import INITIAL, UPDATE, TrainResult, TrainState, numbered
 from infogoal_jax.train.update import updates
 
@@ -44,7 +44,10 @@ class Train:
     env: Any
     initial: Callable[[jax.Array, Hyperparameters, Any], TrainState]
     chunk: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
-    test_policies: Callable[..., dict[str, Policy]]
+    policy: Callable[..., Policy]
+    """(params, hyper, env, use_mean=False) -> the policy of `policies.trained_policy`."""
+    evaluate: Callable[..., dict[str, jax.Array]]
+    """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `settings.evaluate_settings`."""
     experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
     parts: Parts
 
@@ -126,9 +129,16 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         """Epochs `numbers` (int32 [E], not batched over seeds), then an evaluation: (state, {name: [E]}, {name:
         evaluation})."""
         state, epoch_metrics = jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
-        metrics = evaluate(
-            env, test_policies(parts, state.params, hyper, env, config.evaluation_starts), config.evaluation_starts
-        )
+        metrics = evaluate_settings(parts, state.params, hyper, env, config.evaluation_starts)
         return state, epoch_metrics, metrics | {"env_steps": state.env_steps}
 
-    return Train(config, env, initial, chunk, partial(test_policies, parts), partial(experience_of, parts), parts)
+    return Train(
+        config=config,
+        env=env,
+        initial=initial,
+        chunk=chunk,
+        policy=partial(trained_policy, parts),
+        evaluate=partial(evaluate_settings, parts),
+        experience_of=partial(experience_of, parts),
+        parts=parts,
+    )

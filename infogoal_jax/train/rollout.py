@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from infogoal_jax.replay import Trajectories
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
-"""Stored observations [E], goals int32 [E] and a key to actions int32 [E]."""
+"""Stored observations [E, ...], goals int32 [E] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
+also takes the codes `GoalCode` [E] of goals, in place of the goals."""
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):

@@ -10,9 +10,9 @@ import pytest
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import load
+from infogoal_jax.envs.fetch.parity import Replayed, compare, replay
 from infogoal_jax.envs.fetch.recordings import Recording, load_recordings
 from infogoal_jax.report import fetch_parity as parity
-from infogoal_jax.report.fetch_parity import Replayed, compare, replay
 
 EPISODES, STEPS = 2, 3
 

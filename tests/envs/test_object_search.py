@@ -9,7 +9,7 @@ import pytest
 from infogoal_jax.data import splits
 from infogoal_jax.envs.object_search import distances, lay_out
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.evaluation import evaluate, goal_starts, random_policy, shortest_path_policy
+from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy, shortest_path_policy
 
 
 @pytest.fixture(scope="module")
@@ -60,19 +60,19 @@ def test_achieved_goals_agree_with_what_is_reached(env):
 
 
 def test_oracle_takes_shortest_paths_and_random_does_not(env):
-    metrics = evaluate(env, {"{group}_goal": shortest_path_policy(env), "{group}_goal_random": random_policy(env)}, 10)
-    for group in ("train", "test"):
-        assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"{group}_goal/spl"] == 1
-        assert metrics[f"{group}_goal_random/spl"] < 0.7
-    np.testing.assert_array_equal(
-        metrics["first_reached"].reshape(-1), jax.vmap(env.shortest_path)(goal_starts(env, 10))
-    )
+    goals = env.goals.evaluated
+    shortest, drawn = (evaluate(policy(env), env, goals) for policy in (shortest_path_policy, random_policy))
+    assert shortest.success.shape == (len(goals), 10) and shortest.success.all() and (shortest.spl == 1).all()
+    assert set(group_means(drawn, env.goals)) == {"train", "test"}
+    assert all(means["spl"] < 0.7 for means in group_means(drawn, env.goals).values())
+    starts = draw_starts(env, goals, 10)
+    np.testing.assert_array_equal(shortest.first_reached(99), jax.vmap(jax.vmap(env.shortest_path))(starts))
 
 
 def test_a_failed_goal_counts_as_reached_after_the_end(env):
-    stay = evaluate(env, {"{group}_goal": lambda observation, goal, key: jnp.full(goal.shape, 4)}, 5)
-    failed = stay["first_reached"] > env.episode_length
-    assert failed.any() and (stay["first_reached"][failed] == env.episode_length + 1).all()
+    stay = evaluate(lambda observation, goal, key: jnp.full(goal.shape, 4), env, env.goals.evaluated, 5)
+    first = stay.first_reached(env.episode_length)
+    assert not stay.success.all() and (first[~stay.success] == env.episode_length + 1).all()
 
 
 def test_an_object_out_of_reach_is_named():

@@ -1,5 +1,4 @@
-"""What a run reports: intervals over seeds, tables that leave out and name diverged seeds, and figures that show
-something."""
+"""What a run reports: tables that leave out and name diverged seeds, and figures that show something."""
 
 import dataclasses
 import io
@@ -8,33 +7,23 @@ import math
 import shutil
 
 import hand_made
-import hand_made_points
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib.image import imread
+from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
-from scipy import stats
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import fetch_figures, house_figures, image_goal_episodes, image_goal_figures, tables, walks
-from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
+from infogoal_jax.report import house_figures, tables, walks
+from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
-from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.program import make_train
 
 SEEDS = [3, 4, 5]
-EVERY_TASKS_FIGURES = {
-    "learning_curves",
-    "beta_and_accuracy",
-    "representations",
-    "success_by_length",
-    "success_by_goal",
-}
 FIGURES = EVERY_TASKS_FIGURES | {"trajectories", "intrinsic_reward"}
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
 
@@ -71,55 +60,6 @@ def diverged_run(sweep, tmp_path):
             row["agent/loss"] = math.nan
     (folder / "epochs.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     return folder
-
-
-def printed(show, *arguments) -> str:
-    """What a function prints on a console of its own."""
-    console = Console(file=io.StringIO(), width=120)
-    show(*arguments, console=console)
-    return console.file.getvalue()
-
-
-def assert_drawn(paths, folder, names):
-    """These figures were drawn, and none is blank."""
-    assert {path.stem for path in paths} == names
-    for path in paths:
-        picture = imread(path)[..., :3]
-        assert path.parent == folder / "figures" and min(picture.shape[:2]) > 300
-        assert (picture.min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
-
-
-def test_interval_is_students_t():
-    values = [0.2, 0.5, 0.6, 0.9]
-    interval = mean_interval(values)
-    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
-    np.testing.assert_allclose((interval.mean, interval.low, interval.high), (0.55, low, high))
-    # By hand: t(0.975, 1) = 12.706, and the standard error of two numbers is half of their difference.
-    assert mean_interval([1.0, 3.0]).half_width == pytest.approx(12.7062, abs=1e-4)
-
-
-def test_interval_is_taken_at_each_point_of_a_curve():
-    curves = np.random.default_rng(0).normal(size=(5, 7))
-    interval = mean_interval(curves)
-    assert interval.mean.shape == interval.half_width.shape == (7,)
-    assert interval.half_width[2] == pytest.approx(mean_interval(curves[:, 2]).half_width)
-
-
-def test_one_seed_has_no_interval_and_none_has_no_mean():
-    one, none = mean_interval([0.52]), mean_interval([])
-    assert one.mean == 0.52 and math.isnan(one.half_width) and one.show() == "0.52"
-    assert math.isnan(none.mean) and none.show() == "-"
-    assert mean_interval([0.5, 0.5]).show() == "0.50 ± 0.00"
-
-
-def test_paired_difference_is_first_minus_second_and_forgets_what_seeds_share():
-    luck = np.random.default_rng(1).normal(size=8)
-    difference = paired_difference(luck + 0.3 + 0.01 * np.arange(8), luck)
-    assert difference.mean == pytest.approx(0.335)
-    assert difference.low > 0 > paired_difference(luck, luck + 0.3 + 0.01 * np.arange(8)).high
-    assert difference.half_width < mean_interval(luck).half_width / 10
-    with pytest.raises(UserError, match="same seeds"):
-        paired_difference([1.0, 2.0], [1.0])
 
 
 def test_summary_names_data_seeds_and_times(sweep):
@@ -258,136 +198,3 @@ def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env
     assert beta_and_accuracy(subject) is None
     assert house_figures.intrinsic_reward(subject, house_figures.make_plan(env), {}) is None
     assert representations(subject) is not None
-
-
-@pytest.fixture(scope="module")
-def points(tmp_path_factory):
-    """A run with image goals, without physics: most goals are never evaluated, and there are none for validation."""
-    env = hand_made_points.steered()
-    return host.run(hand_made_points.config(), [6, 7], tmp_path_factory.mktemp("points") / "run", env=env)
-
-
-@pytest.fixture(scope="module")
-def points_subject(points):
-    return read_subject(points.folder, points.train.env)
-
-
-def rows_of(text: str) -> list[list[str]]:
-    """The first two cells of each row of a table."""
-    return [[cell.strip() for cell in line.split("│")[1:3]] for line in text.splitlines() if line.startswith("│")]
-
-
-@pytest.mark.long
-def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_run):
-    text, scores = printed(print_run, reach_run.folder), tables.read(reach_run.folder, "evaluations").last()
-    kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
-    assert rows_of(text) == [[kind, code] for kind in kinds for code in ("sampled", "mean")]
-    for words in (
-        "48 goals x 1 starts",
-        "background of weight 0.4",
-        "rendered goal images",
-        "stand-in",
-        "MuJoCo physics in JAX",
-    ):
-        assert words in text
-    assert "SPL" not in text and mean_interval(scores["corrupted_test_goal_mean_code/episode_length"]).show(1) in text
-
-
-def test_every_figure_of_image_goals_is_drawn_and_shows_something(points):
-    assert_drawn(draw_figures(points.folder, env=points.train.env), points.folder, IMAGE_GOAL_FIGURES)
-
-
-def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(points_subject):
-    config, env = hand_made_points.config("none"), points_subject.train.env
-    train = make_train(config, env)
-    params = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).params
-    subject = dataclasses.replace(
-        points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params
-    )
-    assert beta_and_accuracy(subject) is None
-    assert image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"] is not None
-
-
-def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(points):
-    console, env = Console(file=io.StringIO(), width=150), points.train.env
-    scores = {}
-    for weight in (0.0, 0.8, None):
-        scores[weight] = evaluate_run(points.folder, 3, 1, 0.0, weight, env=env, console=console)
-        used = points.train.config.test_corruption if weight is None else weight
-        assert json.loads((points.folder / "evaluation.json").read_text())["corruption"] == used
-        assert f"background of weight {used:g}" in console.file.getvalue()
-    assert "8 goals x 3 starts" in console.file.getvalue()
-    for group in ("train", "test"):
-        steps = [of_weight[f"{group}_goal_mean_code/episode_length"] for of_weight in scores.values()]
-        assert (steps[0] == steps[1]).all() and (steps[0] == steps[2]).all()
-        np.testing.assert_array_equal(scores[0.0][f"corrupted_{group}_goal_mean_code/episode_length"], steps[0])
-    for weight in (1.5, -0.1, math.nan):
-        with pytest.raises(UserError, match=f"corruption = {weight}"):
-            evaluate_run(points.folder, 1, 1, 0.0, weight, env=env)
-
-
-@pytest.mark.long
-def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run):
-    env, scores = reach_run.train.env, tables.read(reach_run.folder, "evaluations").last()
-    for group in env.goals.groups:
-        mask = evaluated_mask(env.goals, group)
-        assert len(mask) == 48 and mask.sum() == {"train": 8, "validation": 8, "test": 32}[group]
-        curve = success_within(scores["first_reached"], mask, env.episode_length)
-        np.testing.assert_allclose(curve[:, -1], scores[f"{group}_goal/success_rate"], atol=1e-6)
-
-
-@pytest.mark.long
-def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
-    env = reach_run.train.env
-    apart = fetch_figures.distances_of_goals(env)
-    chosen = image_goal_figures.spread_goals(env.goals, env.goals.test_mask, 4, apart)
-    assert len(set(np.asarray(env.goals.regions)[chosen])) == 4 and np.asarray(env.goals.test_mask)[chosen].all()
-    assert len(image_goal_figures.spread_goals(env.goals, env.goals.train_mask, 100, apart)) == 8
-
-
-def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
-    env = points.train.env
-    goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
-    clean, again, corrupted = image_goal_episodes.policy_episodes(
-        points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED
-    )
-    path = np.asarray(env.unwrapped.robot.achieved(clean.observations))
-    assert path.shape == (4, env.episode_length + 1, 3)
-    nearest = np.linalg.norm(path - np.asarray(env.unwrapped.positions)[goals][:, None], axis=-1).min(1)
-    np.testing.assert_array_equal(nearest < 0.05, clean.success)
-    np.testing.assert_array_equal(np.asarray(clean.observations.goal)[:, 0], np.asarray(env.unwrapped.positions)[goals])
-    np.testing.assert_array_equal(path, env.unwrapped.robot.achieved(again.observations))
-    assert not np.array_equal(path, env.unwrapped.robot.achieved(corrupted.observations))
-
-
-@pytest.mark.long
-def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
-    env = image_goal_episodes.with_evaluated(reach_run.train.env, np.array([5, 3]))
-    clean, half, background = (
-        image_goal_episodes.seen_images(env, weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
-    )
-    np.testing.assert_array_equal(clean, np.asarray(env.goals.inputs)[[5, 3]])
-    assert np.abs(half - (clean + background) / 2).max() <= 0.5
-    assert all((np.asarray(env.test_backgrounds) == image).all((1, 2, 3)).any() for image in background)
-
-
-def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_subject, monkeypatch):
-    """The learner of the run, asked what it encodes."""
-    seen, learner = [], points.train.parts.learner
-
-    def encode(params, inputs):
-        seen.append(np.asarray(inputs))
-        return learner.encode(params, inputs)
-
-    some = image_goal_episodes.with_evaluated(points.train.env, np.array([126, 130]))
-    parts = points.train.parts._replace(learner=learner._replace(encode=encode))
-    monkeypatch.setattr("infogoal_jax.train.program.make_parts", lambda *arguments: parts)
-    train = make_train(points.train.config, points.train.env)
-    train.test_policies(points_subject.params, train.config.hyper, some, 1, 0.4, 9)
-    np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(some, 0.4, 9))
-
-
-@pytest.mark.long
-def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):
-    image_goal_figures.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
-    assert imread(tmp_path / "goals.png").std() > 0.1

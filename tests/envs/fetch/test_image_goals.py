@@ -1,10 +1,9 @@
-"""Fetch with image goals: what counts as reached and as achieved, corrupted goal images, and mistakes named before
+"""Fetch with image goals: what counts as reached and as achieved, corrupted training goals, and mistakes named before
 anything is compiled."""
 
 import os
 import subprocess
 import sys
-from functools import partial
 from types import SimpleNamespace
 
 import hand_made
@@ -26,7 +25,6 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
 from infogoal_jax.train.encoding import training_view
-from infogoal_jax.train.evaluation import evaluate, goal_starts
 from infogoal_jax.train.low_level.file import shipped
 
 GRIDS = {}
@@ -175,79 +173,6 @@ def test_corruption_of_weight_0_is_the_image_and_of_weight_1_the_background(env)
     np.testing.assert_array_equal(corrupt(images, backgrounds, 1.0), backgrounds)
     half = np.asarray(corrupt(images, backgrounds, 0.5), float)
     np.testing.assert_allclose(half, (np.asarray(images, float) + np.asarray(backgrounds, float)) / 2, atol=0.5)
-
-
-STARTS = 5
-
-
-@pytest.fixture(scope="module")
-def mean_code_actions(train, params):
-    """What each policy of an evaluation does with mean codes, all episodes in one place: {"", "corrupted_"} to [M,
-    STARTS, 3]."""
-
-    @partial(jax.jit, static_argnums=2)
-    def actions(env, key, seed):
-        policies = train.test_policies(params, train.config.hyper, env, STARTS, seed=seed)
-        starts = goal_starts(env, STARTS, seed)
-        observation = jnp.zeros_like(env.observe(starts))
-        return {
-            prefix: policies[f"{prefix}{{group}}_goal_mean_code"](observation, starts.goal, key).reshape(-1, STARTS, 3)
-            for prefix in ("", "corrupted_")
-        }
-
-    return lambda env, key=0, seed=7: jax.tree.map(np.asarray, actions(env, jax.random.key(key), seed))
-
-
-def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(train, mean_code_actions):
-    actions = mean_code_actions(train.env)
-    assert np.ptp(actions[""], axis=1).max() < 1e-5  # Clean: the same goal, the same action.
-    assert (np.ptp(actions["corrupted_"], axis=1).max(-1) > 1e-5).all()  # A background of its own for each start.
-    later = mean_code_actions(train.env, key=1)
-    # The same from step to step, and in the next evaluation.
-    jax.tree.map(np.testing.assert_array_equal, later, actions)
-    other = mean_code_actions(train.env, seed=8)
-    np.testing.assert_allclose(other[""], actions[""], atol=1e-5)
-    assert not np.allclose(other["corrupted_"], actions["corrupted_"])
-
-    swapped = train.env.replace(env=train.env.env.replace(train_backgrounds=255 - train.env.train_backgrounds))
-    jax.tree.map(np.testing.assert_array_equal, mean_code_actions(swapped), actions)
-    swapped = train.env.replace(env=train.env.env.replace(test_backgrounds=255 - train.env.test_backgrounds))
-    changed = mean_code_actions(swapped)
-    np.testing.assert_array_equal(changed[""], actions[""])
-    assert not np.allclose(changed["corrupted_"], actions["corrupted_"])
-
-
-def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
-    @jax.jit
-    def actions(params):
-        policies = train.test_policies(params, train.config.hyper, train.env, STARTS, corruption=0.0)
-        starts = goal_starts(train.env, STARTS)
-        return {
-            name: policy(train.env.observe(starts), starts.goal, jax.random.key(0)) for name, policy in policies.items()
-        }
-
-    found = actions(params)
-    for suffix in ("", "_mean_code"):
-        clean, corrupted = (found[f"{prefix}{{group}}_goal{suffix}"] for prefix in ("", "corrupted_"))
-        np.testing.assert_allclose(clean, corrupted, atol=1e-5)
-
-
-def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none(env):
-    """The evaluation steps the low level, and counts every group of goals for each policy."""
-    steered = hand_made_points.steered(env)
-
-    def straight(observation, goal, key):
-        return jnp.clip((env.unwrapped.positions[goal] - observation[:, :3]) / steered.subgoal_scale, -1.0, 1.0)
-
-    def stay(observation, goal, key):
-        return jnp.zeros((len(goal), steered.action_size))
-
-    metrics = jax.jit(lambda: evaluate(steered, {"{group}_goal": straight, "idle_{group}_goal": stay}, STARTS))()
-    for group in ("train", "test"):
-        assert metrics[f"{group}_goal/success_rate"] == 1 and metrics[f"idle_{group}_goal/success_rate"] == 0
-        assert metrics[f"idle_{group}_goal/episode_length"] == steered.episode_length
-    assert not any("validation" in name for name in metrics)
-    assert metrics["first_reached"].shape == (8, STARTS) and metrics["first_reached"].max() <= 6
 
 
 PUSH = goal_images.shipped("fetch_push")

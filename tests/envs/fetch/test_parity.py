@@ -12,9 +12,9 @@ import pytest
 from places import FIXTURES
 
 from infogoal_jax.envs import load
+from infogoal_jax.envs.fetch.parity import ALL, compare, distances, replay
 from infogoal_jax.envs.fetch.recordings import load_recordings
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.report.fetch_parity import ALL, compare, distances, replay
 
 RECORDINGS = FIXTURES / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")

@@ -9,12 +9,22 @@ import cv2
 import mujoco
 import numpy as np
 
-from infogoal_jax.envs.fetch import model
+from infogoal_jax.envs.fetch import model, raycast
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
+from infogoal_jax.envs.fetch.raycast import (
+    GROUND,
+    TOP,
+    Box,
+    Camera,
+    Capsule,
+    Cylinder,
+    Picture,
+    Shape,
+    cast,
+    cast_shadows,
+)
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.errors import require
-from infogoal_jax.report import raycast
-from infogoal_jax.report.raycast import GROUND, TOP, Box, Camera, Capsule, Cylinder, Picture, Shape, cast, cast_shadows
 
 SHELL, JOINT, BLUE, FINGER = (0.93, 0.93, 0.92), (0.27, 0.29, 0.32), (0.16, 0.42, 0.72), (0.22, 0.23, 0.25)
 WOOD, CUBE, PUCK = (0.80, 0.69, 0.54), (0.05, 0.47, 0.50), (0.05, 0.47, 0.50)
