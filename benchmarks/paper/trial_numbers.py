@@ -120,18 +120,18 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
     return markdown(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
 
 
-def differences(rows: list[Row], pairs: Iterable[tuple[str, str]]) -> str:
-    """A line for each pair of trials with one lane: success of the first minus that of the second, seed by seed, over
-    the last evaluations that both have."""
+def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
+    """A line for each pair of (trial, lane): success of the first minus that of the second, seed by seed, over the last
+    evaluations that both have."""
     lines, machines = [], {}
     for pair in pairs:
-        first, second = ([row for row in rows if row["trial"] == trial] for trial in pair)
+        first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
         last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
         shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
-        cells = [f"`{pair[0]}`", f"`{pair[1]}`", f"{int(last[0]):,} to {int(last[-1]):,}"]
+        cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[0]):,} to {int(last[-1]):,}"]
         for kind in SUCCESS:
             values = [seed_means(own, f"{kind}/success_rate") for own in shown]
-            cells.append(paired_difference(*values).show(2))
+            cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
         lines.append(cells)
         machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
     words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
