@@ -19,7 +19,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
-from infogoal_jax.learners.learner import InputSpec, LearnerBatch, Visited
+from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Visited
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -96,6 +96,12 @@ def sizes(**changes) -> dict:
 def example(inputs, features: int = 4, num_cells: int = 3) -> InputSpec:
     """What a learner's networks are made for: these goal inputs, and states of so many features."""
     return InputSpec(jnp.asarray(inputs), jnp.zeros(features), num_cells)
+
+
+def new_steps(cell, valid) -> NewSteps:
+    """Steps of an epoch that led to these cells [R, T]; nothing was achieved."""
+    cell = jnp.asarray(cell)
+    return NewSteps(jnp.zeros_like(cell), jnp.full((*cell.shape, 1), -1), cell, jnp.asarray(valid))
 
 
 def visited(desired: int, achieved, mask) -> Visited:

@@ -38,7 +38,8 @@ def context(rows: Trajectories, num_goals: int = GOALS, known=None, **changes) -
         "achievements": achieved,
         "discount": 0.9,
         "updates": 0,
-        "positions": lambda: jnp.arange(float(num_goals))[:, None],
+        "goal_positions": jnp.arange(float(num_goals))[:, None],
+        "goal_codes": None,
         "value": lambda observation, goal: jnp.zeros(goal.shape),
         "reached": lambda record, goal: (record == goal[..., None]).any(-1),
     }

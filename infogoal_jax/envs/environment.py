@@ -49,9 +49,9 @@ class Environment:
     test_backgrounds: jax.Array | None = None
     """The same for evaluation: other images."""
     goal_positions: jax.Array | None = None
-    """Where goals lie, float32 [N, D], for relabellings that ask how far goals are apart; None: unknown."""
+    """Where goals lie, float32 [N, D]; None: unknown."""
     num_cells: int = 1
-    """Number of cells in which visits are counted."""
+    """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False
     """Whether a low level can be sent to target states (HRAC); then `space` says which."""
     has_shortest_path = False
@@ -94,7 +94,7 @@ class Environment:
         raise NotImplementedError
 
     def cell_of(self, record: jax.Array) -> jax.Array:
-        """The cell in which a visit to each record [...] is counted, int32 [...] below `num_cells`."""
+        """The cell that each record [...] lies in, int32 [...] below `num_cells`."""
         return jnp.zeros(self.goals_of(record).shape[:-1], jnp.int32)
 
     def action_mask(self, observation: Any) -> jax.Array:

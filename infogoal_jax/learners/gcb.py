@@ -30,6 +30,7 @@ from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
+from infogoal_jax.relabelling import her
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,4 +206,6 @@ def make(config: GCBConfig) -> Learner:
         return total, metrics, state
 
     condition_on = condition if config.policy_input == "difference" else None
-    return Learner(init, encode, loss, SampleSpec(relabelled_share=config.relabelled_share), condition=condition_on)
+    share = config.relabelled_share
+    relabelling = her.make(her.HERConfig(future_share=share)) if share else None
+    return Learner(init, encode, loss, SampleSpec(relabelling=relabelling), condition=condition_on)

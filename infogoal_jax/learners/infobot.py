@@ -17,7 +17,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, Visited
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, NewSteps, Visited
 
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward, as InfoGoal's.
 
@@ -120,8 +120,8 @@ def make(config: InfoBotConfig) -> Learner:
         state = state.replace(scale=state.scale + SCALE_RATE * (kl.mean() - state.scale))
         return kl[:, None] / jnp.maximum(state.scale, 1e-6) * rarity, state
 
-    def observe(state, cell, valid):
-        return state.replace(counts=count_visits(state.counts, cell, valid))
+    def observe(state, new: NewSteps):
+        return state.replace(counts=count_visits(state.counts, new.cell, new.valid))
 
     return Learner(
         init,

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.pairs import GoalPairs
+from infogoal_jax.relabelling.relabelling import Relabelling
 
 
 @flax.struct.dataclass
@@ -54,9 +55,9 @@ class SampleSpec(NamedTuple):
     """Draw negatives from the dissimilarity matrix; False: from all known goals."""
     num_goals: int = 0
     """Known goals."""
-    relabelled_share: float = 0.0
-    """Share of the transitions that the loss sees with a goal achieved later in the episode as desired goal. The agent
-    sees them unchanged."""
+    relabelling: Relabelling | None = None
+    """Gives the transitions that the loss sees other desired goals. The agent sees them unchanged. None: the loss sees
+    what the agent sees."""
 
 
 class InputSpec(NamedTuple):
@@ -67,7 +68,7 @@ class InputSpec(NamedTuple):
     features: jax.Array
     """float32 [F] features of one state."""
     num_cells: int
-    """Number of cells in which visits are counted."""
+    """Number of cells of the environment."""
 
 
 class Steps(NamedTuple):
@@ -95,8 +96,8 @@ class LearnerBatch(NamedTuple):
     goals: jax.Array
     """int32 [num_goals], known goals."""
     desired: jax.Array
-    """int32 [B], desired goals of the transitions: those of the agent's batch, except for the share that was relabelled
-    for the learner."""
+    """int32 [B], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
+    gave them."""
     transitions: Steps
     """The transitions of the agent's batch."""
 
@@ -110,9 +111,22 @@ class Visited:
     achieved: jax.Array
     """int32 [B, n, K], known goals achieved after each step, padded with -1."""
     cell: jax.Array
-    """int32 [B, n], cell in which each visit counts."""
+    """int32 [B, n], the environment's cell that each step led to."""
     mask: jax.Array
     """float32 [B, n], 1 for steps that were taken."""
+
+
+class NewSteps(NamedTuple):
+    """The steps that an epoch collected, R rows of T steps, for a learner whose state depends on all of them."""
+
+    desired: jax.Array
+    """int32 [R, T], desired goals."""
+    achieved: jax.Array
+    """int32 [R, T, K], goals achieved after each step, padded with -1."""
+    cell: jax.Array
+    """int32 [R, T], the environment's cell that each step led to."""
+    valid: jax.Array
+    """bool [R, T], whether the step is a transition of an episode."""
 
 
 def no_loss(
@@ -127,7 +141,7 @@ def no_reward(state: Any, encode: Encode, visited: Visited) -> tuple[jax.Array, 
     return jnp.zeros(visited.mask.shape), state
 
 
-def keep(state: Any, cell: jax.Array, valid: jax.Array) -> Any:
+def keep(state: Any, new: NewSteps) -> Any:
     """Return the state unchanged."""
     return state
 
@@ -147,9 +161,8 @@ class Learner(NamedTuple):
     """What is sampled for the loss."""
     intrinsic_reward: Callable[[Any, Encode, Visited], tuple[jax.Array, Any]] = no_reward
     """(state, encode, visited: Visited) -> (float32 [B, n], state)."""
-    observe: Callable[[Any, jax.Array, jax.Array], Any] = keep
-    """(state, cell int32 [R, T], valid bool [R, T]) -> state. Called with each epoch's new transitions, by the cell
-    that each led to."""
+    observe: Callable[[Any, NewSteps], Any] = keep
+    """(state, new: NewSteps) -> state. Called once an epoch, with the steps that it collected."""
     condition: Callable[[Any, GoalCode, jax.Array], GoalCode] | None = None
     """(params, code: GoalCode [B], features [B, F]) -> GoalCode: the code that the agent gets, where it depends on the
     state too."""

@@ -86,7 +86,7 @@ def load(
     }
     changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
     fields = {
-        "learner": preset.learner | of_learner,
+        "learner": fields_of("learner", names, preset.learner) | of_learner,
         "agent": preset.agents.get(names["agent"], {}),
         "relabelling": preset.relabellings.get(names["relabelling"], {}),
         "explorer": {},
@@ -104,6 +104,12 @@ def load(
         **changed.training,
     }
     return TrainConfig(**(settings | changes))
+
+
+def fields_of(kind: str, names: dict[str, str], wanted: dict[str, Any]) -> dict[str, Any]:
+    """Those of the wanted fields that the part of this kind has."""
+    config = REGISTRIES[kind].entry(names[kind]).config
+    return {name: value for name, value in wanted.items() if name in config.__dataclass_fields__}
 
 
 def default_hyperparameters(learner: Any, agent: Any) -> Hyperparameters:

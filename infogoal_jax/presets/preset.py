@@ -25,8 +25,8 @@ class Changes:
 class Preset:
     """The tuned configuration of a task.
 
-    agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields that
-    every learner has.
+    agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields of
+    every learner that has them.
     agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for
     every method.
     methods: what each method, or learner, changes. description: the task in a line, for the help of the command line.

@@ -65,7 +65,7 @@ class Table:
     achieved: jax.Array
     """int32 [R, T + 1, K], goals achieved at each step, padded with -1."""
     positions: jax.Array
-    """float32 [N, D], positions of the goals."""
+    """float32 [N, D], where the goals lie, or their codes where that is unknown."""
     weight: jax.Array
     """float32 [], lambda before the first update of the epoch."""
 
@@ -190,8 +190,13 @@ def make(config: CHERConfig) -> Relabelling:
     proposing = her.make(config)
 
     def prepare(context):
-        weight = proximity_weight(config, context.updates)
-        return Table(proposing.prepare(context), context.achievements.goals, context.positions(), weight)
+        known = context.goal_positions
+        return Table(
+            proposals=proposing.prepare(context),
+            achieved=context.achievements.goals,
+            positions=context.goal_codes() if known is None else known,
+            weight=proximity_weight(config, context.updates),
+        )
 
     def choose(key, table, row, step, goal):
         count, position = goal.shape[0], table.positions[goal]

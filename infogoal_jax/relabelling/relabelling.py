@@ -37,9 +37,10 @@ class Context(NamedTuple):
     """bool [R], rows that hold something."""
     achievements: Achievements
     """What the rows achieved."""
-    positions: Callable[[], jax.Array]
-    """() -> float32 [N, D], positions of the goals: in the world's units where the task knows them, else their
-    codes."""
+    goal_positions: jax.Array | None
+    """float32 [N, D], where the goals lie, in the environment's units; None: unknown."""
+    goal_codes: Callable[[], jax.Array]
+    """() -> float32 [N, d], mean codes of the goals with the epoch's first parameters."""
     value: Callable[[Any, jax.Array], jax.Array]
     """(observation [B, ...], goal int32 [B]) -> float32 [B], value of the agent's policy with the epoch's first
     parameters."""

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
+from infogoal_jax.learners.learner import NewSteps
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import usable_goals, usable_mask
 from infogoal_jax.train.policies import training_policy
@@ -35,7 +36,9 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
     state = state.replace(
         agent=parts.agent.observe(state.agent, rows),
         env_steps=state.env_steps + rows.valid.sum(),
-        learner=learner.observe(state.learner, env.cell_of(rows.record)[:, 1:], rows.valid),
+        learner=learner.observe(
+            state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
+        ),
         seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
     )
     if not learner.sample_spec.num_pairs:

@@ -71,11 +71,12 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         else None
     )
     bonus = table = learner_table = None
-    if parts.relabelling is not None or parts.learner_relabelling is not None:
+    learner_relabelling = parts.learner.sample_spec.relabelling
+    if parts.relabelling is not None or learner_relabelling is not None:
         achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
         context = relabelling_context(parts, state, number, hyper, env, buffer, written, achievements, codes)
         table = None if parts.relabelling is None else parts.relabelling.prepare(context)
-        learner_table = None if parts.learner_relabelling is None else parts.learner_relabelling.prepare(context)
+        learner_table = None if learner_relabelling is None else learner_relabelling.prepare(context)
     if parts.explorer is not None:
         features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
         bonus, explored = parts.explorer.compute_bonus(
@@ -112,9 +113,7 @@ def relabelling_context(
     few."""
     learner, agent = parts.learner, parts.agent
 
-    def positions():
-        if env.goal_positions is not None:
-            return env.goal_positions
+    def goal_codes():
         return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
 
     def value(observation, goal):
@@ -125,12 +124,13 @@ def relabelling_context(
         return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
 
     return Context(
-        rows,
-        written,
-        achievements,
-        positions,
-        value,
-        env.reached,
-        hyper.discount,
-        number * parts.config.updates_per_epoch,
+        rows=rows,
+        written=written,
+        achievements=achievements,
+        goal_positions=env.goal_positions,
+        goal_codes=goal_codes,
+        value=value,
+        reached=env.reached,
+        discount=hyper.discount,
+        updates=number * parts.config.updates_per_epoch,
     )

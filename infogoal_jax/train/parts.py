@@ -12,7 +12,6 @@ from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import Learner
-from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.combinations import STEERING, check_combination
@@ -27,9 +26,7 @@ class Parts(NamedTuple):
     learner: Learner
     agent: Agent
     relabelling: Relabelling | None
-    """Of the agent's transitions."""
-    learner_relabelling: Relabelling | None
-    """Of the transitions that the learner's loss sees, if it asks for that."""
+    """Of the agent's transitions; the learner may have one of its own, `SampleSpec.relabelling`."""
     explorer: Explorer | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
@@ -38,14 +35,12 @@ class Parts(NamedTuple):
 def make_parts(config: TrainConfig, env) -> Parts:
     """The learner, agent, relabelling and encoders that the configuration names."""
     learner = learners.registry.entry_of(config.learner).make(config.learner)
-    share = learner.sample_spec.relabelled_share
     return Parts(
         config=config,
         name=learners.registry.name_of(config.learner),
         learner=learner,
         agent=agents.registry.entry_of(config.agent).make(config.agent, env),
         relabelling=relabelling.registry.entry_of(config.relabelling).make(config.relabelling),
-        learner_relabelling=her.make(her.HERConfig(future_share=share)) if share else None,
         explorer=exploration.registry.entry_of(config.explorer).make(config.explorer),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),

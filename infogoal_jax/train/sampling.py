@@ -72,8 +72,8 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(
             goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,))
         )
-    if parts.learner_relabelling is not None:
-        other = parts.learner_relabelling.relabel(
+    if spec.relabelling is not None:
+        other = spec.relabelling.relabel(
             jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal
         )
         relabelled = with_rewards(

@@ -157,7 +157,7 @@ def test_counts_are_those_of_valid_visits():
     for _ in range(2):
         cell, valid = random.integers(0, 5, (6, 20)), random.random((6, 20)) < 0.7
         cell[cell == 4], valid[0, :3], cell[0, :3] = 3, False, 4  # Cell 4 by invalid steps alone.
-        state = learner.observe(state, jnp.asarray(cell), jnp.asarray(valid))
+        state = learner.observe(state, hand_made.new_steps(cell, valid))
         expected += np.bincount(cell[valid], minlength=5)
     np.testing.assert_array_equal(state.counts, expected)
     assert state.counts[4] == 0 and expected.sum() > 0

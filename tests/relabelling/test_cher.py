@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_rows import STEPS, context, random_rows
+from hand_made_rows import GOALS, STEPS, context, random_rows
 from places import FIXTURES
 
 from infogoal_jax import replay
@@ -154,7 +154,7 @@ def choice(config, scale: float = 1.0, updates: int = 0):
     achieved."""
     rows, positions = random_rows(), scale * jnp.asarray([0.0, 1.0, 2.5, 4.0, 7.0, 7.5, 9.0, 13.0, 20.0])[:, None]
     relabelling = cher.make(config)
-    table = relabelling.prepare(context(rows, positions=lambda: positions, updates=updates))
+    table = relabelling.prepare(context(rows, goal_positions=positions, updates=updates))
     row, step = replay.draw(jax.random.key(0), replay.running_count(rows.valid), 128, STEPS)
     goal = relabelling.relabel(jax.random.key(1), table, row, step, rows.goal[row, step])
     chosen = relabelling.choose(jax.random.key(2), table, row, step, goal)
@@ -200,3 +200,10 @@ def test_many_updates_draw_side_by_side_what_each_draws_alone():
 def test_fields_that_cannot_be(fields):
     with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
         cher.CHERConfig(**fields).check(None)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_goals_lie_where_the_task_says_and_else_where_their_codes_are(known):
+    positions, codes = jnp.arange(float(GOALS))[:, None], jnp.ones((GOALS, 3))
+    seen = context(random_rows(), goal_positions=positions if known else None, goal_codes=lambda: codes)
+    np.testing.assert_array_equal(cher.make(cher.CHERConfig()).prepare(seen).positions, positions if known else codes)
