@@ -70,7 +70,7 @@ class FetchPipelineState:
 
 @jax.jit
 def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
-    """Where the links are and how they move, for any leading axes."""
+    """Poses and velocities of the links, for any leading axes."""
 
     physics = state.physics
     body_of_joint = physics.mujoco_model.jnt_bodyid
@@ -167,7 +167,7 @@ class FetchBrax(Env):
 
     @property
     def backend(self) -> str:
-        """What brax calls the physics: its model and formulas are MuJoCo's, as in MJX."""
+        """brax's name for the physics: model and formulas are MuJoCo's, as in MJX."""
         return "mjx"
 
     @property
@@ -177,7 +177,7 @@ class FetchBrax(Env):
 
     @functools.cached_property
     def sys(self) -> System:
-        """The model as brax's viewer wants it. Its time step is that of the states, 40 ms."""
+        """The model in the form of brax's viewer. Its time step is that of the states, 40 ms."""
         with warnings.catch_warnings():
             # brax recommends MJX instead of its own physics, neither of which runs here.
             warnings.simplefilter("ignore")
@@ -192,7 +192,7 @@ class FetchBrax(Env):
 
 @contextlib.contextmanager
 def brax_training():
-    """Inside this block brax 0.14's training runs on jax 0.10 too, which took away a function that it calls
+    """Let brax 0.14's training run on jax 0.10 inside this block: jax removed a function that brax calls
     (https://github.com/google/brax/issues/671)."""
     name = "device_put_replicated"
     before = vars(jax).get(name)
@@ -206,8 +206,8 @@ def brax_training():
 
 
 def device_put_replicated(tree, devices):
-    """A copy of the tree's leaves on each device, along a new first axis: what jax's migration guide gives in place of
-    the function of this name."""
+    """Copy the tree's leaves to each device, along a new first axis, as jax's migration guide replaces the function of
+    this name."""
     along = jax.sharding.NamedSharding(
         jax.sharding.Mesh(np.array(devices), ("device",)), jax.sharding.PartitionSpec("device")
     )
@@ -246,7 +246,7 @@ def render_html(env: Env, states: list[State], height: int = 480) -> str:
 
 
 def link_geoms(mj: mujoco.MjModel, names: list[str]) -> dict[str, list[dict]]:
-    """What the viewer is to draw besides the model's own shapes: the arm's links, and the goal as one more link."""
+    """Shapes that the viewer draws besides those of the model: the arm's links, and the goal as one more link."""
 
     def geom(
         kind: str,

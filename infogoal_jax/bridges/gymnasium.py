@@ -92,7 +92,7 @@ class FetchGymnasium(gymnasium.Env):
         return seen, reward, bool(self.state.terminated), bool(self.state.truncated), info
 
     def _view(self) -> dict[str, np.ndarray]:
-        """Copies of the state's parts: users keep what they are given."""
+        """Copies of the state's parts, which users may keep."""
         return {name: np.array(part) for name, part in view(self.env, jax.device_get(self.state)).items()}
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
@@ -126,7 +126,7 @@ def jitted_vector_reset(env: Fetch, keys: jax.Array, goals: jax.Array, given: ja
 
 @jax.jit
 def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys: jax.Array):
-    """The next states, where an episode that had ended starts anew instead, with their views, and which did."""
+    """The next states of a batch with their views, and which episodes are new: an episode that had ended is reset."""
 
     def step(state, action, key):
         ended = state.terminated | state.truncated
@@ -164,7 +164,7 @@ class FetchVector(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """New episodes everywhere. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
+        """Reset every environment. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
         super().reset(seed=seed)
         goals, given = goal_of(self.env, options, (self.num_envs, 3))
         keys = jax.random.split(key_of(self.np_random), self.num_envs)

@@ -27,7 +27,7 @@ def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> Fetc
 
 
 def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
-    """The observation as Gymnasium's goal environments have it."""
+    """The observation in the form of Gymnasium's goal environments."""
     return {"observation": state.observation, "achieved_goal": env.achieved(state), "desired_goal": state.goal}
 
 
@@ -76,7 +76,7 @@ def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) 
 
 
 def on_cpu() -> contextlib.AbstractContextManager:
-    """Runs what is inside on the CPU: one robot is faster there than on any accelerator."""
+    """Run the block on the CPU: a single robot is faster there than on an accelerator."""
     if jax.default_backend() == "cpu":
         return contextlib.nullcontext()
     try:

@@ -28,8 +28,8 @@ NOTE = "infogoal"
 
 
 def import_minari() -> ModuleType:
-    """Minari. Raises `UserError` if it is not installed, or without what its HDF5 files need (Pillow is one, though it
-    declares it not)."""
+    """Import Minari. Raises `UserError` if it, or a package that its HDF5 files need, is not installed (Pillow is such
+    a package, which Minari does not declare)."""
     try:
         import h5py  # noqa: F401
         import minari
@@ -40,7 +40,7 @@ def import_minari() -> ModuleType:
 
 
 def observations_of(dataset: FrameDataset, shown: np.ndarray) -> dict[str, np.ndarray]:
-    """What there is to see in the frames `shown` [T + 1], each as [T + 1, ...]."""
+    """The observations of the frames `shown` [T + 1], each [T + 1, ...]."""
     seen = {"frame": shown, "state": dataset.state[shown], "image": dataset.frames[shown]}
     poses = {name: getattr(dataset, name) for name in POSES}
     return seen | {name: values[shown] for name, values in poses.items() if values is not None}

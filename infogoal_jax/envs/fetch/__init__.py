@@ -1,2 +1,2 @@
-"""The Fetch robot: `environment` holds the tasks; model, vectors, multibody, contacts, constraints, solver and physics
-what they stand on."""
+"""The Fetch robot. `environment` has the tasks, `physics` their simulation (over model, vectors, multibody, contacts,
+constraints and solver), `image_goals` the tasks with image goals, `scene` their rendering."""

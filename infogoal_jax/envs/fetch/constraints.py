@@ -1,8 +1,8 @@
 """Constraint rows of one Fetch robot: the weld to the mocap body, joint limits and contacts, as MuJoCo defines them.
 
 Formulas: MuJoCo's documentation, Modeling: solver parameters, and Computation: constraint model. `mjx.make_constraint`
-builds the same rows for any model; here the model is known, so that all rows are worked out side by side, and whatever
-is constant is an array made beforehand.
+builds the same rows for any model; here the model is known, so that all rows are computed side by side, and constants
+are arrays made beforehand.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from infogoal_jax.envs.fetch.vectors import Quaternion, Vector, joined, once
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Softness:
-    """How a constraint gives way. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5
+    """The softness of a constraint. reference: time constant (s) and damping ratio; impedance: MuJoCo's solimp (5
     numbers, the last two 0.5 and 2); timestep in s; safe: whether the time constant is kept at two timesteps or more,
     as MuJoCo does."""
 
@@ -67,13 +67,13 @@ class RowKinds:
 
 
 def step_map(stiffness: float, damping: float, timestep: float) -> np.ndarray:
-    """What one step of semi-implicit Euler does to (violation, velocity) of x'' = -k x - b x', [2, 2]."""
+    """The matrix [2, 2] by which one step of semi-implicit Euler maps (violation, velocity) of x'' = -k x - b x'."""
     kept = 1 - timestep * damping
     return np.array([[1 - timestep**2 * stiffness, timestep * kept], [-timestep * stiffness, kept]])
 
 
 def lengthened(softness: Softness, timestep: float, duration: float) -> Softness:
-    """The softness that moves an equality as far in `duration` seconds, in steps of `timestep`, as steps of the
+    """The softness with which steps of `timestep` move an equality as far in `duration` seconds as steps of the given
     softness's own timestep do.
 
     With the same time constant, longer steps would overshoot (or, as MuJoCo then softens the constraint, lag behind);
@@ -123,7 +123,7 @@ class ContactKind:
 
 @flax.struct.dataclass
 class Wrench:
-    """Forces and torques about the origin, vectors of arrays [R]: along what a constraint row acts."""
+    """The direction in which each constraint row acts: force and torque about the origin, vectors of arrays [R]."""
 
     force: Vector
     torque: Vector
@@ -143,7 +143,7 @@ class Wrench:
         return Wrench(self.force[index], self.torque[index])
 
     def jacobian(self, axes: Axes) -> jax.Array:
-        """How fast they work along each degree of freedom, [nv, R]."""
+        """The Jacobian [nv, R]: the velocity along each wrench for a unit velocity of each degree of freedom."""
         return axes.linear[:, None].dot(self.force) + axes.angular[:, None].dot(self.torque)
 
 
@@ -172,7 +172,7 @@ class Weld:
 
 
 class Limits:
-    """The limits of joints, a row for each, at whichever end is nearer."""
+    """The limits of joints: one row for each joint, for the nearer end."""
 
     def __init__(self, joints: np.ndarray, spans: np.ndarray, kinds: list[tuple[Softness, float]], nv: int):
         """joints: their indices [L] into position and velocity; spans: lowest and highest position [L, 2]."""

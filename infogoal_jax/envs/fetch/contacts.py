@@ -1,8 +1,7 @@
-"""Where bodies touch: contact points of the few pairs that matter in the Fetch tasks, cheap enough for thousands of
-robots.
+"""Contact points of the few pairs of bodies that matter in the Fetch tasks, cheap enough for thousands of robots.
 
 A contact is a point, a normal (from the first body to the second) and a distance, negative when the bodies overlap.
-Pairs of one kind are worked out side by side: each component of a vector here is an array [P] over pairs.
+Pairs of one kind are computed side by side: each component of a vector here is an array [P] over pairs.
 
 Boxes meet face to face, with four points; edge against edge is taken for the nearest face. The points of MuJoCo's box
 against box differ little where it matters (fingers, cube and table are seldom tilted), and its search over fifteen axes
@@ -136,7 +135,7 @@ def face(box: Box, scores: Vector) -> tuple[Vector, list[Vector], jax.Array, lis
 
 
 def chosen(condition: jax.Array, first, second):
-    """The first tree where the condition [P] holds, else the second."""
+    """Select the first tree where the condition [P] holds, else the second."""
     return jax.tree.map(lambda one, other: jnp.where(condition, one, other), first, second)
 
 
@@ -160,8 +159,8 @@ def table_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
 
 
 def ground_under(table: Box, boxes: Box) -> tuple[Box, Vector]:
-    """What each of the boxes stands on, and the handicap for it: the table or, for one that has fallen off, the floor,
-    which has an upper face only."""
+    """The support of each box, and its handicap: the table or, for a box that has fallen off, the floor, which has an
+    upper face only."""
     above, handicap = table_under(table, boxes)
     fallen = boxes.center.z < 0.5 * table.half.z
     nothing = jnp.zeros_like(handicap.z)
@@ -187,7 +186,7 @@ def sphere_on_box(box: Box, center: Vector, radius: float) -> Contacts:
 
 
 def nearest_in(box: Box, point: Vector) -> Vector:
-    """The point of each box that lies nearest."""
+    """The nearest point of each box."""
     inside = jax.tree.map(
         lambda value, half: jnp.clip(value, -half, half), box.rotation.inverse(point - box.center), box.half
     )

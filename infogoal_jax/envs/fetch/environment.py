@@ -123,7 +123,7 @@ class Fetch(Environment):
         return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted])
 
     def sample_object(self, key: jax.Array) -> jax.Array:
-        """Where the object starts, [2] in m: uniform in a square around the grip, but not near it.
+        """Draw the object's start, [2] in m: uniform in a square around the grip, but not near it.
 
         The reference draws until a place is far enough. Of 128 draws one is, but for one episode in 10^13 of
         fetch_slide; the last stands then.
@@ -133,7 +133,7 @@ class Fetch(Environment):
         return jnp.array(self.task.start_grip[:2]) + places[jnp.where(far.any(), jnp.argmax(far), len(places) - 1)]
 
     def begin_anew(self, key: jax.Array, goal: jax.Array) -> FetchState:
-        """A new episode for this goal [3] (m), wherever it lies."""
+        """A new episode for this goal [3] (m), without a check of the goal."""
         motion = self.physics.start()
         if self.task.object_height is not None:
             motion = self.physics.place_object(motion, self.sample_object(key))
@@ -159,7 +159,7 @@ class Fetch(Environment):
         """40 ms under an action [4] in [-1, 1]: displacement of the gripper in units of 5 cm, and opening of the
         fingers.
 
-        A step that diverges is taken back: the state stays finite, and the episode is truncated and marked as diverged.
+        A step that diverges is undone: the state stays finite, and the episode is truncated and marked as diverged.
         """
         motion = self.physics.control_step(
             state.motion, state.gripper, state.gripper_quaternion, jnp.clip(action, -1.0, 1.0)
@@ -190,7 +190,7 @@ class Fetch(Environment):
         return state.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
-        """What the network sees: the observation."""
+        """The input of the network: the observation."""
         return observation
 
     def achieved(self, state: FetchState) -> jax.Array:

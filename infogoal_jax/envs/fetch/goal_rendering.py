@@ -1,7 +1,7 @@
-"""Builds the goal images of Fetch tasks: MuJoCo's renderer, and the scene with all its meshes out of an installed
+"""Builds the goal images of Fetch tasks with MuJoCo's renderer and the scene, with all its meshes, of an installed
 gymnasium-robotics.
 
-The gripper, or the object, stands exactly where the goal is. Neither is needed to use the banks that are shipped.
+The gripper, or the object, stands exactly at the goal. The shipped banks can be used without either package.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ class Camera:
     field_of_view: float = 15.0
 
     def project(self, positions) -> np.ndarray:
-        """Where positions [..., 3] (m) are in the image, as row and column [..., 2] in pixels."""
+        """Project positions [..., 3] (m) into the image: row and column [..., 2] in pixels."""
         turn, rise = np.radians([self.azimuth, self.elevation])
         forward = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
         right = np.array([np.sin(turn), -np.cos(turn), 0.0])
@@ -116,8 +116,8 @@ def find_scene(task: Task) -> Path:
 
 
 def check_opengl() -> None:
-    """Raise `UserError` unless MuJoCo can draw. Tried in another process: a failure leaves half-open contexts behind,
-    and some end the process."""
+    """Raise `UserError` unless MuJoCo can render. This is tried in another process, because a failure leaves open
+    contexts behind or ends the process."""
     try:
         tried = subprocess.run(
             [sys.executable, "-c", OPEN_OPENGL], capture_output=True, text=True, timeout=120, check=False
@@ -144,8 +144,8 @@ def check(tasks: Sequence[str], seed: int = 0) -> None:
 
 @contextlib.contextmanager
 def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float]]]:
-    """Opens the scene of a task. Gives a function from a goal [3] (m) to its image, uint8 [64, 64, 3], and how far the
-    gripper is from where it belongs (m)."""
+    """Open the scene of a task. Yields a function from a goal [3] (m) to its image, uint8 [64, 64, 3], and the error of
+    the gripper's position (m)."""
     import mujoco
 
     task, camera = find_task(name), CAMERAS[name]
@@ -174,7 +174,7 @@ def studio(name: str) -> Iterator[Callable[[np.ndarray], tuple[np.ndarray, float
     mujoco.mju_quat2Mat(upright, np.array(DOWNWARD) / np.linalg.norm(DOWNWARD))
 
     def move_gripper(place: np.ndarray) -> float:
-        """Pull the gripper there from the start, so that an image depends on nothing but its goal."""
+        """Pull the gripper to a position, from the start pose, so that an image depends on its goal alone."""
         mujoco.mj_resetData(model, data)
         data.qpos[:] = start
         data.mocap_pos[0], data.mocap_quat[0] = place, DOWNWARD
@@ -252,7 +252,7 @@ def build(
 
 
 def pixel_shifts(name: str) -> tuple[float, float]:
-    """The least and the most that one step along the grid moves a goal in the image of a task, in pixels."""
+    """The smallest and the largest shift in a task's image, in pixels, of a goal that moves one step along the grid."""
     low, shape = grid_of(find_task(name))
     pixels = CAMERAS[name].project(grid_positions(low, SPACING, shape)).reshape(*shape, 2)
     shifts = [np.linalg.norm(np.diff(pixels, axis=axis), axis=-1).ravel() for axis in range(3)]

@@ -101,7 +101,7 @@ class ImageGoals(Environment):
         return state.robot.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
-        """What the network sees: the observation, centred and scaled so that each number is of the order of 1."""
+        """The input of the network: the observation, centred and scaled so that each number is of the order of 1."""
         centre, scale = observation_units(self.robot)
         return (observation - centre) / scale
 
@@ -124,11 +124,11 @@ class ImageGoals(Environment):
 
     @property
     def num_cells(self) -> int:
-        """Number of cells in which visits are counted; the last one is everything outside the grid."""
+        """Number of cells; the last one is everything outside the grid."""
         return self._visit_cells.count + 1
 
     def cell_of(self, record: jax.Array) -> jax.Array:
-        """The cell in which a visit to the position [..., 3] counts, int32 [...]."""
+        """The cell of each position [..., 3], int32 [...]."""
         cells = self._visit_cells
         cell = cells.of(record)
         return jnp.where(cell < 0, cells.count, cell)
@@ -148,8 +148,8 @@ class ImageGoals(Environment):
 
 
 def observation_units(robot: environment.Fetch) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and scale of each number of an observation, [10 or 25]: positions around the start of the grip, velocities
-    as they come."""
+    """Centre and scale of each number of an observation, [10 or 25]: positions relative to the start of the grip,
+    velocities unchanged."""
     grip = np.array(robot.task.start_grip)
     if robot.task.object_height is None:
         blocks = [(grip, POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(5), VELOCITY_SCALE)]
@@ -181,8 +181,8 @@ def make(name: str, config: FetchConfig) -> ImageGoals:
 def lay_out(
     robot: environment.Fetch, bank: goal_images.GoalImages, behind: backgrounds.Backgrounds, uses: np.ndarray
 ) -> ImageGoals:
-    """The task over these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the training
-    goal nearest to it."""
+    """Make the task with these goals. uses: [N], `goals.NO_USE` for grid goals. The region of a goal is that of the
+    training goal nearest to it."""
     training = np.flatnonzero(uses == 0)
     nearest = np.linalg.norm(bank.positions[:, None] - bank.positions[training], axis=-1).argmin(1)
     content = archives.content_of(bank.images, bank.positions)

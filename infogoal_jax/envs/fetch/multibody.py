@@ -1,10 +1,10 @@
 """Rigid-body dynamics of one robot and its object: kinematics, inertia matrix and bias forces, for a tree that is known
-when it is traced.
+at compile time.
 
 The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler).
 `mjx.kinematics`, `mjx.crb` and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here
-all bodies are worked out side by side, and sums along the tree are products with constant matrices: a twelfth of the
-operations to compile. tests/envs/fetch/test_multibody.py holds them against MuJoCo and MJX.
+all bodies are computed side by side, and sums along the tree are products with constant matrices, which takes a twelfth
+of the operations to compile. tests/envs/fetch/test_multibody.py compares them with MuJoCo and MJX.
 
 Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of
 several bodies may be added.
@@ -24,8 +24,7 @@ GRAVITY = 9.81
 
 @flax.struct.dataclass
 class Frames:
-    """Where the robot's bodies are: quaternion, rotation and position (m), each of arrays [b], one body for each
-    joint."""
+    """Poses of the robot's bodies, one for each joint: quaternion, rotation and position (m), each of arrays [b]."""
 
     quaternion: Quaternion
     rotation: Rotation
@@ -34,8 +33,8 @@ class Frames:
 
 @flax.struct.dataclass
 class Axes:
-    """How the bodies move with each of the nv degrees of freedom: turning by `angular`, while the point at the origin
-    moves by `linear`, arrays [nv]."""
+    """The motion of the bodies along each of the nv degrees of freedom: angular velocity, and linear velocity of the
+    point at the origin, arrays [nv]."""
 
     angular: Vector
     linear: Vector
@@ -55,7 +54,8 @@ class Inertia:
     yz: jax.Array
 
     def momentum(self, turning: Vector, moving: Vector) -> tuple[Vector, Vector]:
-        """Angular and linear momentum of bodies that turn, and whose points at the origin move, like this."""
+        """Angular and linear momentum of bodies with this angular velocity and this velocity of the point at the
+        origin."""
         x, y, z = turning.x, turning.y, turning.z
         spin = Vector(
             self.xx * x + self.xy * y + self.xz * z,
@@ -134,7 +134,7 @@ class Multibody:
         axes = [rotation @ axis for axis in self.principal]
 
         def second(row: str, column: str) -> jax.Array:
-            """A second moment, but for what the distance from the origin adds along the diagonal."""
+            """A second moment, without the term that the distance from the origin adds along the diagonal."""
             spread = sum(getattr(axis, row) * getattr(axis, column) for axis in axes)
             return spread - getattr(moment, row) * getattr(lever, column)
 
@@ -159,8 +159,8 @@ class Multibody:
         return jnp.where(self.lineage > 0, products, products.T) * shared + np.diag(self.armature[: self.joints])
 
     def rates(self, turn: Vector, move: Vector, velocity: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
-        """How fast each body turns, how fast its point at the origin moves, and how fast these two change while the
-        joints' velocities stay."""
+        """Angular velocity of each body, velocity of its point at the origin, and the rates of change of both at
+        constant joint velocities."""
         turning, moving = summed(self.lineage, (turn * velocity, move * velocity))
         changes = turning.cross(turn) * velocity, (turning.cross(move) + moving.cross(turn)) * velocity
         return turning, moving, *summed(self.lineage, changes)

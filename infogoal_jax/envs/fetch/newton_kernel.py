@@ -38,8 +38,8 @@ def solve(
     steps: int,
     interpret: bool = False,
 ):
-    """What `solver.solve` returns. jacobian [nv, R]; lengths [L] to try along a direction, the first 0; the first
-    `equalities` rows count always.
+    """The solution, as `solver.solve` returns it. jacobian [nv, R]; lengths [L] to try along a direction, the first 0;
+    the first `equalities` rows count always.
 
     interpret: run as plain operations, to test it.
     """

@@ -1,8 +1,8 @@
-"""How near our Fetch tasks are to recorded episodes of the reference: the same actions from the same start, and what
-became of grip and object.
+"""Comparison of our Fetch tasks with recorded episodes of the reference: the same actions from the same start, and the
+positions of grip and object.
 
-It measures and judges nothing: where contacts are chaotic, two runs of the reference a tenth of a millimetre apart part
-as well (benchmarks/fidelity/fetch_chaos.py).
+It measures without a threshold: where contacts are chaotic, two runs of the reference that start a tenth of a
+millimetre apart diverge too (benchmarks/fidelity/fetch_chaos.py).
 """
 
 import dataclasses
@@ -26,8 +26,8 @@ ALL = "all"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Replayed:
-    """What the recorded actions did here: grip and thing (the object; zeros without one) [E, T + 1, 3] in m, reward [E,
-    T], diverged bool [E]."""
+    """The outcome of the recorded actions in our task: grip and thing (the object; zeros without one) [E, T + 1, 3] in
+    m, reward [E, T], diverged bool [E]."""
 
     grip: np.ndarray
     thing: np.ndarray
@@ -36,8 +36,8 @@ class Replayed:
 
 
 def replay(env: Fetch, recording: Recording) -> Replayed:
-    """Step through all episodes of a recording, side by side. Episodes go on to their end, whatever the environment's
-    configuration says of it."""
+    """Step through all episodes of a recording, side by side. Episodes continue to their last step, also after the goal
+    was reached."""
     grip, thing, reward, diverged = jax.device_get(
         replay_program(env, recording.observation[:, 0], recording.goal, recording.action)
     )
@@ -74,8 +74,8 @@ def replay_program(env: Fetch, first, goal, actions):
 
 @dataclasses.dataclass(frozen=True)
 class Distance:
-    """How far a position is from the recorded one, in mm, over all steps of some episodes; at the start and the end:
-    means over the episodes."""
+    """Distance between a position and the recorded one in mm, over all steps of some episodes; at the start and the
+    end: means over the episodes."""
 
     mean: float
     median: float
@@ -86,7 +86,7 @@ class Distance:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """Of how many episodes something is true: in the recording, here, and in both."""
+    """The number of episodes for which something holds: in the recording, here, and in both."""
 
     recorded: int
     here: int
@@ -114,7 +114,7 @@ def distances(here: np.ndarray, recorded: np.ndarray) -> np.ndarray:
 
 
 def measure(error: np.ndarray) -> Distance:
-    """Errors [E, T + 1] in mm in five numbers. The start is given, so only what follows it counts."""
+    """Summarise errors [E, T + 1] in mm by five numbers. The start is given, so that only later steps count."""
     moved = error[:, 1:]
     return Distance(
         float(moved.mean()),
@@ -126,7 +126,7 @@ def measure(error: np.ndarray) -> Distance:
 
 
 def count(recorded: np.ndarray, here: np.ndarray) -> Outcome:
-    """Two bool [E] counted."""
+    """Count the episodes of two masks, bool [E]."""
     return Outcome(int(recorded.sum()), int(here.sum()), int((recorded & here).sum()))
 
 
@@ -150,7 +150,7 @@ def kind_masks(kinds: Sequence[str], episodes: int) -> dict[str, np.ndarray]:
 
 
 def compare(recording: Recording, replayed: Replayed, kinds: Sequence[str] = ()) -> list[Parity]:
-    """A recording and its replay compared: over all episodes, then over those of each kind."""
+    """Compare a recording with its replay: over all episodes, then over those of each kind."""
     grip, has_object = distances(replayed.grip, recording.grip), recording.has_object
     thing = distances(replayed.thing, recording.thing) if has_object else None
     ends = recording.thing[:, -1, 2], replayed.thing[:, -1, 2]

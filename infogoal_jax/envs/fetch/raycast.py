@@ -1,7 +1,7 @@
 """A small renderer without OpenGL: rays through a pinhole camera against boxes, capsules and cylinders, with soft
 shadows on level ground.
 
-For a handful of shapes numpy is fast enough: each is cast only over the rectangle of the picture that it can cover.
+numpy is fast enough for a handful of shapes: a shape is cast only over the rectangle of the picture that it can cover.
 Lengths in m, colours RGB in [0, 1].
 """
 
@@ -203,7 +203,7 @@ def empty_picture(camera: Camera, ground_colour=(0.80, 0.81, 0.83), sky_colour=(
 
 
 def cast(picture: Picture, camera: Camera, shape: Shape, top: bool = False) -> None:
-    """Draw a shape into the picture, where nothing lies before it. top: its upper side takes shadows as TOP."""
+    """Draw a shape into the picture, where nothing is in front of it. top: its upper side receives shadows as TOP."""
     area = camera.rectangle(shape)
     rays = camera.rays[area].reshape(-1, 3)
     if not len(rays):
@@ -217,7 +217,7 @@ def cast(picture: Picture, camera: Camera, shape: Shape, top: bool = False) -> N
 
 
 def cast_shadows(picture: Picture, camera: Camera, shapes: list[Shape], heights: dict[int, float]) -> None:
-    """Darken the level surfaces, whose heights (m) are given, where the shapes stand between them and the light."""
+    """Darken the level surfaces of these heights (m) where the shapes keep the light off."""
     for surface, height in heights.items():
         mask = np.zeros(picture.depth.shape, np.uint8)
         for shape in shapes:
@@ -234,7 +234,7 @@ def cast_shadows(picture: Picture, camera: Camera, shapes: list[Shape], heights:
 
 
 def rounded(capsule: Capsule) -> np.ndarray:
-    """Points on the capsule that the light touches along its outline, [N, 3]."""
+    """Points on the capsule's outline as seen from the light, [N, 3]."""
     side = np.cross(TOWARDS_LIGHT, [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)[:, None]
@@ -243,7 +243,7 @@ def rounded(capsule: Capsule) -> np.ndarray:
 
 
 def cast_marker(picture: Picture, camera: Camera, sphere: Capsule, opacity: float, hidden_opacity: float) -> None:
-    """Draw a translucent marker: it shines through what lies before it."""
+    """Draw a translucent marker, which is also visible through shapes in front of it."""
     area = camera.rectangle(sphere)
     rays = camera.rays[area].reshape(-1, 3)
     distance, normal = sphere.hit(camera.position, rays)
@@ -256,6 +256,6 @@ def cast_marker(picture: Picture, camera: Camera, sphere: Capsule, opacity: floa
 
 
 def developed(picture: Picture, camera: Camera) -> np.ndarray:
-    """The picture as uint8 [H, W, 3], each pixel the mean of its rays."""
+    """Average the rays of each pixel: the picture as uint8 [H, W, 3]."""
     small = cv2.resize(picture.colour, camera.size[::-1], interpolation=cv2.INTER_AREA)
     return np.round(255 * np.clip(small, 0.0, 1.0)).astype(np.uint8)

@@ -62,8 +62,8 @@ class Recording:
 
 @dataclasses.dataclass(frozen=True)
 class Recordings:
-    """What a file holds: the recording of each known task, what the file says of its source, and names in it that are
-    no known task (skipped)."""
+    """The content of a file: the recording of each known task, its source in words, and the names of unknown tasks,
+    which are skipped."""
 
     path: Path
     tasks: dict[str, Recording]
@@ -72,7 +72,7 @@ class Recordings:
 
 
 def load_recordings(path: str | Path) -> Recordings:
-    """Read a file of recorded episodes. Tasks that we do not have are skipped; those that we have must be whole.
+    """Read a file of recorded episodes. Unknown tasks are skipped; known tasks must be complete.
 
     Raises `UserError` for a file that is missing, damaged or no npz, that holds no known task, or of which an array is
     missing, has a wrong shape or type, is not finite, or does not fit the others. Actions are clipped to [-1, 1], as

@@ -1,4 +1,4 @@
-"""What a Fetch scene looks like: the robot, the table, the object and the goal as simple shapes, and pictures of them.
+"""Rendering of Fetch scenes: the robot, the table, the object and the goal as simple shapes, and pictures of them.
 
 The physics has no shape for links that never touch anything; here they are capsules from joint to joint.
 """
@@ -47,7 +47,7 @@ BASE_X = 0.0869
 
 
 def body_poses(env: Fetch, position: np.ndarray) -> mujoco.MjData:
-    """Where everything is at joint positions [nq]. MuJoCo's own kinematics: nothing to compile."""
+    """Poses of all bodies at joint positions [nq], by MuJoCo's own kinematics, which needs no compilation."""
     data = mujoco.MjData(env.physics.mujoco_model)
     data.qpos[:] = position
     mujoco.mj_kinematics(env.physics.mujoco_model, data)
@@ -98,7 +98,7 @@ def moving_shapes(env: Fetch, position: np.ndarray) -> list[Shape]:
 
 @functools.lru_cache(maxsize=4)
 def still_scene(task: Task, size: tuple[int, int]) -> tuple[Camera, Picture]:
-    """The camera of a task and the picture of what never moves. size: pixels (height, width)."""
+    """The camera of a task and the picture of everything that never moves. size: pixels (height, width)."""
     table = model.table_of(task)
     middle = table.mean(0)[:2]
     reach = 1.95 if not task.puck else 2.45
@@ -150,7 +150,7 @@ def draw_fetch(env: Fetch, state: FetchState, size: tuple[int, int] = (480, 640)
 
 
 def write_words(frame: np.ndarray, words: str, colour) -> None:
-    """A line of text at the lower left."""
+    """Write a line of text at the lower left."""
     scale = frame.shape[0] / 900
     place = (round(24 * scale), frame.shape[0] - round(26 * scale))
     cv2.putText(

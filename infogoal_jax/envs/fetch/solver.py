@@ -71,8 +71,7 @@ def solve(
 def solve_anywhere(
     inertia, damping, force, jacobian, stiffness, reference, start, steps: int
 ) -> tuple[jax.Array, jax.Array]:
-    """`solve` in XLA's own operations: what every device but an NVIDIA GPU runs, and what the kernel is held
-    against."""
+    """`solve` in XLA's own operations: used on every device but NVIDIA GPUs, and the reference for the kernel."""
     rows = ConstraintRows(jacobian, stiffness, reference)
 
     def newton_step(_, carried):
@@ -102,7 +101,7 @@ def line_search(
     change: jax.Array,
     rows: ConstraintRows,
 ) -> jax.Array:
-    """How far to go along the direction: the root of the cost's derivative, which is continuous, piecewise linear and
+    """The step length along the direction: the root of the cost's derivative, which is continuous, piecewise linear and
     rising.
 
     slope: the derivative at length 0, negative; quadratic: its smooth part's value at 0 and growth; residual and

@@ -44,7 +44,7 @@ class TargetSpace:
         return self.size // 3
 
     def of(self, observation: jax.Array) -> jax.Array:
-        """The present state [..., S] in the space of targets, from an observation [..., 10 or 25]."""
+        """The state [..., S] in the space of targets, from an observation [..., 10 or 25]."""
         return observation[..., : self.size]
 
     def reached(self, state: jax.Array, target: jax.Array, precision: float = REACHED) -> jax.Array:
@@ -60,8 +60,7 @@ class TargetSpace:
         return self.reached(state, target, PRECISE) - 1.0
 
     def at_goal(self, goal: jax.Array) -> jax.Array:
-        """The target state [..., S] that is the finished task for a goal [..., 3]: grip, or grip and object, at the
-        goal."""
+        """The target state [..., S] that solves the task for a goal [..., 3]: grip, or grip and object, at the goal."""
         return jnp.concatenate([goal] * self.components, axis=-1)
 
     @property
@@ -80,7 +79,8 @@ class TargetSpace:
         return jnp.moveaxis(states.reshape(*states.shape[:-1], self.components, 3), -2, 0)
 
     def network_input(self, part: jax.Array, scale: float) -> jax.Array:
-        """A position [..., 3] as a network sees it: from the middle of the space of goals, in units of `scale` m."""
+        """A position [..., 3] as input of a network: relative to the middle of the goal space, in units of `scale`
+        m."""
         return (part - self.bounds.mean(0)) / scale
 
     def cells(self, side: float) -> Cells:
@@ -121,12 +121,12 @@ class TargetState:
 
     @property
     def truncated(self) -> jax.Array:
-        """Time is up, or the simulation diverged."""
+        """Whether time is up, or the simulation diverged."""
         return self.robot.truncated
 
     @property
     def diverged(self) -> jax.Array:
-        """The last step was taken back."""
+        """Whether the last step was undone."""
         return self.robot.diverged
 
 
@@ -159,7 +159,7 @@ class TargetReaching:
         return self._aim(state.replace(robot=self.robot.step(state.robot, action)))
 
     def _aim(self, state: TargetState) -> TargetState:
-        """The state with its next target, where a moving one is due."""
+        """The state with its next target, where a moving target changes in this step."""
         choose_key, draw_key = jax.random.split(jax.random.fold_in(state.key, state.robot.time))
         here = self.achieved(state)
         ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(

@@ -1,5 +1,4 @@
-"""Vectors, rotations and quaternions by their components, each an array over bodies, contacts or whatever there are
-several of.
+"""Vectors, rotations and quaternions by their components, each an array over bodies, contacts or points.
 
 Every operation is one on whole arrays, without an axis of length 3 or 4: XLA compiles and runs these several times
 faster than products and sums along so short an axis, on a CPU as on a GPU, and nothing is rounded to TF32.
@@ -63,7 +62,7 @@ class Vector:
 
 @flax.struct.dataclass
 class Rotation:
-    """Rotations by the columns of their matrices: where the axes of a body point."""
+    """Rotations by the columns of their matrices, the axes of a body."""
 
     x: Vector
     y: Vector
@@ -134,7 +133,7 @@ class Quaternion:
 
 
 def joined(*parts):
-    """Vectors, rotations, quaternions or arrays [n, ...] one after the other."""
+    """Concatenate vectors, rotations, quaternions or arrays [n, ...]."""
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
