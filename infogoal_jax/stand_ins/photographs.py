@@ -224,8 +224,8 @@ def licences() -> str:
             "",
             f"`{CROPS_FILE}` holds crops of {len(PHOTOGRAPHS)} photographs, a stand-in for CIFAR-10, cut by "
             "`infogoal data build backgrounds`.",
-            "Licences are those stated by the package (scikit-image: docstrings of `skimage.data`; matplotlib: the pull "
-            "request that",
+            "Licences are those stated by the package (scikit-image: docstrings of `skimage.data`; matplotlib: the "
+            "pull request that",
             "is linked).",
             "",
             "| photograph | author | source | package | licence | use |",
