@@ -8,12 +8,17 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 
 
 class Entry(NamedTuple):
-    """A part: the class of its configuration, the function that makes the part of one, and the record of its float
-    hyperparameters."""
+    """A part."""
 
     config: type
+    """The class of its configuration."""
     make: Callable[..., Any]
+    """Makes the part of a configuration."""
     hyper: type = NoHyperparameters
+    """The record of its float hyperparameters."""
+    traits: Callable[[Any], Any] | None = None
+    """(config) -> what decides which other parts it can be combined with, known before anything is made: `Traits` of a
+    task, `AgentTraits` of an agent. None: not declared."""
 
 
 class Registry(dict):

@@ -7,7 +7,7 @@ registry = Registry(
     "agent",
     {
         "dqn": Entry(dqn.DQNConfig, dqn.make),
-        "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters),
+        "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters, hrac.traits),
         "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
     },
 )

@@ -5,12 +5,20 @@ Shapes: B transitions, F features of a state, d numbers of a goal code, A action
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import flax.struct
 import jax
 
 from infogoal_jax.replay import Trajectories
+
+
+class AgentTraits(NamedTuple):
+    """What decides which tasks an agent can be combined with. `Entry.traits` of an agent declares them."""
+
+    actions: Literal["moves", "vectors", "target_states"] = "moves"
+    """What the agent chooses: one of a few moves; a vector in [-1, 1] that is the environment's action; or a target
+    state, which a frozen low level reaches."""
 
 
 @flax.struct.dataclass

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks, pairs
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import Agent, AgentBatch
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 
@@ -101,6 +101,11 @@ def adjacency_penalty(distance: jax.Array) -> jax.Array:
 def length(vectors: jax.Array) -> jax.Array:
     """Euclidean length over the last axis, with a gradient at 0 too."""
     return jnp.sqrt((vectors**2).sum(-1) + 1e-12)
+
+
+def traits(config: HRACConfig) -> AgentTraits:
+    """Its actions are target states."""
+    return AgentTraits("target_states")
 
 
 def make(config: HRACConfig, env) -> Agent:

@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 from infogoal_jax.envs import embodied_qa, object_manipulation, object_search
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.registry import Entry, Registry
@@ -17,13 +18,21 @@ def make_fetch(name: str, config: FetchConfig):
     return (image_goals if config.goals == "images" else environment).make(name, config)
 
 
+def fetch_traits(config: FetchConfig) -> Traits:
+    """What a Fetch task can be combined with follows from these."""
+    images = config.goals == "images"
+    return Traits(finite_goals=images, image_goals=images, moves=False, target_states=True)
+
+
 registry = Registry(
     "task",
     {
-        "object_search": Entry(object_search.ObjectSearchConfig, object_search.make),
-        "object_manipulation": Entry(object_manipulation.ObjectManipulationConfig, object_manipulation.make),
-        "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make),
-        **{name: Entry(FetchConfig, partial(make_fetch, name)) for name in FETCH_TASKS},
+        "object_search": Entry(object_search.ObjectSearchConfig, object_search.make, traits=object_search.traits),
+        "object_manipulation": Entry(
+            object_manipulation.ObjectManipulationConfig, object_manipulation.make, traits=object_manipulation.traits
+        ),
+        "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make, traits=embodied_qa.traits),
+        **{name: Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits) for name in FETCH_TASKS},
     },
 )
 

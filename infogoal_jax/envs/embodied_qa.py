@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import frames, questions, text
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import NO_USE, GoalSet
@@ -86,6 +87,11 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
         "decided": valid,
     }
     return Trajectories(**{name: jnp.asarray(part) for name, part in parts.items()})
+
+
+def traits(config: EmbodiedQAConfig) -> Traits:
+    """What the task can be combined with follows from these."""
+    return Traits(finite_observations=True, recorded=True)
 
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:

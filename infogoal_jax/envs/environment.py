@@ -7,13 +7,31 @@ axes, because they are also applied to the replay buffer. docs/own_task.md makes
 trained policy.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.replay import Trajectories
+
+
+class Traits(NamedTuple):
+    """What decides which parts a task can be combined with. `Entry.traits` of a task declares them, so that a
+    combination is refused before anything is loaded."""
+
+    finite_goals: bool = True
+    """Whether goals are a finite set."""
+    image_goals: bool = False
+    """Whether goals are images, which can be corrupted."""
+    moves: bool = True
+    """Whether an action is a choice among a few; False: a vector."""
+    finite_observations: bool = False
+    """Whether there is a list of all observations."""
+    recorded: bool = False
+    """Whether the agent learns from recorded trajectories alone."""
+    target_states: bool = False
+    """Whether a low level can be sent to target states."""
 
 
 class Environment:

@@ -16,6 +16,7 @@ import numpy as np
 
 from infogoal_jax.data import backgrounds, frames
 from infogoal_jax.data.rotations import geodesic, orientation_classes
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.errors import require
@@ -39,8 +40,7 @@ class ObjectManipulationConfig:
     generator_seed: int = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
-    """Generate only what the joints of the real arm can reach. Otherwise all three turn freely, as the paper's poses
-    ask for."""
+    """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as in the paper."""
     goal_seed: int = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
@@ -224,6 +224,11 @@ def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
     if images.shape[1:3] == (height, width):
         return images
     return np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in images])
+
+
+def traits(config: ObjectManipulationConfig) -> Traits:
+    """What the task can be combined with follows from these."""
+    return Traits(image_goals=True, target_states=True)
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import active_vision, archives, splits, text
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
@@ -67,6 +68,11 @@ class ObjectSearch(DetectionWalk):
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""
         return self.images[observation][..., None]
+
+
+def traits(config: ObjectSearchConfig) -> Traits:
+    """What the task can be combined with follows from these."""
+    return Traits(finite_observations=True)
 
 
 def make(config: ObjectSearchConfig) -> ObjectSearch:

@@ -5,60 +5,22 @@ Rules look at the parts of a configuration and at a few traits of its task, whic
 compiled; of an environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from infogoal_jax import agents, exploration, learners
+from infogoal_jax import agents, envs, exploration, learners
+from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
-from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
-from infogoal_jax.envs.object_search import ObjectSearchConfig
+from infogoal_jax.envs.environment import Traits
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Learner, no_loss, no_reward
 
-STEERING = ("hrac",)
-"""Agents whose actions are target states, for a low level to reach. The others choose among a few moves."""
 
-
-class Traits(NamedTuple):
-    """What decides what a task can be combined with.
-
-    finite_goals: whether goals are a finite set; image_goals: whether they are images; moves: whether an action is a
-    choice among a few;
-    finite_observations: whether there is a list of all that can be seen; recorded: whether learning is from recorded
-    moves alone;
-    target_states: whether a low level could be sent somewhere.
-    """
-
-    finite_goals: bool
-    image_goals: bool
-    moves: bool
-    finite_observations: bool
-    recorded: bool
-    target_states: bool
-
-
-TRAITS: dict[type, Callable[[Any], Traits]] = {
-    ObjectSearchConfig: lambda env: Traits(
-        True, image_goals=False, moves=True, finite_observations=True, recorded=False, target_states=False
-    ),
-    EmbodiedQAConfig: lambda env: Traits(
-        True, image_goals=False, moves=True, finite_observations=True, recorded=True, target_states=False
-    ),
-    ObjectManipulationConfig: lambda env: Traits(
-        True, image_goals=True, moves=True, finite_observations=False, recorded=False, target_states=True
-    ),
-    FetchConfig: lambda env: Traits(
-        env.goals == "images",
-        env.goals == "images",
-        moves=False,
-        finite_observations=False,
-        recorded=False,
-        target_states=True,
-    ),
-}
-"""Traits of each kind of task by its configuration. A task that is not listed is with_rewards once it is loaded."""
+def traits_declared(config: TrainConfig) -> Traits | None:
+    """The traits that the task of a configuration declares, before it is loaded. None: it declares none, and is judged
+    once it is loaded."""
+    entry = envs.registry.get(config.task)
+    return None if entry is None or entry.traits is None else entry.traits(config.env)
 
 
 def traits_seen(env) -> Traits:
@@ -81,6 +43,22 @@ class Refusal(NamedTuple):
     value: Any
     reason: str
     remedy: str
+
+
+def actions_of(agent: Any) -> str:
+    """What the agent of this configuration chooses, see `AgentTraits`."""
+    declared = agents.registry.entry_of(agent).traits
+    return (AgentTraits() if declared is None else declared(agent)).actions
+
+
+def steers(agent: Any) -> bool:
+    """Whether the actions of the agent of this configuration are target states for a low level."""
+    return actions_of(agent) == "target_states"
+
+
+def can_act(actions: str, traits: Traits) -> bool:
+    """Whether an agent that chooses such actions can act in a task with these traits."""
+    return {"moves": traits.moves, "vectors": not traits.moves, "target_states": traits.target_states}[actions]
 
 
 def make_learner(config: TrainConfig) -> Learner:
@@ -108,23 +86,18 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
             f"training {config.task} needs a finite set of goals",
             "give images",
         )
-    if agent in STEERING and not traits.target_states:
-        yield Refusal(
-            "agent",
-            agent,
-            "there are no target states that a low level could be sent to",
-            "give dqn, or cql for recorded moves",
-        )
-    if agent not in STEERING and not traits.moves:
-        yield Refusal(
-            "agent",
-            agent,
-            f"{config.task} is not acted in by a choice among a few moves",
-            f"give {' or '.join(STEERING)}",
-        )
+    if not can_act(actions_of(config.agent), traits):
+        reason = {
+            "moves": f"{config.task} is not acted in by a choice among a few moves",
+            "vectors": f"{config.task} is not acted in by vectors",
+            "target_states": "there are no target states that a low level could be sent to",
+        }[actions_of(config.agent)]
+        fitting = [name for name, entry in agents.registry.items() if can_act(actions_of(entry.config()), traits)]
+        remedy = f"give {' or '.join(fitting)}" if fitting else "no registered agent can act there"
+        yield Refusal("agent", agent, reason, remedy)
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
-        yield from refusals_of_explorer(explorer, agent, traits)
+        yield from refusals_of_explorer(explorer, config.agent, traits)
     if config.training_corruption and not traits.image_goals:
         yield Refusal(
             "training_corruption",
@@ -142,11 +115,11 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         )
 
 
-def refusals_of_explorer(explorer: str, agent: str, traits: Traits) -> Iterator[Refusal]:
+def refusals_of_explorer(explorer: str, agent: Any, traits: Traits) -> Iterator[Refusal]:
     """What speaks against a bonus, which is kept for every observation and move."""
     if traits.recorded:
         yield Refusal("explorer", explorer, "a bonus cannot explore what is recorded", "give none")
-    elif not traits.moves or agent in STEERING:
+    elif actions_of(agent) != "moves":
         yield Refusal("explorer", explorer, "actions are continuous", "its bonus is kept for each move; give none")
     if not traits.finite_observations:
         yield Refusal("explorer", explorer, "observations are no finite set", "its bonus is kept for each; give none")
@@ -157,8 +130,8 @@ def reasons_against(config: TrainConfig, env: Any = None) -> list[Refusal]:
     shows it; empty: nothing does."""
     if env is not None:
         return list(refusals(config, traits_seen(env)))
-    known = TRAITS.get(type(config.env))
-    return [] if known is None else list(refusals(config, known(config.env)))
+    declared = traits_declared(config)
+    return [] if declared is None else list(refusals(config, declared))
 
 
 def check_combination(config: TrainConfig, env: Any = None) -> None:
@@ -169,10 +142,10 @@ def check_combination(config: TrainConfig, env: Any = None) -> None:
 
 def remarks(config: TrainConfig) -> list[str]:
     """What is allowed but unusual about a configuration."""
-    known = TRAITS.get(type(config.env))
-    recorded = known is not None and known(config.env).recorded
+    declared = traits_declared(config)
+    recorded = declared is not None and declared.recorded
     agent, found = agents.registry.name_of(config.agent), []
-    if agent == "cql" and known is not None and not recorded:
+    if agent == "cql" and declared is not None and not recorded:
         found.append("cql is meant for recorded moves: acting, it holds down the values of what it has not tried")
     if agent == "dqn" and recorded:
         found.append("dqn is meant for acting: nothing holds down the values of moves that were not recorded")

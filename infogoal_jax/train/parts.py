@@ -14,7 +14,7 @@ from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import Learner
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.train import hierarchy
-from infogoal_jax.train.combinations import STEERING, check_combination
+from infogoal_jax.train.combinations import check_combination, steers
 
 
 class Parts(NamedTuple):
@@ -76,7 +76,7 @@ def load_environment(config: TrainConfig, env: Any = None):
         env = envs.load(config.task, config.env)
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
-    if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.SubgoalEnv):
+    if steers(config.agent) and not isinstance(env, hierarchy.SubgoalEnv):
         return hierarchy.steer(env, config.agent)
     return env
 

@@ -13,6 +13,8 @@ import hand_made_points
 import pytest
 
 from infogoal_jax import agents, exploration, learners, presets
+from infogoal_jax.agents.agent import AgentTraits
+from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.cli.choice import is_of_method
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
@@ -21,8 +23,20 @@ from infogoal_jax.learners import none
 from infogoal_jax.presets.saved import from_dict, to_json, train_flags
 from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
-from infogoal_jax.train import combinations
-from infogoal_jax.train.combinations import check_combination, reasons_against, traits_seen
+from infogoal_jax.train.combinations import (
+    check_combination,
+    has_own_loss,
+    make_learner,
+    reasons_against,
+    traits_declared,
+    traits_seen,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Flat(DQNConfig):
+    """Of an agent whose actions are vectors."""
+
 
 PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
 
@@ -39,12 +53,19 @@ PAIRS = [(task, method) for task in presets.TASKS for method in presets.METHODS]
     ids=["object_search", "object_manipulation", "embodied_qa", "fetch", "fetch steered"],
 )
 def test_traits_known_by_name_are_those_of_the_environment(env, config):
-    declared = config("none").env
-    assert combinations.TRAITS[type(declared)](declared) == traits_seen(env())
+    assert traits_declared(config("none")) == traits_seen(env())
 
 
 def test_every_task_is_judged_before_it_is_loaded():
-    assert all(type(presets.load(task).env) in combinations.TRAITS for task in presets.TASKS)
+    assert all(traits_declared(presets.load(task)) is not None for task in presets.TASKS)
+
+
+def test_an_agent_that_chooses_vectors_acts_where_actions_are_vectors(monkeypatch):
+    flat = agents.registry["dqn"]._replace(config=Flat, traits=lambda config: AgentTraits("vectors"))
+    monkeypatch.setitem(agents.registry, "flat", flat)
+    assert not reasons_against(presets.load("fetch_push", "none", agent="flat"))
+    (refusal,) = reasons_against(presets.load("object_search", "none", agent="flat"))
+    assert refusal.field == "agent" and "dqn" in refusal.remedy and "flat" not in refusal.remedy
 
 
 def test_the_table_has_a_tick_where_training_starts_and_a_reason_where_it_refuses():
@@ -133,8 +154,8 @@ def test_positions_as_goals_are_refused_by_name():
 @pytest.mark.parametrize("name", list(learners.registry))
 def test_learners_said_to_have_no_loss_have_none(name):
     """A loss that looks at nothing is 0; one of its own cannot do without a batch."""
-    learner = combinations.make_learner(presets.load("object_search", name))
-    if combinations.has_own_loss(learner):
+    learner = make_learner(presets.load("object_search", name))
+    if has_own_loss(learner):
         with pytest.raises((AttributeError, TypeError)):
             learner.loss({}, (), None, NoHyperparameters(), None)
     else:
