@@ -59,12 +59,7 @@ class ImageLayers(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        if self.standardise:
-            values = patches(as_encoded(images, self.standardise), 4)
-        else:
-            # Cut while they are bytes, and turned into numbers where the product reads them: a quarter to write.
-            values = as_encoded(patches(images, 4), self.standardise)
-        values = nn.relu(nn.Dense(16)(values))
+        values = nn.relu(nn.Dense(16)(patches(as_encoded(images, self.standardise), 4)))
         values = nn.relu(nn.Dense(32)(patches(values, 2)))
         return values.reshape(*values.shape[:-3], -1)
 
