@@ -1,8 +1,8 @@
 """Learning from every transition under all goals at once (LEO: Matthews et al. 2026, arXiv 2605.23551; before it
 Kaelbling 1993).
 
-Each goal g has a reward of its own, 1 where the transition achieves g, and ends for g alone. One network values all goals
-in one pass, so that a transition costs hardly more than under the desired goal.
+Each goal g has a reward of its own, 1 where the transition achieves g, and ends for g alone. One network values all
+goals in one pass, so that a transition costs hardly more than under the desired goal.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,8 @@ from infogoal_jax.agents.value_heads import ValueHead
 def returns_of_all(hit: jax.Array, mask: jax.Array, discount: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Discounted reward of each transition under each goal, and the discount of what follows it: float32 [B, G] each.
 
-    hit: bool [B, n, G], goals achieved after each step; mask: float32 [B, n], 1 for a step that was taken. The first hit
-    of a goal is worth 1 and ends the transition for that goal.
+    hit: bool [B, n, G], goals achieved after each step; mask: float32 [B, n], 1 for a step that was taken. The first
+    hit of a goal is worth 1 and ends the transition for that goal.
     """
     hit = hit & (mask > 0)[..., None]
     first = hit & (jnp.cumsum(hit, axis=1) == 1)
@@ -61,8 +61,8 @@ def td_loss_of_all(
 def value_loss(
     head: ValueHead, huber: bool, regulariser: Callable | None, params, target_params, batch: AgentBatch, hyper
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The loss of action values under the goals `batch.all_goals`: (loss, metrics). The target network chooses and values
-    what follows, as one product [B, A, G].
+    """The loss of action values under the goals `batch.all_goals`: (loss, metrics). The target network chooses and
+    values what follows, as one product [B, A, G].
 
     regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics) of one goal, or None; it counts for each goal.
     """

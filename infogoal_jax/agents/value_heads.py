@@ -1,5 +1,5 @@
-"""Value heads: Q(s, a, g) from features of states and codes of goals, for one goal a state or for all goals of a batch in
-one pass.
+"""Value heads: Q(s, a, g) from features of states and codes of goals, for one goal a state or for all goals of a batch
+in one pass.
 
     concatenated   Q = MLP([psi(s), z(g)])[a]: the universal value function; G goals take B * G passes
     product        Q = f(psi(s))[a] . h(z(g)): the all-goals head; G goals take one product [B * A, D] x [D, G]

@@ -1,5 +1,5 @@
-"""No goal encoder at all: the code of a goal is its number (LEO). What the goal looks like is never seen, so a goal that
-training did not achieve, or a corrupted picture of one, means nothing."""
+"""No goal encoder at all: the code of a goal is its number (LEO). What the goal looks like is never seen, so a goal
+that training did not achieve, or a corrupted picture of one, means nothing."""
 
 import dataclasses
 

@@ -16,10 +16,11 @@ class AllGoalsConfig:
     """Which goals an update learns from."""
 
     num_goals: int = 0
-    """Goals of an update; 0: all that are known. A batch times 6,384 goals takes 39 MB for each set of action values."""
+    """Goals drawn for an update; 0: all that are known. For 256 transitions, 6 actions and 6,384 goals each set of
+    values takes 39 MB."""
     achieved_share: float = 0.5
-    """Share of a subset that the transitions of the batch achieve: under other goals a transition is a failure. The rest
-    is any known goal."""
+    """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure. The
+    rest is any known goal."""
     code: Literal["sampled", "mean"] = "sampled"
     """`sampled`: a goal's code is drawn once an update; `mean`: its mean."""
 

@@ -18,8 +18,8 @@ def spec_of(parts) -> AllGoalsSpec | None:
 
 
 def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: jax.Array) -> jax.Array | None:
-    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, else any known one.
-    None: all goals of the task.
+    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, else any known
+    one. None: all goals of the task.
 
     known: bool [N]; achieved: int32 [B, n, K], padded with -1.
     """
