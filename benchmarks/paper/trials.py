@@ -118,6 +118,16 @@ CONSERVATIVE = {
     f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
     for weight in (0.002, 0.02, 0.2)
 }
+CUBE_HEAD = {
+    "preset": {},
+    "target rate 0.05": {"target_rate": 0.05},
+    "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
+    "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
+}
+CUBE_LEARNER = {
+    f"target rate 0.05, learner weight {weight}": {"target_rate": 0.05, "learner_weight": weight}
+    for weight in (1.0, 0.1, 0.01)
+}
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -260,7 +270,7 @@ QUEUE = {
         "cube_dqn",
         "object_manipulation",
         CUBE,
-        {"infogoal_head": LEARNER_WEIGHTS, "infobot_head": LEARNER_WEIGHTS},
+        {"leo": CUBE_HEAD, "head": CUBE_HEAD, "infogoal_head": CUBE_LEARNER, "infobot_head": CUBE_LEARNER},
         agent="dqn",
     ),
     # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
@@ -287,8 +297,8 @@ QUEUE = {
         )
         for short, method, relabelling, lanes in (
             ("her", "her", None, {"preset": {}}),
-            ("head", "all_goals", None, {"preset": {}}),
-            ("infogoal_head", "infogoal", "all_goals", LEARNER_WEIGHTS),
+            ("head", "all_goals", None, CUBE_HEAD),
+            ("infogoal_head", "infogoal", "all_goals", CUBE_LEARNER),
         )
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.

@@ -40,7 +40,7 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     inputs = recorded["observations"].shape[-1]
 
     def values_of_all(weights, features, codes):
-        return jax.nn.sigmoid((features @ weights).reshape(-1, goals, A + 1)).swapaxes(1, 2)
+        return jax.nn.sigmoid((features @ weights).reshape(-1, goals, 4)).swapaxes(1, 2)
 
     def taken_of_all(weights, features, actions, codes):
         return value_heads.of_actions(values_of_all(weights, features, codes), actions)
@@ -50,7 +50,7 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     achieved = jnp.asarray(recorded["achieved"].reshape(-1, 1, goals))
     reward, discount = all_goals.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
     discount = discount * ~recorded["ended"].reshape(-1, 1)
-    mask = jnp.ones((steps * width, A + 1), bool)
+    mask = jnp.ones((steps * width, 4), bool)
     target = all_goals.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
     np.testing.assert_allclose(target, recorded["targets"].reshape(-1, goals), atol=1e-5)
     under = AllGoals(jnp.ones(goals), None, None, reward, discount)
