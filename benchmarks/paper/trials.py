@@ -114,11 +114,11 @@ BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight"
 
 
 LEARNER_WEIGHTS = {f"learner weight {weight}": {"learner_weight": weight} for weight in (1.0, 0.03, 0.001)}
+"""The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
 CONSERVATIVE = {
     f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
     for weight in (0.002, 0.02, 0.2)
 }
-"""The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
 CUBE_HEAD = {
     "preset": {},
     "target rate 0.05": {"target_rate": 0.05},
