@@ -74,7 +74,7 @@ def load_environment(config: TrainConfig, env: Any = None):
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
-    if make_learner(config).by_index and not env.goals.by_index:
+    if make_learner(config).by_index and env.goals is not None:
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
