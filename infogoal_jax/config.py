@@ -7,7 +7,7 @@ them.
 """
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import flax.struct
 
@@ -15,7 +15,7 @@ from infogoal_jax import hyperparameters
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.hyperparameters import NoHyperparameters, Number, Search
 
-KnownGoals = Literal["train", "visited", "all"]
+KnownGoals = Literal["train", "held_out", "visited", "all"]
 
 
 @flax.struct.dataclass
@@ -106,8 +106,8 @@ class TrainConfig:
     buffer_steps: int = 100_000
     """Environment steps that the replay buffer holds, rounded up to whole epochs."""
     known_goals: KnownGoals = "visited"
-    """Goals that may enter representation learning: training goals, goals achieved so far, or all. One protocol for
-    every method."""
+    """Goals that may enter relabelling and representation learning: training goals; goals achieved so far (`visited`),
+    also with validation and test goals held out (`held_out`); or all. One protocol for every method."""
     training_corruption: float = 0.0
     """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
     test_corruption: float = 0.4
@@ -148,10 +148,10 @@ class TrainConfig:
             f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}",
         )
         require(
-            self.known_goals in ("train", "visited", "all"),
+            self.known_goals in get_args(KnownGoals),
             "known_goals",
             self.known_goals,
-            "give train, visited or all",
+            "give train, held_out, visited or all",
         )
         require(
             0 <= self.training_corruption < 1,

@@ -40,6 +40,8 @@ class GoalSet:
     """Those of "train", "validation" and "test" that have goals."""
     rows: jax.Array | None = None
     """int32 [N], row of `inputs` for each goal, where a dataset has more images than goals; None: row n is goal n."""
+    by_index: bool = flax.struct.field(pytree_node=False, default=False)
+    """Whether goals are shown to the goal encoder as their numbers alone."""
 
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
@@ -60,7 +62,9 @@ class GoalSet:
         )
 
     def inputs_of(self, goals: jax.Array) -> jax.Array:
-        """Inputs of the goal encoder [..., *input] for goals int32 [...]."""
+        """Inputs of the goal encoder [..., *input] for goals int32 [...]; their numbers [..., 1] if `by_index`."""
+        if self.by_index:
+            return jnp.asarray(goals)[..., None]
         return self.inputs[goals if self.rows is None else self.rows[goals]]
 
     @property

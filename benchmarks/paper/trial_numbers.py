@@ -2,6 +2,7 @@
 the tables made of it.
 
     trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
+    known_goals                      the protocol; empty in older rows, which were all under `visited`
     KIND/success_rate                of each kind of goals
     learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them
     train_goal/, test_goal/code_error  resolution of the code: degrees on the cube, metres on Fetch
@@ -105,14 +106,21 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
     """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
     none."""
     words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
-    columns = ["trial", "lane", "seeds", "updates", *(words[kind] for kind in SUCCESS), "KL", "accuracy"]
+    columns = ["trial", "lane", "known goals", "seeds", "updates", *(words[kind] for kind in SUCCESS), "KL", "accuracy"]
     lines = []
     for trial in trials:
         own = [row for row in rows if row["trial"] == trial]
         last = sorted({int(row["updates"]) for row in own})[-LAST:]
         for lane in dict.fromkeys(row["lane"] for row in own):
             shown = [row for row in own if row["lane"] == lane and int(row["updates"]) in last]
-            cells = [f"`{trial}`", lane, str(len({row["seed"] for row in shown})), f"{last[0]:,} to {last[-1]:,}"]
+            known = shown[0].get("known_goals") or "visited"
+            cells = [
+                f"`{trial}`",
+                lane,
+                known,
+                str(len({row["seed"] for row in shown})),
+                f"{last[0]:,} to {last[-1]:,}",
+            ]
             cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in SUCCESS]
             cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))

@@ -63,6 +63,7 @@ class Trial(NamedTuple):
     hyperparameters of each.
 
     by_name: evaluate embodied question answering with the names of the objects in place of the questions about them.
+    agent: another than the task's own.
     """
 
     task: str
@@ -72,6 +73,7 @@ class Trial(NamedTuple):
     lanes: dict[str, dict[str, float]]
     seeds: int = 2
     by_name: bool = False
+    agent: str | None = None
 
 
 CUBE = {
@@ -109,6 +111,48 @@ SEARCHING = {
 }
 NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
+
+
+LEARNER_WEIGHTS = {f"learner weight {weight}": {"learner_weight": weight} for weight in (1.0, 0.03, 0.001)}
+"""The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
+CONSERVATIVE = {
+    f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
+    for weight in (0.002, 0.02, 0.2)
+}
+CUBE_HEAD = {
+    "preset": {},
+    "target rate 0.05": {"target_rate": 0.05},
+    "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
+    "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
+}
+CUBE_LEARNER = {
+    f"target rate 0.05, learner weight {weight}": {"target_rate": 0.05, "learner_weight": weight}
+    for weight in (1.0, 0.03, 0.001)
+}
+PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
+"""Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
+achieved, or never."""
+
+
+def all_goals_trials(
+    name: str,
+    task: str,
+    settings: dict[str, Any],
+    lanes: dict[str, dict[str, dict[str, float]]],
+    agent: str | None = None,
+) -> dict[str, Trial]:
+    """HER, LEO and the all-goals head with each learner, under both protocols. lanes: of each of them, else the
+    preset."""
+    methods = {"her": ("her", None), "leo": ("leo", None), "head": ("all_goals", None)} | {
+        f"{learner}_head": (learner, "all_goals") for learner in ("infogoal", "infobot")
+    }
+    return {
+        f"{name}_{short}{ending}": Trial(
+            task, method, relabelling, settings | changed, lanes.get(short, {"preset": {}}), seeds=3, agent=agent
+        )
+        for ending, changed in PROTOCOLS.items()
+        for short, (method, relabelling) in methods.items()
+    }
 
 
 def confirmation(dataset: int) -> dict[str, Any]:
@@ -215,6 +259,60 @@ QUEUE = {
     # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss
     # help, and is it loss or bonus?
     "house_sse_db": Trial("object_search", "sse_db", None, HOUSE, {"preset": {}} | NO_EXPLORER | BONUSES),
+    # Learning from every transition under all goals at once: LEO, whose values belong to goals that training achieved,
+    # and the head that values a goal through its code.
+    **all_goals_trials(
+        "house_goals",
+        "object_search",
+        HOUSE | {"epochs_per_evaluation": 10},
+        {"infogoal_head": LEARNER_WEIGHTS, "infobot_head": LEARNER_WEIGHTS},
+    ),
+    **all_goals_trials(
+        "cube_dqn",
+        "object_manipulation",
+        CUBE,
+        {"leo": CUBE_HEAD, "head": CUBE_HEAD, "infogoal_head": CUBE_LEARNER, "infobot_head": CUBE_LEARNER},
+        agent="dqn",
+    ),
+    # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
+    "house_goals_her_product": Trial(
+        "object_search",
+        "her",
+        None,
+        HOUSE | {"epochs_per_evaluation": 10, "agent.head": "product", "agent.bounded": True},
+        {"preset": {}},
+        seeds=3,
+    ),
+    "cube_dqn_leo_every_goal": Trial(
+        "object_manipulation", "leo", None, CUBE | {"relabelling.num_goals": 0}, {"preset": {}}, seeds=3, agent="dqn"
+    ),
+    **{
+        f"cube_dqn_{short}_corruption": Trial(
+            "object_manipulation",
+            method,
+            relabelling,
+            CUBE | {"training_corruption": 0.4, "learner.standardise_images": True},
+            lanes,
+            seeds=3,
+            agent="dqn",
+        )
+        for short, method, relabelling, lanes in (
+            ("her", "her", None, {"preset": {}}),
+            ("head", "all_goals", None, CUBE_HEAD),
+            ("infogoal_head", "infogoal", "all_goals", CUBE_LEARNER),
+        )
+    },
+    # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
+    **{
+        name: trial
+        for name, trial in all_goals_trials(
+            "shelf_goals",
+            "embodied_qa",
+            SHELF,
+            {"leo": CONSERVATIVE, "head": CONSERVATIVE, "infogoal_head": CONSERVATIVE, "infobot_head": CONSERVATIVE},
+        ).items()
+        if not name.endswith("held_out")
+    },
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
 shown on others."""
@@ -239,7 +337,14 @@ def configuration(trial: Trial, folder: Path) -> TrainConfig:
     if trial.task == "object_search":
         _, dataset, _, split = tuning_house(folder)
         settings = {"env.dataset": dataset, "env.split": split} | settings
-    return with_values(presets.load(trial.task, trial.method, relabelling=trial.relabelling), settings)
+    return preset_of(trial._replace(settings=settings))
+
+
+def preset_of(trial: Trial) -> TrainConfig:
+    """The preset of a trial with its settings."""
+    return with_values(
+        presets.load(trial.task, trial.method, relabelling=trial.relabelling, agent=trial.agent), trial.settings
+    )
 
 
 def commanded_by_name(env):
@@ -316,6 +421,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
                     "trial": name,
                     "lane": label,
                     "seed": seed,
+                    "known_goals": config.known_goals,
                     "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch,
                 }
                 row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()} | {"machine": machine}
@@ -359,14 +465,15 @@ def list_queue() -> None:
     """Print the queue, and how many of its updates each trial has made in the numbers that are kept."""
     done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
-        config = with_values(presets.load(trial.task, trial.method, relabelling=trial.relabelling), trial.settings)
+        config = preset_of(trial)
         updates = (
             f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates"
             if name in done
             else "to be run"
         )
         print(
-            f"{name}: {trial.task}, {presets.name_of(config)}, {len(trial.lanes)} lane(s) of {trial.seeds} seeds; "
+            f"{name}: {trial.task}, {presets.name_of(config)}, known goals {config.known_goals}, "
+            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds; "
             f"{updates}"
         )
 

@@ -6,9 +6,9 @@ from infogoal_jax.registry import Entry, Registry
 registry = Registry(
     "agent",
     {
-        "dqn": Entry(dqn.DQNConfig, dqn.make),
+        "dqn": Entry(dqn.DQNConfig, dqn.make, traits=dqn.traits),
         "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters, hrac.traits),
-        "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters),
+        "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters, dqn.traits),
     },
 )
 """`make(config, env)` makes an agent for an environment: it reads the number of actions, or the space of subgoals."""

@@ -19,6 +19,24 @@ class AgentTraits(NamedTuple):
     actions: Literal["moves", "vectors", "target_states"] = "moves"
     """What the agent chooses: one of a few moves; a vector in [-1, 1] that is the environment's action; or a target
     state, which a frozen low level reaches."""
+    all_goals: bool = False
+    """Whether its loss learns from all goals at once, `AgentBatch.all_goals`."""
+
+
+@flax.struct.dataclass
+class AllGoals:
+    """The transitions of a batch under G goals at once."""
+
+    weight: jax.Array
+    """float32 [G], 1 for goals that are known, 0 for those that nothing is learned of."""
+    code: jax.Array
+    """float32 [G, d]. Where G is the number of goals of the task, they are all of them, in order."""
+    target_code: jax.Array
+    """float32 [G, d], by the target encoder."""
+    reward: jax.Array
+    """float32 [B, G], discounted: of the first step that achieves the goal."""
+    discount: jax.Array
+    """float32 [B, G], discount of what follows; 0 for a goal that the transition achieves, and for that goal alone."""
 
 
 @flax.struct.dataclass
@@ -51,6 +69,8 @@ class AgentBatch:
     """bool [B, A], legal actions in the first state."""
     next_action_mask: jax.Array
     """bool [B, A], legal actions in the last state."""
+    all_goals: AllGoals | None = None
+    """The same transitions under all goals, where the relabelling asks for it (`relabelling/all_goals.py`)."""
 
 
 class Exploration(NamedTuple):

@@ -2,13 +2,14 @@
 masks."""
 
 import dataclasses
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
 import optax
 
-from infogoal_jax import networks
-from infogoal_jax.agents.agent import Agent, AgentBatch
+from infogoal_jax.agents import all_goals, value_heads
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
 
 
@@ -22,6 +23,13 @@ class DQNConfig:
     """Steps of the n-step return [M]; the authors' 3 learns more slowly."""
     huber: bool = True
     """Huber loss with threshold 1 instead of the squared error."""
+    head: value_heads.Kind = "concatenated"
+    """How values depend on the goal: `concatenated`: one network of features and code; `product`: the all-goals head;
+    `index`: LEO (docs/all_goals.md)."""
+    head_size: int = 128
+    """Size of the vectors whose product is a value, for `product` alone."""
+    bounded: bool = False
+    """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -37,6 +45,14 @@ class DQNConfig:
             self.num_steps,
             f"must lie between 1 and the episode length, {config.env.episode_length}",
         )
+        kinds = get_args(value_heads.Kind)
+        require(self.head in kinds, "agent.head", self.head, f"give {', '.join(kinds)}")
+        require(self.head_size > 0, "agent.head_size", self.head_size, "give a whole number greater than 0")
+
+
+def traits(config: DQNConfig) -> AgentTraits:
+    """It chooses among moves, and can learn from all goals at once."""
+    return AgentTraits("moves", all_goals=True)
 
 
 def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
@@ -72,21 +88,21 @@ def td_loss(
 
 def make(config: DQNConfig, env) -> Agent:
     """The DQN agent for this configuration and environment."""
-    return value_agent(config, env, regulariser=lambda values, batch, hyper: (0.0, {}))
+    return value_agent(config, env)
 
 
-def value_agent(config: DQNConfig, env, regulariser) -> Agent:
+def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
     """An agent that learns action values by double Q-learning and acts epsilon-greedily.
 
-    regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics) is added to the temporal-difference error.
+    regulariser(values float32 [B, A], batch, hyper) -> (loss, metrics), or None, is added to the temporal-difference
+    error.
     """
-    head = networks.MLP(config.hidden, env.action_size)
-
-    def values(params, features, code):
-        return head.apply(params, jnp.concatenate([features, code], axis=-1))
+    num_goals = env.goals.num_goals if config.head == "index" else 0
+    head = value_heads.make(config.head, config.hidden, config.head_size, config.bounded, env.action_size, num_goals)
+    values = head.values
 
     def init(key, features, code):
-        return head.init(key, jnp.concatenate([features, code], axis=-1)), ()
+        return head.init(key, features, code), ()
 
     def act(params, features, code, action_mask, key, exploration):
         """Epsilon-greedy among the legal actions."""
@@ -100,12 +116,16 @@ def value_agent(config: DQNConfig, env, regulariser) -> Agent:
         return jnp.where(action_mask, values(params, features, code), -jnp.inf).max(-1)
 
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
-        """Temporal-difference error of double Q-learning, and the regulariser."""
+        """Temporal-difference error of double Q-learning, and the regulariser; or that of all goals at once."""
+        if batch.all_goals is not None:
+            return all_goals.value_loss(head, config.huber, regulariser, params, target_params, batch, hyper)
         next_values = values(params, batch.next_features, batch.next_code)
         target_values = values(target_params, batch.target_features, batch.target_code)
         target = double_q_target(batch.reward, batch.discount, next_values, target_values, batch.next_action_mask)
         every = values(params, batch.features, batch.code)
         error, metrics = td_loss(every, batch.action, target, config.huber)
+        if regulariser is None:
+            return error, metrics
         extra, own_metrics = regulariser(every, batch, hyper)
         return error + extra, metrics | own_metrics
 

@@ -170,6 +170,8 @@ class Learner(NamedTuple):
     """(key, goal_inputs [B, ...]) -> goal_inputs: augmentation of goal inputs in updates."""
     mean_at_test: bool = False
     """Use the mean of a code in evaluation instead of a sample."""
+    by_index: bool = False
+    """`encode` takes the numbers of goals, int32 [..., 1], in place of what they look like."""
 
 
 def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Array) -> GoalCode:

@@ -8,7 +8,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search
-from infogoal_jax.presets.methods import METHODS, Method, method_named
+from infogoal_jax.presets.methods import AGENT_FIELDS, METHODS, Method, method_named
 from infogoal_jax.presets.preset import Changes, Preset
 
 registry: dict[str, Preset] = {
@@ -87,7 +87,10 @@ def load(
     changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
     fields = {
         "learner": fields_of("learner", names, preset.learner) | of_learner,
-        "agent": preset.agents.get(names["agent"], {}),
+        "agent": preset.agents.get(names["agent"], {})
+        | fields_of(
+            "agent", names, AGENT_FIELDS.get(names["relabelling"], {}) | AGENT_FIELDS.get(names["learner"], {})
+        ),
         "relabelling": preset.relabellings.get(names["relabelling"], {}),
         "explorer": {},
     }
@@ -143,6 +146,8 @@ def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
     names = names_of(config)
     own = registry[config.task].relabelling if config.task in registry else "none"
+    if Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS["leo"]:
+        return "leo"
     name = names["relabelling"]
     relabelled = "none" if name == own else "unrelabelled" if name == "none" else name
     return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"

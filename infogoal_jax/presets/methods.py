@@ -18,8 +18,13 @@ METHODS = (
     {name: Method(name) for name in learners.registry}
     | {name: Method("none", name) for name in relabelling.registry if name != "none"}
     | {name: Method("none", None, name) for name in exploration.registry if name != "none"}
+    | {"leo": Method("index", "all_goals")}
 )
 """What can be asked for by one name. Learners, relabellings and explorers can be combined by their own names too."""
+del METHODS["index"]
+
+AGENT_FIELDS = {"all_goals": {"head": "product", "bounded": True, "num_steps": 1}, "index": {"head": "index"}}
+"""What a relabelling, and then a learner, changes in the configuration of an agent that has such fields."""
 
 
 def method_named(name: str) -> Method:

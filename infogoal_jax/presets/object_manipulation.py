@@ -13,6 +13,7 @@ PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
     agent="hrac",  # [P]
     agents={"hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6}},  # [M]
+    relabellings={"all_goals": {"num_goals": 512}},  # [M]
     training={
         "num_envs": 256,
         "rollout_steps": 30,

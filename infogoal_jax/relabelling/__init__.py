@@ -1,7 +1,7 @@
 """Hindsight relabelling, one file each. A new one is registered in `registry`."""
 
 from infogoal_jax.registry import Entry, Registry
-from infogoal_jax.relabelling import cher, ghrl, her, none
+from infogoal_jax.relabelling import all_goals, cher, ghrl, her, none
 
 registry = Registry(
     "relabelling",
@@ -10,5 +10,6 @@ registry = Registry(
         "her": Entry(her.HERConfig, her.make),
         "cher": Entry(cher.CHERConfig, cher.make),
         "ghrl": Entry(ghrl.GHRLConfig, ghrl.make),
+        "all_goals": Entry(all_goals.AllGoalsConfig, all_goals.make),
     },
 )

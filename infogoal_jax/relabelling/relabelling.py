@@ -52,6 +52,17 @@ class Context(NamedTuple):
     """int32 [], updates before this epoch."""
 
 
+class AllGoalsSpec(NamedTuple):
+    """Which goals each transition is learned from at once."""
+
+    num_goals: int
+    """Goals drawn for an update; 0: all known ones."""
+    achieved_share: float
+    """Share of those drawn that the transitions of the batch achieve."""
+    mean_code: bool
+    """Use the mean of a goal's code instead of a sample."""
+
+
 class Relabelling(NamedTuple):
     """A relabelling."""
 
@@ -65,3 +76,5 @@ class Relabelling(NamedTuple):
     all."""
     candidates: int = 1
     """Transitions drawn for each that is learned from."""
+    all_goals: AllGoalsSpec | None = None
+    """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""

@@ -112,7 +112,12 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         )
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
-    known = {"train": "training goals", "visited": "goals achieved so far", "all": "all goals"}[run.config.known_goals]
+    known = {
+        "train": "training goals",
+        "held_out": "goals achieved so far, validation and test goals excepted,",
+        "visited": "goals achieved so far",
+        "all": "all goals",
+    }[run.config.known_goals]
     protocol = (
         f"only training goals were commanded in training; {known} could enter the representation (known_goals "
         "= "

@@ -8,7 +8,7 @@ compiled; of an environment that was loaded, or made by hand, `traits_seen` read
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from infogoal_jax import agents, envs, exploration, learners
+from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs.environment import Traits
@@ -27,7 +27,7 @@ def traits_seen(env) -> Traits:
     """The traits of an environment that was loaded or made by hand."""
     return Traits(
         finite_goals=env.goals is not None,
-        image_goals=env.train_backgrounds is not None,
+        image_goals=env.train_backgrounds is not None and not (env.goals is not None and env.goals.by_index),
         moves=env.discrete,
         finite_observations=env.num_observations is not None,
         recorded=env.recorded is not None,
@@ -45,10 +45,15 @@ class Refusal(NamedTuple):
     remedy: str
 
 
+def traits_of(agent: Any) -> AgentTraits:
+    """What the agent of this configuration declares."""
+    declared = agents.registry.entry_of(agent).traits
+    return AgentTraits() if declared is None else declared(agent)
+
+
 def actions_of(agent: Any) -> str:
     """What the agent of this configuration chooses, see `AgentTraits`."""
-    declared = agents.registry.entry_of(agent).traits
-    return (AgentTraits() if declared is None else declared(agent)).actions
+    return traits_of(agent).actions
 
 
 def steers(agent: Any) -> bool:
@@ -95,6 +100,7 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         fitting = [name for name, entry in agents.registry.items() if can_act(actions_of(entry.config()), traits)]
         remedy = f"give {' or '.join(fitting)}" if fitting else "no registered agent can act there"
         yield Refusal("agent", agent, reason, remedy)
+    yield from refusals_of_all_goals(config)
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, config.agent, traits)
@@ -112,6 +118,37 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
             f"nothing else than the agent's loss trains the goal encoder of learner "
             f"{learners.registry.name_of(config.learner)!r}",
             "give False, or another learner",
+        )
+
+
+def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
+    """What speaks against learning from all goals at once, or against goals that are numbers."""
+    name, learner = learners.registry.name_of(config.learner), make_learner(config)
+    agent, head = agents.registry.name_of(config.agent), getattr(config.agent, "head", None)
+    if learner.by_index != (head == "index"):
+        yield Refusal(
+            "learner" if learner.by_index else "agent.head",
+            name if learner.by_index else head,
+            "values with an output for each goal, and codes that are numbers of goals, go together only",
+            "give --method leo, with agent dqn or cql" if learner.by_index else "give product, or learner index",
+        )
+    if relabelling.registry.name_of(config.relabelling) != "all_goals":
+        return
+    if not traits_of(config.agent).all_goals:
+        yield Refusal("relabelling", "all_goals", f"agent {agent} values one goal at a time", "give dqn or cql, or her")
+    if learner.condition is not None:
+        yield Refusal(
+            "learner",
+            name,
+            "its code of a goal depends on the state, so that there is no code for all states at once",
+            "give a code of the goal alone (--learner.state-conditioned False), or relabelling her",
+        )
+    if exploration.registry.name_of(config.explorer) != "none":
+        yield Refusal(
+            "explorer",
+            exploration.registry.name_of(config.explorer),
+            "its bonus is no reward for reaching one goal rather than another",
+            "give none, or relabelling her",
         )
 
 

@@ -45,7 +45,14 @@ class Experience:
 def usable_mask(config, env) -> jax.Array:
     """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved:
     bool [N]."""
-    return env.goals.train_mask if config.known_goals == "train" else jnp.ones_like(env.goals.train_mask)
+    goals = env.goals
+    if config.known_goals == "train":
+        return goals.train_mask
+    return (
+        ~(goals.validation_mask | goals.test_mask)
+        if config.known_goals == "held_out"
+        else jnp.ones_like(goals.train_mask)
+    )
 
 
 def usable_goals(env, record, usable: jax.Array) -> jax.Array:

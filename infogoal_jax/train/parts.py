@@ -14,7 +14,7 @@ from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import Learner
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.train import hierarchy
-from infogoal_jax.train.combinations import check_combination, steers
+from infogoal_jax.train.combinations import check_combination, make_learner, steers
 
 
 class Parts(NamedTuple):
@@ -74,6 +74,8 @@ def load_environment(config: TrainConfig, env: Any = None):
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
+    if make_learner(config).by_index and env.goals is not None:
+        env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
     if steers(config.agent) and not isinstance(env, hierarchy.SubgoalEnv):

@@ -86,7 +86,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             keys[0], InputSpec(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner
         )
         code = conditioned(
-            learner, params["goal"], learner.encode(params["goal"], env.goals.inputs[:1]), features[None]
+            learner, params["goal"], learner.encode(params["goal"], env.goals.inputs_of(jnp.arange(1))), features[None]
         ).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:

@@ -9,6 +9,7 @@ from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
+from infogoal_jax.train import all_goals
 from infogoal_jax.train.experience import Experience, usable_goals
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
@@ -39,6 +40,7 @@ class Sample:
     ones, as many as the learner asks for.
     bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B];
     None without an explorer.
+    all_goals: int32 [G], the goals that the agent learns every transition from; None without, or for all of the task.
     relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what
     the agent sees.
     """
@@ -51,6 +53,7 @@ class Sample:
     bonus: jax.Array | None = None
     move: tuple | None = None
     relabelled: RelabelledBatch | None = None
+    all_goals: jax.Array | None = None
 
 
 def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
@@ -71,6 +74,11 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     if spec.num_goals:
         drawn = drawn.replace(
             goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,))
+        )
+    if all_goals.spec_of(parts) is not None:
+        known, goals_key = experience.known | env.goals.train_mask, jax.random.fold_in(key, 5)
+        drawn = drawn.replace(
+            all_goals=all_goals.draw_goals(all_goals.spec_of(parts), known, drawn.achieved, goals_key)
         )
     if spec.relabelling is not None:
         other = spec.relabelling.relabel(

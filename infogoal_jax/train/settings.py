@@ -12,7 +12,7 @@ from infogoal_jax.train.policies import trained_policy
 
 def has_image_goals(env) -> bool:
     """Whether goals of this environment are images that can be corrupted."""
-    return env.test_backgrounds is not None
+    return env.test_backgrounds is not None and not env.goals.by_index
 
 
 def corrupted_images(

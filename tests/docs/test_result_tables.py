@@ -168,8 +168,8 @@ def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
     trial_numbers.merge(tmp_path / "first", tmp_path / trial_numbers.FILE, trials.QUEUE)
     text = trial_numbers.table(trial_numbers.read(tmp_path / trial_numbers.FILE), ["two", "three"], None)
     assert (
-        "| `two` | preset | 2 | 1,000 to 3,000 |  |  | 0.30 |" in text
-        and "| `three` | preset | 3 | 1,000 to 3,000 |  |  | 0.40 ± 0.50 |" in text
+        "| `two` | preset | visited | 2 | 1,000 to 3,000 |  |  | 0.30 |" in text
+        and "| `three` | preset | visited | 3 | 1,000 to 3,000 |  |  | 0.40 ± 0.50 |" in text
     )
 
 

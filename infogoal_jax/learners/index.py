@@ -1,0 +1,26 @@
+"""No goal encoder at all: the code of a goal is its number (LEO). What the goal looks like is never seen, so a goal
+that training did not achieve, or a corrupted picture of one, means nothing."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+from infogoal_jax.learners.learner import GoalCode, Learner, no_loss
+
+
+@dataclasses.dataclass(frozen=True)
+class IndexConfig:
+    """No settings."""
+
+    def check(self, config) -> None:
+        """Nothing to validate."""
+
+
+def make(config: IndexConfig) -> Learner:
+    """The learner of goals that are shown as their numbers, int32 [..., 1] (`GoalSet.by_index`)."""
+    return Learner(
+        init=lambda key, example, hyper: ({}, ()),
+        encode=lambda params, goal_inputs: GoalCode(goal_inputs.astype(jnp.float32)),
+        loss=no_loss,
+        by_index=True,
+    )

@@ -1,0 +1,44 @@
+"""All goals at once: in place of one hindsight goal, each transition is learned from under every known goal, or under a
+subset drawn for each update (docs/all_goals.md)."""
+
+import dataclasses
+from typing import Literal
+
+import jax.numpy as jnp
+
+from infogoal_jax import pairs
+from infogoal_jax.errors import require
+from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
+
+
+@dataclasses.dataclass(frozen=True)
+class AllGoalsConfig:
+    """Which goals an update learns from."""
+
+    num_goals: int = 0
+    """Goals drawn for an update; 0: all that are known. For 256 transitions, 6 actions and 6,384 goals each set of
+    values takes 39 MB."""
+    achieved_share: float = 0.5
+    """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure. The
+    rest is any known goal."""
+    code: Literal["sampled", "mean"] = "sampled"
+    """`sampled`: a goal's code is drawn once an update; `mean`: its mean."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.num_goals >= 0, "relabelling.num_goals", self.num_goals, "give a whole number, 0 for all goals")
+        require(
+            0 <= self.achieved_share <= 1, "relabelling.achieved_share", self.achieved_share, "give a share from 0 to 1"
+        )
+        require(self.code in ("sampled", "mean"), "relabelling.code", self.code, "give sampled or mean")
+
+
+def make(config: AllGoalsConfig) -> Relabelling:
+    """The relabelling. What looks at one goal a transition, as a learner's loss does, sees any known goal."""
+    return Relabelling(
+        prepare=lambda context: context.achievements.known,
+        relabel=lambda key, known, row, step, goal: jnp.where(
+            known.any(), pairs.choose_from_mask(key, known, goal.shape), goal
+        ),
+        all_goals=AllGoalsSpec(config.num_goals, config.achieved_share, config.code == "mean"),
+    )

@@ -1,0 +1,117 @@
+"""Learning from every transition under all goals: the authors' numbers for LEO, ends that hold for one goal alone,
+masks, and heads that value all goals as they value one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from places import FIXTURES
+
+from infogoal_jax.agents import all_goals, value_heads
+from infogoal_jax.agents.agent import AgentBatch, AllGoals
+
+B, F, A, D, G = 5, 6, 3, 4, 7
+
+
+def batch_of(features, following, actions, goals: AllGoals, mask) -> AgentBatch:
+    """A batch of which only the transitions under all goals are learned from."""
+    return AgentBatch(
+        observation=None,
+        next_observation=None,
+        features=features,
+        code=None,
+        action=actions,
+        next_features=following,
+        next_code=None,
+        target_features=following,
+        target_code=None,
+        reward=None,
+        discount=None,
+        action_mask=mask,
+        next_action_mask=mask,
+        all_goals=goals,
+    )
+
+
+def test_targets_loss_and_gradient_are_those_of_leos_authors():
+    """Their code on random inputs: linear action values through a sigmoid, the collecting network as target network."""
+    recorded = np.load(FIXTURES / "leo.npz", allow_pickle=False)
+    steps, width, goals = recorded["achieved"].shape
+    inputs = recorded["observations"].shape[-1]
+
+    def values_of_all(weights, features, codes):
+        return jax.nn.sigmoid((features @ weights).reshape(-1, goals, 4)).swapaxes(1, 2)
+
+    def taken_of_all(weights, features, actions, codes):
+        return value_heads.of_actions(values_of_all(weights, features, codes), actions)
+
+    head = value_heads.ValueHead(None, None, values_of_all, taken_of_all)
+    first, following = (recorded["observations"][place].reshape(-1, inputs) for place in (slice(-1), slice(1, None)))
+    achieved = jnp.asarray(recorded["achieved"].reshape(-1, 1, goals))
+    reward, discount = all_goals.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
+    discount = discount * ~recorded["ended"].reshape(-1, 1)
+    mask = jnp.ones((steps * width, 4), bool)
+    target = all_goals.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
+    np.testing.assert_allclose(target, recorded["targets"].reshape(-1, goals), atol=1e-5)
+    under = AllGoals(jnp.ones(goals), None, None, reward, discount)
+    batch = batch_of(first, following, recorded["actions"].reshape(-1), under, mask)
+
+    def loss(weights):
+        return all_goals.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
+
+    found, gradient = jax.value_and_grad(loss)(jnp.asarray(recorded["trained_weights"]))
+    np.testing.assert_allclose(found, recorded["loss"], atol=1e-5)
+    np.testing.assert_allclose(gradient, recorded["gradient"], atol=1e-5)
+
+
+def test_a_transition_ends_for_the_goal_that_it_achieves_alone():
+    """Two steps: the first achieves goal 0, the second goals 0 and 1; goal 2 goes on. A step not taken achieves
+    nothing."""
+    hit = jnp.array([[[True, False, False], [True, True, False]]] * 2)
+    reward, discount = all_goals.returns_of_all(hit, jnp.array([[1.0, 1.0], [1.0, 0.0]]), 0.5)
+    np.testing.assert_allclose(reward, [[1.0, 0.5, 0.0], [1.0, 0.0, 0.0]])
+    np.testing.assert_allclose(discount, [[0.0, 0.0, 0.25], [0.0, 0.5, 0.5]])
+
+
+def test_targets_look_at_legal_actions_only():
+    values = jnp.zeros((1, 3, 2)).at[0, 1].set(9.0).at[0, 2].set(jnp.array([0.25, 0.5]))
+    target = all_goals.target_of_all(jnp.zeros((1, 2)), jnp.ones((1, 2)), values, jnp.array([[True, False, True]]))
+    np.testing.assert_allclose(target, [[0.25, 0.5]])
+
+
+def inputs_of(kind: str):
+    """A head with random parameters, features [B, F], and codes [G, d] of all goals."""
+    head = value_heads.make(kind, (8, 8), 5, bounded=kind == "index", num_actions=A, num_goals=G)
+    keys = jax.random.split(jax.random.key(0), 4)
+    features = jax.random.normal(keys[0], (B, F))
+    codes = jnp.arange(G, dtype=jnp.float32)[:, None] if kind == "index" else jax.random.normal(keys[1], (G, D))
+    return head, head.init(keys[2], features[0], codes[0]), features, codes
+
+
+@pytest.mark.parametrize("kind", ["concatenated", "product", "index"])
+def test_all_goals_at_once_have_the_values_of_each_alone(kind):
+    head, params, features, codes = inputs_of(kind)
+    alone = jnp.stack([head.values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
+    np.testing.assert_allclose(head.values_of_all(params, features, codes), alone, atol=1e-6)
+    some = jnp.array([4, 1, 1])
+    np.testing.assert_allclose(head.values_of_all(params, features, codes[some]), alone[..., some], atol=1e-6)
+    actions = jnp.arange(B) % A
+    taken = alone[jnp.arange(B), actions]
+    np.testing.assert_allclose(head.taken_of_all(params, features, actions, codes), taken, atol=1e-6)
+
+
+def test_bounded_values_lie_between_0_and_1():
+    head, params, features, codes = inputs_of("index")
+    values = head.values_of_all(jax.tree.map(lambda leaf: 50 * leaf, params), features, codes)
+    assert values.min() >= 0 and values.max() <= 1 and values.std() > 0.3
+
+
+def test_goals_without_weight_teach_nothing():
+    """The loss does not depend on their values, and the mean is over the others."""
+    predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
+    loss, _ = all_goals.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
+    np.testing.assert_allclose(loss, 0.125)
+    gradient = jax.grad(lambda values: all_goals.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
+        predicted
+    )
+    assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()

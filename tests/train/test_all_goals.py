@@ -1,0 +1,125 @@
+"""All goals at once in the program: who is learned of, what enters, and which combinations make sense."""
+
+import dataclasses
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import UserError, make_train, presets
+from infogoal_jax.learners.infobot import InfoBotConfig
+from infogoal_jax.relabelling.relabelling import AllGoalsSpec
+from infogoal_jax.replay import Transitions
+from infogoal_jax.train.all_goals import draw_goals, under_all_goals
+
+TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
+
+
+def training(method: str, **changes):
+    """Training of this method on the hand-made rooms under all goals."""
+    relabelling = None if method == "leo" else "all_goals"
+    return make_train(hand_made.config(method, relabelling=relabelling, **changes), hand_made.environment())
+
+
+def run(train):
+    """What training of one seed returns."""
+    return jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
+
+
+def test_leo_learns_nothing_of_goals_that_are_held_out():
+    """Outputs of test goals keep the bits they started with; those of training goals do not."""
+    train = training("leo", known_goals="held_out")
+    before = train.initial(jax.random.key(0), train.config.hyper, train.env).params["agent"]
+    result = run(train)
+    assert result.state.seen[TEST].any()
+    for name in ("weights", "biases"):
+        after = result.params["agent"][name]
+        np.testing.assert_array_equal(after[..., TEST], before[name][..., TEST])
+        assert (after[..., TRAIN] != before[name][..., TRAIN]).any((0, 1)).all()
+
+
+@pytest.mark.parametrize(("known_goals", "enter"), [("held_out", False), ("train", False), ("visited", True)])
+def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
+    """Though every goal was achieved."""
+    train = training("infogoal", known_goals=known_goals)
+    state = train.initial(jax.random.key(0), train.config.hyper, train.env)
+    seen = state.replace(seen=jnp.ones_like(state.seen))
+    experience, _ = train.experience_of(seen, jnp.asarray(0), train.config.hyper, train.env)
+    assert experience.known[TRAIN].all() and experience.usable[TRAIN].all()
+    assert experience.known[TEST].all() == experience.usable[TEST].all() == enter
+    assert experience.known[TEST].any() == experience.usable[TEST].any() == enter
+
+
+def test_same_key_gives_the_same_bits():
+    train = training("infogoal", num_epochs=2)
+    again = jax.jit(train)
+    first, second = (again(jax.random.key(0), train.config.hyper, train.env) for _ in range(2))
+    jax.tree.map(np.testing.assert_array_equal, first.params, second.params)
+
+
+def test_drawn_goals_are_known_and_a_share_was_achieved_in_the_batch():
+    known = jnp.zeros(50, bool).at[jnp.array([3, 7, 20])].set(True)
+    achieved = jnp.array([[[7, -1]], [[-1, 20]], [[7, 20]]])
+    goals = draw_goals(AllGoalsSpec(40, 0.5, mean_code=False), known, achieved, jax.random.key(0))
+    assert goals.shape == (40,) and set(np.asarray(goals[:20]).tolist()) == {7, 20}
+    assert set(np.asarray(goals[20:]).tolist()) == {3, 7, 20}
+    nothing = draw_goals(AllGoalsSpec(40, 1.0, mean_code=False), known, -jnp.ones_like(achieved), jax.random.key(1))
+    assert known[nothing].all()
+    assert draw_goals(AllGoalsSpec(0, 0.5, mean_code=False), known, achieved, jax.random.key(0)) is None
+
+
+@pytest.mark.parametrize("goals", [None, jnp.array([6, 0, 6])])
+def test_rewards_are_those_of_each_goal_alone(goals):
+    """As the environment decides, for every goal and transition."""
+    train = make_train(hand_made.config("none", relabelling="all_goals"), hand_made.environment())
+    env, hyper = train.env, train.config.hyper
+    params = train.initial(jax.random.key(0), hyper, env).params
+    start = jnp.arange(env.num_observations)
+    arrived = env.next_node[start, 0]
+    count = len(start)
+    batch = Transitions(
+        start, arrived, jnp.zeros(count, int), None, arrived[:, None], jnp.ones((count, 1)), jnp.zeros(count, bool)
+    )
+    known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
+    key = jax.random.key(1)
+    found = under_all_goals(train.parts, env, hyper, params, params, batch, goals, known, key, key)
+    for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
+        reached = np.asarray(env.in_view[arrived, goal])
+        np.testing.assert_array_equal(found.reward[:, place], reached)
+        np.testing.assert_allclose(found.discount[:, place], hyper.discount * ~reached)
+        assert found.weight[place] == (goal != 0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["leo", "none", "infogoal"])
+def test_goals_of_the_hand_made_rooms_are_learned(method):
+    """Those that were desired, and those that were only achieved on the way."""
+    train = training(method, num_epochs=40, epochs_per_evaluation=40, updates_per_epoch=25)
+    metrics = run(train).metrics
+    assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.8
+
+
+def test_what_does_not_go_together_is_refused():
+    env = hand_made.environment()
+    for changes, blame in (
+        ({"relabelling": "all_goals", "agent": "hrac"}, "hrac"),
+        ({"relabelling": "all_goals", "learner": InfoBotConfig(state_conditioned=True)}, "depends on the state"),
+        ({"relabelling": "all_goals", "explorer": "sse_db"}, "sse_db"),
+        ({"learner": "index", "agent": presets.load("object_search").agent}, "go together only"),
+    ):
+        with pytest.raises(UserError, match=blame):
+            make_train(hand_made.config("none", **changes), env)
+    config = hand_made.config("none")
+    with pytest.raises(UserError, match="agent.head = 'index'"):
+        make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, head="index")), env)
+    with pytest.raises(UserError, match="relabelling.achieved_share = 2"):
+        hand_made.config("none", relabelling=presets.REGISTRIES["relabelling"]["all_goals"].config(achieved_share=2))
+
+
+def test_names_say_what_is_learned_from():
+    assert presets.name_of(presets.load("object_search", "leo")) == "leo"
+    assert presets.load("object_search", "leo").agent.head == "index"
+    head = presets.load("object_search", "infogoal", relabelling="all_goals")
+    assert presets.name_of(head) == "infogoal+all_goals" and head.agent.head == "product" and head.agent.bounded
