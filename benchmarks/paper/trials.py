@@ -56,6 +56,8 @@ TABLES = {
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
+ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "shelf_goals": None}
+"""Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
 
 
 class Trial(NamedTuple):
@@ -100,7 +102,7 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""
 
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
-MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.002, 0.005, 0.02)}
+MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.0005, 0.002, 0.005, 0.02)}
 RELATIVE = {"learner.beta_rule": "relative"}
 UNCOMPRESSED = {"no compression": {"learner.beta_step": 0.0, "learner.beta_start": 0.0}}
 NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "learner.beta_threshold": 0.99}}
@@ -450,13 +452,21 @@ def load(path: Path) -> list[Row]:
 def tables(rows: list[Row]) -> dict[str, str]:
     """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
     done = {row["trial"] for row in rows}
+    all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
+    others = [trial for trial in QUEUE if trial not in all_goals]
     grouped = {
-        name: [trial for trial in QUEUE if trial in done and QUEUE[trial].task in tasks]
-        for name, (tasks, _) in TABLES.items()
+        name: ([trial for trial in others if QUEUE[trial].task in tasks], error)
+        for name, (tasks, error) in TABLES.items()
+    } | {
+        name: ([trial for trial in all_goals if trial.startswith(name)], error)
+        for name, error in ALL_GOALS_TABLES.items()
     }
-    shown = {name: trial_numbers.table(rows, trials, TABLES[name][1]) for name, trials in grouped.items() if trials}
+    shown = {}
+    for name, (trials, error) in grouped.items():
+        if run := [trial for trial in trials if trial in done]:
+            shown[name] = trial_numbers.table(rows, run, error)
     for name, pairs in COMPARISONS.items():
-        if compared := [pair for pair in pairs if done.issuperset(trial for trial, _ in pair)]:
+        if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
             shown[name] = trial_numbers.differences(rows, compared)
     return shown
 
