@@ -115,6 +115,11 @@ NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
 
 
+FINE_CODES = {
+    f"threshold 0.999, learner weight {weight}": {"learner.beta_threshold": 0.999, "learner_weight": weight}
+    for weight in (1.0, 0.1)
+}
+"""A code as fine as the cube and the shelf ask for."""
 LEARNER_WEIGHTS = {f"learner weight {weight}": {"learner_weight": weight} for weight in (1.0, 0.03, 0.001)}
 """The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
 CONSERVATIVE = {
@@ -267,13 +272,13 @@ QUEUE = {
         "house_goals",
         "object_search",
         HOUSE | {"epochs_per_evaluation": 10},
-        {"infogoal_head": LEARNER_WEIGHTS, "infobot_head": LEARNER_WEIGHTS},
+        {"infogoal_head": LEARNER_WEIGHTS | FINE_CODES, "infobot_head": LEARNER_WEIGHTS},
     ),
     **all_goals_trials(
         "cube_dqn",
         "object_manipulation",
         CUBE,
-        {"leo": CUBE_HEAD, "head": CUBE_HEAD, "infogoal_head": CUBE_LEARNER, "infobot_head": CUBE_LEARNER},
+        {"leo": CUBE_HEAD, "head": CUBE_HEAD, "infogoal_head": CUBE_LEARNER | FINE_CODES, "infobot_head": CUBE_LEARNER},
         agent="dqn",
     ),
     # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
@@ -301,7 +306,7 @@ QUEUE = {
         for short, method, relabelling, lanes in (
             ("her", "her", None, {"preset": {}}),
             ("head", "all_goals", None, CUBE_HEAD),
-            ("infogoal_head", "infogoal", "all_goals", CUBE_LEARNER),
+            ("infogoal_head", "infogoal", "all_goals", CUBE_LEARNER | FINE_CODES),
         )
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
