@@ -24,7 +24,7 @@ def parts_in_words(name: str) -> str:
 
 
 def description(name: str) -> str:
-    """What a method is, in a line: the first of the docstring of the file that it is written in."""
+    """What a method is: the first paragraph of the docstring of its file, in one line."""
     method = presets.METHODS[name]
     if method.explorer != "none":
         entry = exploration.registry.entry(method.explorer)
@@ -34,7 +34,7 @@ def description(name: str) -> str:
             if method.relabelling
             else learners.registry.entry(method.learner)
         )
-    return (inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n")[0]
+    return " ".join((inspect.getmodule(entry.config).__doc__ or "").strip().partition("\n\n")[0].split())
 
 
 def against(task: str, method: str, **parts: str | None) -> list[Refusal]:

@@ -11,7 +11,7 @@ import jax
 import pytest
 
 import infogoal_jax
-from infogoal_jax import envs, presets
+from infogoal_jax import agents, envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
@@ -174,7 +174,15 @@ def help_of(capsys, monkeypatch):
         ("train", [*presets.registry, "--resume"]),
         (
             "train object_search",
-            ["--seeds", "--num-epochs", "--method", "--agent", "dqn, hrac, cql", "--help-all", "default: 100"],
+            [
+                "--seeds",
+                "--num-epochs",
+                "--method",
+                "--agent",
+                ", ".join(agents.registry),
+                "--help-all",
+                "default: 100",
+            ],
         ),
         ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
