@@ -23,7 +23,7 @@ class Hyperparameters:
     """Floats that every compiled program takes as an argument, and those of its parts."""
 
     learning_rate: Annotated[float, Number("(0, inf)", Search(1e-4, 3e-3, "log"))] = 1e-3
-    """Step of Adam, for every network [A]."""
+    """Learning rate of Adam, for every network [A]."""
     discount: Annotated[float, Number("[0, 1)", Search(0.9, 0.995, "log of 1 - x"))] = 0.95
     """Discount of one environment step."""
     epsilon: Annotated[float, Number("[0, 1]", Search(0.05, 0.5, "linear", always=False))] = 0.2
@@ -31,24 +31,25 @@ class Hyperparameters:
     test_epsilon: Annotated[float, Number("[0, 1]")] = 0.0
     """Probability of a random action in evaluation. Choose it on training goals only."""
     noise: Annotated[float, Number("[0, inf)", Search(0.05, 0.5, "linear", always=False))] = 0.2
-    """Standard deviation of the noise on continuous actions while collecting: 3 cm of the subgoal's 15."""
+    """Standard deviation of the noise on continuous actions while collecting; 0.2 is 3 cm of a subgoal's 15 cm."""
     target_rate: Annotated[float, Number("(0, 1]", Search(0.005, 0.1, "log"))] = 0.01
-    """How far the target networks follow at each update."""
+    """Share by which the target networks move towards the trained networks in each update."""
     max_gradient_norm: Annotated[float, Number("(0, inf)")] = 10.0
     """Gradients are scaled down to this global norm."""
     learner_weight: Annotated[float, Number("[0, inf)", Search(1e-3, 10.0, "log"))] = 1.0
     """Weight of the goal-representation loss beside the loss of the agent [A]."""
     intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log"))] = 5.0
-    """Intrinsic reward of a whole episode spent at the mean distance from the goal, in successes; 0 turns it off."""
+    """Weight of the intrinsic reward: that of an episode spent at the mean distance from the goal, in successes; 0
+    turns it off."""
     explorer_weight: Annotated[float, Number("[0, inf)")] = 0.01
     """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]."""
     bonus_weight: Annotated[float, Number("[0, inf)", Search(0.005, 0.5, "log"))] = 0.05
     """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of
     1."""
     learner: Any = NoHyperparameters()
-    """Those of the learner."""
+    """Float hyperparameters of the learner."""
     agent: Any = NoHyperparameters()
-    """Those of the agent."""
+    """Float hyperparameters of the agent."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,18 +80,18 @@ class TrainConfig:
     env: Any
     """Configuration of the environment (dataset, episode length, ...)."""
     learner: Any
-    """Configuration of a goal-representation learner, see `infogoal_jax.learners.registry`; it says which learner it
-    is."""
+    """Configuration of the goal-representation learner; its type says which learner it is
+    (`infogoal_jax.learners.registry`)."""
     agent: Any
-    """Configuration of a reinforcement-learning agent, see `infogoal_jax.agents.registry`."""
+    """Configuration of the reinforcement-learning agent (`infogoal_jax.agents.registry`)."""
     relabelling: Any
-    """Configuration of a relabelling of goals, see `infogoal_jax.relabelling.registry`."""
+    """Configuration of the relabelling of goals (`infogoal_jax.relabelling.registry`)."""
     explorer: Any
-    """Configuration of an explorer, see `infogoal_jax.exploration.registry`."""
+    """Configuration of the explorer (`infogoal_jax.exploration.registry`)."""
     state_encoder: StateEncoderConfig = dataclasses.field(default_factory=StateEncoderConfig)
     """Configuration of the encoder of image observations."""
     hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
-    """Default values of the compiled program's arguments."""
+    """Float hyperparameters: default values of arguments of the compiled program."""
     num_epochs: int = 120
     """Epochs: each collects, then updates."""
     epochs_per_evaluation: int = 10
@@ -115,7 +116,7 @@ class TrainConfig:
     stop_encoder_gradient: bool = False
     """Keep the gradient of the agent's loss from reaching the goal encoder (the paper lets it through)."""
     evaluation_starts: int = 10
-    """Start states tried for each goal in an evaluation."""
+    """Start states for each goal in an evaluation."""
 
     def __post_init__(self):
         for name in (
