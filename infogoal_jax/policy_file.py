@@ -70,7 +70,7 @@ class ExportedPolicy:
     def __init__(self, path):
         with np.load(path, allow_pickle=False) as file:
             self.about, self.program = json.loads(str(file["about"])), json.loads(str(file["program"]))
-            self.goals = file["goals"] if "goals" in file else None
+            self.goals = file.get("goals")
             self.constants = [file[f"constant_{index}"] for index in range(self.program["constants"])]
 
     def values(self, observation, goal, noise=None):

@@ -24,8 +24,11 @@ class DroneFlags:
 
     simulate: FlagCreatePairsOff[bool] = False
     """Fly a simulated drone, a process of its own on this machine, in front of the generated shelf."""
+    simulated: tuple[int, int] | None = None
+    """Ports for commands and for questions of a simulated drone that runs already; None: start one."""
     start: tuple[int, int] = (17, 4)
-    """Column (0 to 35) and row (0 to 8) of the place of the generated shelf before which the simulated drone takes off."""
+    """Column (0 to 35) and row (0 to 8) of the place of the generated shelf before which the simulated drone takes
+    off."""
     speed: float = 1.0
     """Simulated seconds in a second."""
     seed: int = 0
@@ -48,7 +51,8 @@ class DroneFlags:
     battery_floor: int = 25
     """Per cent of the battery at which it lands."""
     weights: str = ""
-    """File of the weights of a YOLO network, which detects the objects; the simulated drone has a detector of its own."""
+    """File of the weights of a YOLO network, which detects the objects; the simulated drone has a detector of its
+    own."""
     confidence: float = 0.5
     """Of the detector, from which an object counts as seen."""
     yes: FlagCreatePairsOff[bool] = False
@@ -84,7 +88,7 @@ def fly(
     embeddings: str = "",
     record: str = "",
     out: str = "",
-    drone: Flags = DroneFlags(),  # noqa: B008, it is frozen
+    drone: Flags = DroneFlags(),
 ) -> int:
     """Fly a policy of embodied question answering on a Tello, or on a simulated one (docs/drone.md).
 
@@ -115,7 +119,7 @@ def record(
     origin: tuple[int, int] = (0, 0),
     size: tuple[int, int] = (48, 64),
     out: str = "",
-    drone: Flags = DroneFlags(),  # noqa: B008, it is frozen
+    drone: Flags = DroneFlags(),
 ) -> int:
     """Fly to and fro and record pictures and moves for `infogoal data import` (docs/drone.md).
 

@@ -152,8 +152,8 @@ def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) 
 
 
 def as_goal_inputs(embeddings: np.ndarray) -> np.ndarray:
-    """Embeddings float32 [N, D] of length 1 as the goal encoder of embodied question answering takes them: networks want
-    numbers of the order of 1."""
+    """Embeddings float32 [N, D] of length 1 as the goal encoder of embodied question answering takes them: networks
+    want numbers of the order of 1."""
     return embeddings * np.float32(np.sqrt(embeddings.shape[1]))
 
 

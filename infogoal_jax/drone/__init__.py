@@ -8,7 +8,7 @@
 | `link.py` | commands, state and video, through djitellopy |
 | `detection.py` | whether the object is in view |
 | `log.py`, `recording.py` | what a flight leaves behind |
-| `simulated_tello.py`, `simulated_body.py`, `simulated_video.py` | a Tello in a process of its own, for tests and practice |
+| `simulated_tello.py`, `simulated_body.py`, `simulated_video.py` | a Tello in a process of its own |
 
 Nothing here is imported by the rest of the package but the commands `infogoal fly` and `infogoal record`.
 """

@@ -69,8 +69,8 @@ class Whereabouts:
 
 
 def allowed(envelope: Envelope, place: Whereabouts, moves: Sequence[str], below: float | None = None) -> np.ndarray:
-    """Which of the moves stay inside from wherever the drone may be, bool [A]. below: cm to what lies under the drone, None
-    if it is not known."""
+    """Which of the moves stay inside from wherever the drone may be, bool [A]. below: cm to what lies under the drone,
+    None if it is not known."""
 
     def stays(move: str) -> bool:
         there = place.after(move, "made")

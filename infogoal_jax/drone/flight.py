@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,8 +32,6 @@ LINK_SECONDS, LINK_LOST_SECONDS = 1.0, 4.0
 """Without a state packet: no move is made; the flight ends."""
 SILENT_SECONDS = 30.0
 """Without a state packet while landing: the firmware has landed by itself."""
-QUIET_SECONDS = 1.0
-"""After the last command: what moves now was not told to by this program."""
 FOREIGN_SPEED = 2
 """dm/s of the state packet from which the drone moves, rather than drifts."""
 HEIGHT_OFF = 30
@@ -72,11 +70,11 @@ class Outcome:
     landed: bool
 
 
-class Landing(Exception):
+class Landing(Exception):  # noqa: N818, it is no error
     """Ends the steps of a flight; its text is the reason."""
 
 
-class Interrupted(Exception):
+class Interrupted(Exception):  # noqa: N818, it is no error
     """A signal asks the program to end; its text is the signal's name."""
 
 
@@ -108,12 +106,12 @@ class Flight:
         self.refused: set[str] = set()
         self.before_move: np.ndarray | None = None
         self.rest_since, self.hover_height = 0.0, 0
-        self.found = False
+        self.found, self.signals = False, Signals()
 
     def fly(self) -> Outcome:
         """The whole flight. Raises `UserError` for what is found on the ground; an error in the air is raised after the
         landing."""
-        with signals_raise(self.log) as landing_now:
+        with self.signals:
             try:
                 self.check_on_ground()
             except Interrupted as end:
@@ -124,7 +122,7 @@ class Flight:
                 raise
             try:
                 reason, error = self.until_landing()
-                landing_now.set()
+                self.signals.landing = True
             except (
                 Interrupted
             ) as end:  # It came while the reason was noted. A second one only leaves a line in the log.
@@ -211,18 +209,9 @@ class Flight:
             self.unanswered += 1
             if self.unanswered >= MOST_UNANSWERED:
                 raise Landing(f"{self.unanswered} moves were never answered")
-            self.resynchronise()
+            if not self.link.resynchronise(QUERY_SECONDS):
+                raise Landing("the drone no longer answers")
         self.rest(answer)
-
-    def resynchronise(self) -> None:
-        """After a missing answer: ask for the battery until a number comes, so that a late "ok" is not taken for the answer
-        to the next move."""
-        for _ in range(3):
-            answer = self.link.send("battery?", QUERY_SECONDS)
-            late = self.link.tello.get_own_udp_object()["responses"]
-            if answer.text.isdigit() or any(text.strip().isdigit() for text in late):
-                return
-        raise Landing("the drone no longer answers")
 
     def rest(self, answer: Answer) -> None:
         """From here on images show where the command led to."""
@@ -247,7 +236,8 @@ class Flight:
         return fault_of(self.link.pictures(), time.monotonic(), self.rest_since, self.link.speed, before)
 
     def check_link(self) -> None:
-        """Wait while state packets are late; raise `Landing` where they stay away, and where nothing is logged any more."""
+        """Wait while state packets are late; raise `Landing` where they stay away, and where nothing is logged any
+        more."""
         if self.log.failed is not None:
             raise Landing(f"the log cannot be written: {self.log.failed}")
         age = self.link.state()[1]
@@ -273,8 +263,8 @@ class Flight:
                 )
 
     def quiet(self) -> bool:
-        """Whether the last command is so long ago that the drone must hover."""
-        return (time.monotonic() - self.rest_since) * self.link.speed > QUIET_SECONDS - REST_SECONDS
+        """Whether the last command was answered so long ago that the drone must hover."""
+        return time.monotonic() > self.rest_since
 
     def tell(self, picture: Picture, in_view: set[str], move: str) -> None:
         """Log what is seen, and tell whoever wants to know."""
@@ -283,8 +273,8 @@ class Flight:
             self.visit(picture, self.place, in_view, move)
 
     def land(self, reason: str) -> bool:
-        """Land, whatever it takes. Returns whether the drone said that it is on the ground; it did not if the link is dead,
-        and then its firmware lands.
+        """Land, whatever it takes. Returns whether the drone said that it is on the ground; it did not if the link is
+        dead, and then its firmware lands.
 
         An "ok" is not enough: it may belong to a command from before. The state packets must say that the motors rest.
         """
@@ -292,7 +282,11 @@ class Flight:
         say(f"landing: {reason}")
         while True:
             self.link.send("land", LAND_SECONDS)
-            if self.wait(self.link.on_ground, 3.0):
+            landed = self.wait(self.link.on_ground, 3.0)
+            for name in self.signals.names:
+                self.log.write("signal", name=name)
+            self.signals.names.clear()
+            if landed:
                 return True
             if self.link.state()[1] > SILENT_SECONDS:
                 self.log.write(
@@ -319,31 +313,32 @@ def pictures_pause(speed: float) -> float:
     return 0.02 / speed
 
 
-@contextlib.contextmanager
-def signals_raise(log: Log) -> Iterator[threading.Event]:
-    """Within, the first Ctrl-C, end of the terminal or polite kill raises `Interrupted` and sets the event that is yielded.
-    While it is set they are noted and nothing more: the drone is landing already."""
-    landing = threading.Event()
+class Signals:
+    """Ctrl-C, the end of the terminal and a polite kill. The first raises `Interrupted`; once it lands they are only
+    noted.
 
-    def raise_once(number, frame):
-        name = signal.Signals(number).name
-        log.write("signal", name=name)
-        if landing.is_set():
-            say("landing already; the propellers still turn")
-        else:
-            landing.set()
-            raise Interrupted(name)
+    A handler may run within any line of the program, so that it neither prints nor writes.
+    """
 
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    if threading.current_thread() is not threading.main_thread():
-        yield landing
-        return
-    before = {name: signal.signal(getattr(signal, name), raise_once) for name in names}
-    try:
-        yield landing
-    finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
+    def __init__(self):
+        self.landing, self.names = False, []
+
+    def __enter__(self) -> "Signals":
+        numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+        in_main = threading.current_thread() is threading.main_thread()  # Others get no signals.
+        self.before = {number: signal.signal(number, self.receive) for number in numbers if in_main}
+        return self
+
+    def __exit__(self, *raised) -> None:
+        for number, handler in self.before.items():
+            signal.signal(number, handler)
+
+    def receive(self, number: int, frame) -> None:
+        """Note a signal, and raise it if it is the first and nothing else ended the flight before."""
+        self.names.append(signal.Signals(number).name)
+        if not self.landing:
+            self.landing = True
+            raise Interrupted(self.names[-1])
 
 
 def say(words: str) -> None:

@@ -21,6 +21,8 @@ POLL_SECONDS = 0.004
 """Between two looks at what djitellopy received."""
 KEPT_SECONDS = 4.0
 """How long pictures are kept."""
+NO_IMAGE_YET = (300, 400)
+"""Height and width of what djitellopy gives before the first image of the video, which has another size."""
 NO_ANSWER = ("Aborting command", "response decode error")
 """How djitellopy's texts begin where the drone did not answer."""
 
@@ -60,8 +62,8 @@ def check_ports(ports: tuple[int, int, int]) -> None:
                 trial.bind(("", port))
             except OSError as error:
                 raise UserError(
-                    f"port {port} of this machine is taken ({error.strerror}): another program controls the drone; end it "
-                    "first"
+                    f"port {port} of this machine is taken ({error.strerror}): another program controls the drone; "
+                    "end it first"
                 ) from error
 
 
@@ -80,7 +82,8 @@ class Link:
         self.tello = self.reader = self.watcher = None
 
     def connect(self) -> None:
-        """Enter the SDK mode, turn the video on and begin to watch. Raises `UserError` where the drone does not answer."""
+        """Enter the SDK mode, turn the video on and begin to watch. Raises `UserError` where the drone does not
+        answer."""
         tello_class = import_djitellopy()
         check_ports(self.address.local_ports)
         tello_class.LOGGER.setLevel(logging.CRITICAL)  # The log of the flight says it all.
@@ -93,8 +96,8 @@ class Link:
                 answers.append(self.send(command, 2.0))
             if answers[-1].outcome != "made":
                 raise UserError(
-                    f"drone = {self.address.host}: {command!r} was not answered with ok ({answers[-1].text}): turn it on, "
-                    "join its Wi-Fi, and let the firewall pass UDP ports "
+                    f"drone = {self.address.host}: {command!r} was not answered with ok ({answers[-1].text}): turn it "
+                    "on, join its Wi-Fi, and let the firewall pass UDP ports "
                     f"{', '.join(map(str, self.address.local_ports))}"
                 )
         self.running = True
@@ -104,8 +107,8 @@ class Link:
             self.reader = self.tello.get_frame_read()
         except Exception as error:  # djitellopy and PyAV raise many kinds; the drone is on the ground.
             raise UserError(
-                f"drone = {self.address.host}: no video on port {video_port} ({error}): let the firewall pass it, and turn "
-                "the drone off and on"
+                f"drone = {self.address.host}: no video on port {video_port} ({error}): let the firewall pass it, and "
+                "turn the drone off and on"
             ) from error
 
     def watch(self) -> None:
@@ -120,9 +123,9 @@ class Link:
                     self.motor_time, self.motor_since = state.get("time"), now
                 self.state_packet, self.state_time = state, now
                 self.state_count += 1
-                self.log.write("state", now, **state)
+                self.log.write("state", now, packet=state)
             frame = self.reader.frame if self.reader is not None else None
-            if frame is not None and frame is not last_frame and frame.any():
+            if frame is not None and frame is not last_frame and frame.shape[:2] != NO_IMAGE_YET:
                 last_frame = frame
                 self.recent.append(Picture(now, reduced(frame, self.size), frame))
                 self.log.write("image", now)
@@ -131,7 +134,8 @@ class Link:
             time.sleep(POLL_SECONDS)
 
     def send(self, command: str, seconds: float) -> Answer:
-        """Send a command once and wait for its answer, `seconds` of the drone at most and at least one of this machine."""
+        """Send a command once and wait for its answer, `seconds` of the drone at most and at least one of this
+        machine."""
         waiting = self.tello.get_own_udp_object()["responses"]
         while waiting:
             self.log.write("stray answer", text=waiting.pop(0).decode("utf-8", "replace"))
@@ -149,6 +153,16 @@ class Link:
         self.log.write("answer", received, command=command, outcome=outcome, text=text)
         return Answer(outcome, text, sent, received)
 
+    def resynchronise(self, seconds: float) -> bool:
+        """After a missing answer: ask for the battery until a number comes, so that a late "ok" is not taken for the
+        answer to the next command. Returns whether one came."""
+        waiting = self.tello.get_own_udp_object()["responses"]
+        for _ in range(3):
+            answer = self.send("battery?", seconds)
+            if answer.text.isdigit() or any(late.strip().isdigit() for late in waiting):
+                return True
+        return False
+
     def state(self) -> tuple[dict[str, Any], float]:
         """The last state packet, {} before the first, and its age in seconds of the drone."""
         return self.state_packet, (time.monotonic() - self.state_time) * self.speed
@@ -165,8 +179,8 @@ class Link:
         return bool(state) and age < 1.0 and at_rest and state.get("vgz") == 0
 
     def close(self) -> None:
-        """Stop watching and turn the video off. The reader ends first, while images still come: it looks whether it shall
-        end only when one arrives."""
+        """Stop watching and turn the video off. The reader ends first, while images still come: it looks whether it
+        shall end only when one arrives."""
         self.running = False
         if self.watcher is not None:
             self.watcher.join()

@@ -14,16 +14,16 @@ NAME = "flight.jsonl"
 class Log:
     """Writes the log. Times are seconds since its start, by a clock that never jumps.
 
-    Writing raises nothing, because a disk that refuses must not keep a drone in the air: the first error stays in `failed`,
-    and the flight ends for it.
+    Writing raises nothing, because a disk that refuses must not keep a drone in the air: the first error stays in
+    `failed`, and the flight ends for it.
     """
 
     def __init__(self, folder: Path):
-        self.path, self.failed, self.lock = folder / NAME, None, threading.Lock()
+        self.path, self.failed, self.lock = folder / NAME, None, threading.RLock()
         self.began = time.monotonic()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            self.file = open(self.path, "x", encoding="utf-8")
+            self.file = open(self.path, "x", encoding="utf-8")  # noqa: SIM115, `close` closes it
         except OSError as error:
             raise UserError(
                 f"out = {str(folder)!r}: {error.strerror}; give a new folder that can be written to"

@@ -1,7 +1,9 @@
 """What `infogoal fly` and `infogoal record` put together: a policy and a question, the drone or a simulated one, the
 envelope, the detector and the log."""
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,6 +40,7 @@ class Settings:
     """A flight's settings, as the flags of the commands have them (infogoal_jax/cli/fly.py)."""
 
     simulate: bool
+    simulated: tuple[int, int] | None
     start: tuple[int, int]
     speed: float
     seed: int
@@ -148,8 +151,19 @@ def run_mission(
     require(settings.simulate or settings.speed == 1, "speed", settings.speed, "a real drone has its own; leave it out")
     import_djitellopy()
     if not settings.simulate:
-        detect = real_detector(settings.weights, target)
-        return fly_at(folder, Address(settings.host, 8889, settings.ports), detect, flown, target, envelope, limits, settings, record, origin)  # fmt: skip
+        detect, address = real_detector(settings.weights, target), Address(settings.host, 8889, settings.ports)
+        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+    with simulated_drone(settings) as (port, truth_port):
+        detect, address = simulated_detector(truth_port), Address("127.0.0.1", port, settings.ports)
+        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+
+
+@contextlib.contextmanager
+def simulated_drone(settings: Settings) -> Iterator[tuple[int, int]]:
+    """The ports of a simulated drone, for commands and for questions: one that runs already, or one for this flight."""
+    if settings.simulated is not None:
+        yield settings.simulated
+        return
     from infogoal_jax.drone import simulated_tello
     from infogoal_jax.stand_ins import shelf
 
@@ -157,18 +171,20 @@ def run_mission(
     inside = (place >= 0).all() and (place < [shelf.COLUMNS, shelf.ROWS]).all()
     require(bool(inside), "start", settings.start, f"give 0 to {shelf.COLUMNS - 1} and 0 to {shelf.ROWS - 1}")
     _, state_port, video_port = settings.ports
-    first = tuple((shelf.FIRST + shelf.STEP * place).tolist())
-    drone = simulated_tello.start(
+    started = simulated_tello.start(
         simulated_tello.SimulatedTello(
-            first, settings.shelf_seed, settings.seed, settings.speed, state_port=state_port, video_port=video_port
+            first=tuple((shelf.FIRST + shelf.STEP * place).tolist()),
+            shelf_seed=settings.shelf_seed,
+            seed=settings.seed,
+            speed=settings.speed,
+            state_port=state_port,
+            video_port=video_port,
         )
     )
     try:
-        address = Address("127.0.0.1", drone.port, settings.ports)
-        detect = simulated_detector(drone.truth_port)
-        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+        yield started.port, started.truth_port
     finally:
-        drone.stop()
+        started.stop()
 
 
 def real_detector(weights: str, target: str) -> Detector:

@@ -11,9 +11,8 @@ import numpy as np
 from infogoal_jax.stand_ins import shelf
 
 FLOOR = -0.5
-"""Height of the floor in the shelf's frame; the drone takes off from a stand in front of its first place."""
-STAND = 0.3
-"""Half the width of the stand."""
+"""Height of the floor in the shelf's frame. The drone takes off from a stand below its first place, which is then taken
+away."""
 TAKEOFF_HEIGHT = 0.8
 """Where a Tello hovers after it took off."""
 TAKEOFF_SECONDS, LATENCY, SPEED, SETTLING, DESCENT = 4.0, 0.1, 0.4, 0.5, 0.4
@@ -55,7 +54,8 @@ class Body:
     def __init__(self, first: np.ndarray, random: np.random.Generator, battery: float = 87.0):
         """first: where it hovers after it took off, m [2]; battery: per cent."""
         self.random, self.battery = random, battery
-        self.stand_x, self.stand_top = float(first[0]), max(float(first[1]) - TAKEOFF_HEIGHT, FLOOR)
+        self.stand_top = max(float(first[1]) - TAKEOFF_HEIGHT, FLOOR)
+        self.ground = self.stand_top
         self.first = np.array(first, float)
         self.nominal = np.array([first[0], self.stand_top])
         self.drift, self.roll, self.velocity = np.zeros(2), 0.0, np.zeros(2)
@@ -72,11 +72,6 @@ class Body:
         return self.nominal + self.drift
 
     @property
-    def ground(self) -> float:
-        """Height of what is below."""
-        return self.stand_top if abs(self.position[0] - self.stand_x) < STAND else FLOOR
-
-    @property
     def in_air(self) -> bool:
         """Whether the motors turn."""
         return self.phase != "ground"
@@ -90,6 +85,7 @@ class Body:
             self.nominal = self.motion.at(now)
             if now >= self.motion.ends:
                 self.phase, self.motion = self.motion.following, None
+                self.ground = FLOOR
         self.velocity = (self.nominal - before) / passed if passed > 0 else self.velocity
         if not self.in_air:
             self.drift, self.roll = np.zeros(2), 0.0

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.drone.simulated_body import DIRECTIONS, Body
+from infogoal_jax.drone.simulated_video import Camera, Encoder, VideoFaults
 from infogoal_jax.errors import UserError
 
 STATE_RATE = 10
@@ -64,6 +65,10 @@ class Started:
         """What the drone's second port answers. Raises `UserError` if nothing answers."""
         return ask(self.truth_port, question)
 
+    def restart(self, settings: SimulatedTello) -> None:
+        """Begin anew with these settings; shelf and rate of images stay as they are, which saves drawing the shelf."""
+        self.ask(json.dumps(dataclasses.asdict(settings)))
+
     def stop(self) -> None:
         """End the process."""
         self.process.terminate()
@@ -85,8 +90,8 @@ def ask(truth_port: int, question: str) -> dict[str, Any]:
 
 
 def start(settings: SimulatedTello) -> Started:
-    """Start a simulated drone. Its process has a session of its own: Ctrl-C in the terminal does not reach it, as it does
-    not reach a drone."""
+    """Start a simulated drone. Its process has a session of its own: Ctrl-C in the terminal does not reach it, as it
+    does not reach a drone."""
     command = [sys.executable, "-m", "infogoal_jax.drone.simulated_tello", json.dumps(dataclasses.asdict(settings))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     line = process.stdout.readline()
@@ -99,26 +104,25 @@ class Process:
     """The simulated drone's sockets and clock around its body and camera."""
 
     def __init__(self, settings: SimulatedTello):
-        from infogoal_jax.drone.simulated_video import Camera, VideoFaults
-
-        random = np.random.default_rng(settings.seed)
-        self.settings, self.random = settings, np.random.default_rng([settings.seed, 1])
-        self.body = Body(np.array(settings.first), random, settings.battery)
-        self.camera, self.video_faults = (
-            Camera(settings.shelf_seed, np.random.default_rng([settings.seed, 2])),
-            VideoFaults(),
-        )
+        self.camera = Camera(settings.shelf_seed, np.random.default_rng([settings.seed, 2]))
         self.commands, self.truth = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self.out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         for one in (self.commands, self.truth, self.out):
             one.bind(("127.0.0.1", 0))
-        self.lock, self.began = threading.Lock(), time.monotonic()
+        self.lock, self.running = threading.Lock(), True
+        self.last_heard = time.monotonic()
+        self.restart(settings)
+
+    def restart(self, settings: SimulatedTello) -> None:
+        """A new flight before the same shelf: a fresh battery, no client, and these faults."""
+        self.settings, self.random = settings, np.random.default_rng([settings.seed, 1])
+        self.body = Body(np.array(settings.first), np.random.default_rng(settings.seed), settings.battery)
+        self.video_faults, self.began = VideoFaults(), time.monotonic()
         self.client: str | None = None
         self.awaiting: list[tuple[Any, str]] = []
-        self.streaming, self.running = False, True
+        self.streaming, self.next_state = False, 0.0
         self.moves, self.loss, self.dead_until = 0, 0.0, -1.0
         self.faults = [dict(fault) for fault in settings.faults]
-        self.last_heard = time.monotonic()
         self.begin_faults()
 
     def now(self) -> float:
@@ -189,10 +193,13 @@ class Process:
 
     def answer_question(self) -> None:
         """Answer a question on the second port."""
-        data, sender = self.truth.recvfrom(1024)
+        data, sender = self.truth.recvfrom(65_535)
         self.last_heard = time.monotonic()
         question, body = data.decode(), self.body
-        if question == "boxes":
+        if question.startswith("{"):
+            self.restart(settings_of(question))
+            answer = {}
+        elif question == "boxes":
             answer = self.camera.boxes(body.position, body.roll) if body.phase == "hovering" else {}
         else:
             answer = {
@@ -212,7 +219,6 @@ class Process:
         """Serve until the process is ended, or nobody asks any more and the drone is on the ground."""
         video = threading.Thread(target=self.stream, daemon=True)
         video.start()
-        next_state = 0.0
         while self.running:
             for ready in select.select([self.commands, self.truth], [], [], 0.005)[0]:
                 with self.lock:
@@ -220,8 +226,8 @@ class Process:
             with self.lock:
                 self.body.advance(self.now())
                 self.finish_motions()
-                if self.client is not None and self.now() >= next_state:
-                    next_state = self.now() + 1 / STATE_RATE
+                if self.client is not None and self.now() >= self.next_state:
+                    self.next_state = self.now() + 1 / STATE_RATE
                     if not self.lost():
                         self.out.sendto(self.body.state().encode(), (self.client, self.settings.state_port))
             if not self.body.in_air and time.monotonic() - self.last_heard > ALONE_SECONDS:
@@ -229,8 +235,6 @@ class Process:
 
     def stream(self) -> None:
         """Stream the video while it is on."""
-        from infogoal_jax.drone.simulated_video import Encoder
-
         encoder = Encoder(self.settings.frames_per_second)
         following = time.monotonic()
         while self.running:
@@ -248,10 +252,15 @@ class Process:
                         self.out.sendto(packet, (self.client, self.settings.video_port))
 
 
+def settings_of(words: str) -> SimulatedTello:
+    """The settings that are written down in JSON."""
+    settings = json.loads(words)
+    return SimulatedTello(**(settings | {"first": tuple(settings["first"]), "faults": tuple(settings["faults"])}))
+
+
 def main() -> None:
     """Run the simulated drone of the JSON argument; the first line that it prints names its ports."""
-    settings = json.loads(sys.argv[1])
-    simulated = Process(SimulatedTello(**(settings | {"faults": tuple(settings["faults"])})))
+    simulated = Process(settings_of(sys.argv[1]))
 
     def end(number, frame):
         simulated.running = False

@@ -17,7 +17,8 @@ from infogoal_jax.data import frames, questions, text
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
-from infogoal_jax.goals import NO_USE, GoalSet
+from infogoal_jax.goal_uses import NO_USE
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.replay import Trajectories
 
 
