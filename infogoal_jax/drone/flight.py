@@ -6,9 +6,7 @@ of the video, a dead link, an error in any part of the program, Ctrl-C, the end 
 
 import contextlib
 import dataclasses
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,9 +15,11 @@ import numpy as np
 
 from infogoal_jax.drone.detection import Detector, seen
 from infogoal_jax.drone.envelope import STEP, Envelope, Whereabouts, allowed
+from infogoal_jax.drone.limits import Limits
 from infogoal_jax.drone.link import Answer, Link
 from infogoal_jax.drone.log import Log
 from infogoal_jax.drone.pictures import Picture, fault_of
+from infogoal_jax.drone.signals import Interrupted, Signals
 from infogoal_jax.errors import UserError, require
 
 MOVE_SECONDS, TAKEOFF_SECONDS, LAND_SECONDS, QUERY_SECONDS = 7.0, 20.0, 10.0, 2.0
@@ -43,24 +43,6 @@ AT_ONCE = ("auto land", "motor stop", "imu")
 
 
 @dataclasses.dataclass(frozen=True)
-class Limits:
-    """What ends a flight."""
-
-    steps: int = 50
-    """Moves that are tried at most [P]."""
-    battery_floor: int = 25
-    """Per cent of the battery at which it lands."""
-    confidence: float = 0.5
-    """Of the detector, from which an object counts as seen."""
-
-    def check(self) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.steps > 0, "steps", self.steps, "give a whole number greater than 0")
-        require(15 <= self.battery_floor < 100, "battery_floor", self.battery_floor, "give 15 to 99 per cent")
-        require(0 < self.confidence <= 1, "confidence", self.confidence, "give a number in (0, 1]")
-
-
-@dataclasses.dataclass(frozen=True)
 class Outcome:
     """How a flight ended. reason: of the landing; landed: whether the drone said that it is on the ground."""
 
@@ -72,10 +54,6 @@ class Outcome:
 
 class Landing(Exception):  # noqa: N818, it is no error
     """Ends the steps of a flight; its text is the reason."""
-
-
-class Interrupted(Exception):  # noqa: N818, it is no error
-    """A signal asks the program to end; its text is the signal's name."""
 
 
 Policy = Callable[[np.ndarray, np.ndarray], int]
@@ -123,9 +101,8 @@ class Flight:
             try:
                 reason, error = self.until_landing()
                 self.signals.landing = True
-            except (
-                Interrupted
-            ) as end:  # It came while the reason was noted. A second one only leaves a line in the log.
+            except Interrupted as end:
+                # It came while the reason was noted. Another one is not raised any more.
                 reason, error = f"interrupted by {end}", None
             landed = self.land(reason)
         self.end(reason, landed)
@@ -311,34 +288,6 @@ class Flight:
 def pictures_pause(speed: float) -> float:
     """Seconds between two looks at pictures and state."""
     return 0.02 / speed
-
-
-class Signals:
-    """Ctrl-C, the end of the terminal and a polite kill. The first raises `Interrupted`; once it lands they are only
-    noted.
-
-    A handler may run within any line of the program, so that it neither prints nor writes.
-    """
-
-    def __init__(self):
-        self.landing, self.names = False, []
-
-    def __enter__(self) -> "Signals":
-        numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-        in_main = threading.current_thread() is threading.main_thread()  # Others get no signals.
-        self.before = {number: signal.signal(number, self.receive) for number in numbers if in_main}
-        return self
-
-    def __exit__(self, *raised) -> None:
-        for number, handler in self.before.items():
-            signal.signal(number, handler)
-
-    def receive(self, number: int, frame) -> None:
-        """Note a signal, and raise it if it is the first and nothing else ended the flight before."""
-        self.names.append(signal.Signals(number).name)
-        if not self.landing:
-            self.landing = True
-            raise Interrupted(self.names[-1])
 
 
 def say(words: str) -> None:

@@ -240,16 +240,17 @@ class Process:
         while self.running:
             following = max(following + 1 / self.settings.frames_per_second, time.monotonic())
             time.sleep(max(following - time.monotonic(), 0))
-            if not self.streaming:
-                continue
             with self.lock:
+                streaming, receiver = self.streaming, (self.client, self.settings.video_port)
                 position, roll, in_air = self.body.position, self.body.roll, self.body.in_air
+            if not streaming:
+                continue
             image = self.video_faults.spoil(self.camera.see(position, roll, in_air), self.now())
             for packet in [] if image is None else encoder.packets(image):
                 if not self.lost():
                     # A full buffer loses the packet, as a radio would.
                     with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
-                        self.out.sendto(packet, (self.client, self.settings.video_port))
+                        self.out.sendto(packet, receiver)
 
 
 def settings_of(words: str) -> SimulatedTello:

@@ -183,6 +183,8 @@ def plain(value: Any) -> Any:
     """A setting of an operation as JSON has it; None for what only a compiler needs."""
     if isinstance(value, (bool, int, float)):
         return value
+    if isinstance(value, np.integer):
+        return int(value)
     if isinstance(value, (tuple, list)):
         inside = [plain(one) for one in value]
         return None if any(one is None for one in inside) else inside
