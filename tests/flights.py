@@ -63,15 +63,7 @@ class Fault(NamedTuple):
 
 
 STEPS_USED_UP = "steps are used up"
-LOST = (
-    "never answered",
-    "no longer answers",
-    "link lost",
-    "takeoff was unanswered",
-    "video",
-    "no video",
-    "not answered",
-)
+LOST = ("never answered", "no longer answers", "link lost", "video torn", "video stale")
 FAULTS = (
     Fault("a tenth of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.1},)),
     Fault("half of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.5},)),
@@ -172,6 +164,8 @@ def fly_with(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
         stop.set()
         disturbance.join()
     broken = []
+    if truth["moves"] < 1:
+        broken.append("it never flew, so that the fault was not tried")
     if truth["crashed"]:
         broken.append("the motors stopped in the air")
     far, (sideways, upwards) = ENVELOPE.centimetres(), (100 * one for one in truth["farthest"])
@@ -186,6 +180,6 @@ def fly_with(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
         broken.append(f"the log has no end: {output}")
     elif not any(words in ends[-1]["reason"] for words in fault.words):
         broken.append(f"the log says {ends[-1]['reason']!r}")
-    elif truth["flight_seconds"] > 0 and not ends[-1]["landed"] and fault.name != "link dead for good":
+    elif not ends[-1]["landed"] and fault.name != "link dead for good":
         broken.append("the log does not say that it landed")
     return broken

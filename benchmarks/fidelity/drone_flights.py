@@ -98,20 +98,29 @@ def fly_all(numbers, episodes, policy: Path, out: Path, speed: float, generator_
             )
             drone.restart(settings)
             folder = out / f"flight_{number:03d}"
+            if (folder / log.NAME).exists():  # Of a comparison that was interrupted.
+                flown.append((number, read_flight(folder, question, start)))
+                continue
             command = [
                 sys.executable, "-m", "infogoal_jax", "fly", str(policy), "--question", question, "--simulate",
                 "--simulated", str(drone.port), str(drone.truth_port), "--ports", *map(str, ports),
                 "--start", *map(str, start), "--speed", str(speed), "--seed", str(number), "--out", str(folder),
             ]  # fmt: skip
             subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=600, check=False)
-            events = log.read(folder / log.NAME)
-            steps, (end,) = log.events_of(events, "step"), log.events_of(events, "end")
-            latency = [step["latency"] for step in steps]
-            flown.append((number, {"question": question, "start": start, "latency": latency} | end))
-            print(number, question, start, end["reason"], end["steps"], file=sys.stderr, flush=True)
+            flown.append((number, read_flight(folder, question, start)))
+            print(number, flown[-1][1]["reason"], flown[-1][1]["steps"], file=sys.stderr, flush=True)
     finally:
         drone.stop()
     return flown
+
+
+def read_flight(folder: Path, question: str, start: list[int]) -> dict:
+    """How the flight of this log ended, and its times from an image to the command, s."""
+    events = log.read(folder / log.NAME)
+    (end,) = log.events_of(events, "end")
+    assert not end["reason"].startswith("refused"), end
+    latency = [step["latency"] for step in log.events_of(events, "step")]
+    return {"question": question, "start": start, "latency": latency} | end
 
 
 def free_ports() -> tuple[int, int, int]:
