@@ -161,6 +161,7 @@ class Flight:
                 raise Landing("no move stays inside of the envelope")
             move = self.moves[self.policy(picture.small, mask)]
             self.check_link()
+            self.check_state()
             self.tell(picture, in_view, move)
             self.make(move, picture)
 

@@ -22,9 +22,10 @@ BAND_FLAT = 1.0
 BLUR, SHIFT = 2.0, 1
 """Of reduced images before they are compared, and pixels by which one may be moved: the blur of each image is another,
 and the camera drifts."""
-TORN_DIFFERENCE = 4.5
-"""Mean difference in a band of rows, in grey levels, from which two images disagree: part of one of them is of another
-place. Images in the hover differ by 3.4 at most, torn ones by 5.4 and more (of the simulated camera)."""
+TORN_DIFFERENCE = 0.27
+"""Mean difference in a band of rows, as a share of the image's contrast, from which two images disagree: part of one of
+them is of another place. Images in the hover differ by 0.18 at most, torn ones by 0.34 and more (of the simulated
+camera)."""
 SAME = 0.25
 """Mean difference below which two images are the same: a hovering camera always moves a little."""
 FROZEN_SECONDS = 2.0
@@ -52,7 +53,8 @@ def difference(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def largest_band_difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Mean absolute difference of two images in the band of rows where it is largest, at the best of a few shifts."""
+    """Mean absolute difference of two images in the band of rows where it is largest, at the best of a few shifts, as a
+    share of the contrast of the first."""
     one, other = (cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR) for image in (one, other))
     height, width = one.shape[:2]
     inside = one[SHIFT : height - SHIFT, SHIFT : width - SHIFT]
@@ -63,7 +65,8 @@ def largest_band_difference(one: np.ndarray, other: np.ndarray) -> float:
         for right in shifts
     )
     rows = [np.abs(inside - moved).mean((1, 2)) for moved in shifted]
-    return float(min(np.convolve(of_rows, np.full(BAND, 1 / BAND), "valid").max() for of_rows in rows))
+    largest = min(np.convolve(of_rows, np.full(BAND, 1 / BAND), "valid").max() for of_rows in rows)
+    return float(largest / max(one.std((0, 1)).mean(), 1.0))
 
 
 def has_lost_band(image: np.ndarray) -> bool:

@@ -18,6 +18,7 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run, read_params
 from infogoal_jax.train import files
+from infogoal_jax.train.program import Train
 
 FORMAT_VERSION = 1
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
@@ -30,30 +31,36 @@ def export(run: Run, out: Path, seed: int = 0, stablehlo: Path | None = None) ->
     Raises `UserError` for a run with continuous actions, a seed that the run does not have, or a disk that refuses.
     """
     require(seed in run.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, run.seeds))}")
-    values, examples = action_values(run, seed)
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf[run.seeds.index(seed)]), read_params(run, run.train))
+    about = {"seed": seed, "data": run.data, "versions": run.versions}
+    return export_params(run.train, params, out, about, stablehlo)
+
+
+def export_params(
+    train: Train, params: Any, out: Path, about: dict[str, Any], stablehlo: Path | None = None
+) -> policy_file.ExportedPolicy:
+    """Write the greedy policy of these parameters, and return it as read back. about: what else the file shall say."""
+    config, env = train.parts.config, train.env
+    values, examples = action_values(train, params)
     program, constants = trace(values, examples)
-    env, goals = run.env, run.env.goals
-    texts = goals.names is not None and goals.inputs.dtype == jnp.float32
-    about = {
+    texts = env.goals.inputs.dtype == jnp.float32
+    about = about | {
         "format_version": FORMAT_VERSION,
-        "task": run.config.task,
-        "method": presets.name_of(run.config),
-        "seed": seed,
-        "data": run.data,
-        "versions": run.versions,
+        "task": config.task,
+        "method": presets.name_of(config),
         "action_size": int(env.action_size),
         "actions": list(getattr(env, "action_names", ())),
         "episode_length": int(env.episode_length),
         "code_size": int(examples[2].shape[0]),
-        "samples_code": not run.train.parts.learner.mean_at_test,
-        "generator_seed": getattr(run.config.env, "generator_seed", 0),
-        "goal_names": list(goals.names) if texts else [],
+        "samples_code": not train.parts.learner.mean_at_test,
+        "generator_seed": getattr(config.env, "generator_seed", 0),
+        "goal_names": list(env.goals.names) if texts else [],
         "goal_objects": list(getattr(env, "goal_objects", ())) if texts else [],
     }
     members = {f"constant_{index}": value for index, value in enumerate(constants)}
     members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
     if texts:
-        members["goals"] = np.asarray(goals.inputs)
+        members["goals"] = np.asarray(env.goals.inputs)
     files.make_folder(out.parent)
     files.write_atomically(out, lambda file: np.savez_compressed(file, **members))
     if stablehlo is not None:
@@ -78,22 +85,20 @@ def write_stablehlo(path: Path, function, examples) -> None:
     files.write_atomically(path, lambda file: file.write(content))
 
 
-def action_values(run: Run, seed: int):
-    """The function (observation, goal input, noise [d]) -> float32 [A] of this seed's parameters, and shapes of its
-    arguments.
+def action_values(train: Train, params: Any):
+    """The function (observation, goal input, noise [d]) -> float32 [A] of these parameters, and its arguments' shapes.
 
     The contract of an agent gives the value of the greedy action. That of an action is the value where no other is
     legal.
     """
-    parts, env = run.train.parts, run.env
-    params = jax.tree.map(lambda leaf: jnp.asarray(leaf[run.seeds.index(seed)]), read_params(run, run.train))
+    parts, env = train.parts, train.env
     start = env.reset(jax.random.key(0))
     observation = jax.eval_shape(lambda: env.render(env.observe(start)))
     goal = jax.eval_shape(lambda: env.goals.inputs_of(jnp.zeros((), jnp.int32)))
     require(
         env.discrete,
-        "run",
-        str(run.folder),
+        "task",
+        parts.config.task,
         "its actions are continuous; only policies with discrete ones are exported",
     )
 
