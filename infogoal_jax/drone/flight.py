@@ -230,7 +230,7 @@ class Flight:
         state, _ = self.link.state()
         if state["bat"] <= self.limits.battery_floor:
             raise Landing(f"battery at {state['bat']} %, the floor is {self.limits.battery_floor} %")
-        if not self.found and self.rest_since and self.quiet():
+        if self.rest_since and self.quiet():
             speed = max(abs(state.get(name, 0)) for name in ("vgx", "vgy", "vgz"))
             if speed >= FOREIGN_SPEED:
                 raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: another controller?")
@@ -241,8 +241,9 @@ class Flight:
                 )
 
     def quiet(self) -> bool:
-        """Whether the last command was answered so long ago that the drone must hover."""
-        return time.monotonic() > self.rest_since
+        """Whether the last state packet is from when the drone had to hover: one from during a move, after which the link
+        went dead, says nothing about other controllers."""
+        return time.monotonic() - self.link.state()[1] / self.link.speed > self.rest_since
 
     def tell(self, picture: Picture, in_view: set[str], move: str) -> None:
         """Log what is seen, and tell whoever wants to know."""
