@@ -241,8 +241,8 @@ class Flight:
                 )
 
     def quiet(self) -> bool:
-        """Whether the last state packet is from when the drone had to hover: one from during a move, after which the link
-        went dead, says nothing about other controllers."""
+        """Whether the last state packet is from when the drone had to hover: one from during a move, after which the
+        link went dead, says nothing about other controllers."""
         return time.monotonic() - self.link.state()[1] / self.link.speed > self.rest_since
 
     def tell(self, picture: Picture, in_view: set[str], move: str) -> None:

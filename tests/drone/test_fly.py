@@ -1,15 +1,14 @@
 """`infogoal fly` over the real protocol: djitellopy as it is published, a simulated Tello in a process of its own."""
 
-import json
-
 import flights
 import pytest
 
 pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
 pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
 
-from infogoal_jax.cli.main import main
+from infogoal_jax.data import frames_import
 from infogoal_jax.drone import log, simulated_tello
+from infogoal_jax.drone.recording import TABLE
 
 
 @pytest.fixture(scope="module")
@@ -30,18 +29,18 @@ def fly(drone, folder, policy, *more, **settings):
     return process.returncode, output, log.read(folder / "flight" / log.NAME), truth
 
 
-def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path, capsys):
-    """Two metres before the object it goes to the right until it is in view."""
-    left, foot = None, None
-    from infogoal_jax.drone.simulated_video import Camera
-
-    assert Camera and left is foot
+def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
+    """The alarm clock of the generated shelf is wholly in view from the second or third place to the right."""
     policy = flights.write_policy(tmp_path / "policy.npz", objects=["alarm clock"])
-    code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(tmp_path / "recordings"))
+    first, recordings = (0.5 + 0.2 * 31, 0.4 + 0.2 * 8), tmp_path / "recordings"
+    code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(recordings), first=first)
     (end,) = log.events_of(events, "end")
-    assert (code == 0) == end["found"], output
-    assert end["landed"] and truth["phase"] == "ground" and not truth["crashed"]
-    assert json.dumps(end) and main(["report", str(tmp_path / "flight")]) == 0
+    assert code == 0 and end["found"] and end["landed"], output
+    assert (truth["phase"], truth["crashed"], truth["why_landed"]) == ("ground", False, "command land")
+    steps = log.events_of(events, "step")
+    assert [step["move"] for step in steps] == ["right"] * len(steps) and 1 <= len(steps) <= 3
+    data = frames_import.import_folder(recordings, recordings / TABLE, tmp_path / "mine.npz", size=(48, 64))
+    assert len(data.frame) == len(steps) and data.objects == ("alarm clock",) and data.detected[-1, 0]
 
 
 def test_ctrl_c_lands(drone, tmp_path):

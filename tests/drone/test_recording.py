@@ -10,8 +10,8 @@ from infogoal_jax.drone.recording import TABLE, Explorer, Recorder
 
 
 def record(folder, name: str, moves, origin=(0, 0), seen_from: int = 1) -> int:
-    """A recorded flight of (move, answer) from the first place, and a picture after the last. seen_from: column from which
-    the mug is seen."""
+    """A recorded flight of (move, answer) from the first place, and a picture after the last. seen_from: column from
+    which the mug is seen."""
     recorder, place, random = Recorder(folder, name, origin), Whereabouts(), np.random.default_rng(len(moves))
     for move, answer in [*moves, ("", "")]:
         image = random.integers(0, 255, (48, 64, 3), dtype=np.uint8)
