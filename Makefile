@@ -27,6 +27,7 @@ lint: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(ENVIRONMENT)
 	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps djitellopy
 	touch $@
 
 clean:

@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-USES = ("train", "validation", "test")
-NO_USE = -1  # Of a goal that is neither a training, a validation nor a test goal: it can be achieved only.
+from infogoal_jax.goal_uses import NO_USE, USES
 
 
 @flax.struct.dataclass

@@ -7,16 +7,31 @@ from places import ROOT
 
 PACKAGE = ROOT / "infogoal_jax"
 LAYERS = (
-    {"errors", "config", "registry", "hyperparameters", "goals", "pairs", "networks", "replay", "angles"},
+    {
+        "errors",
+        "config",
+        "registry",
+        "hyperparameters",
+        "goals",
+        "goal_uses",
+        "policy_file",
+        "pairs",
+        "networks",
+        "replay",
+        "angles",
+    },
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},
     {"presets"},
     {"train"},
-    {"report", "bridges"},
+    {"report", "bridges", "drone"},
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
-NOT_OF_LEARNING = {"data": {"goals", "errors"}, "envs": {"goals", "errors", "replay", "registry", "angles"}}
+NOT_OF_LEARNING = {
+    "data": {"goals", "goal_uses", "errors"},
+    "envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"},
+}
 """What data and environments may know of the lowest layer."""
 
 

@@ -9,6 +9,7 @@ import infogoal_jax
 from infogoal_jax.cli import pretraining, training, tuning
 from infogoal_jax.cli.commands import Group, check_names, type_of
 from infogoal_jax.cli.data import DATA
+from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.methods import methods
 from infogoal_jax.cli.pretraining import pretrain
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, report, video
@@ -26,6 +27,9 @@ COMMANDS = Group(
         "report": report,
         "compare": compare,
         "video": video,
+        "export": export,
+        "fly": fly,
+        "record": record,
         "methods": methods,
         "tune": tune,
         "final": final,

@@ -34,11 +34,16 @@ def evaluate(
 
 
 def report(run: Positional[str]) -> int:
-    """Draw the figures of a run and print its table.
+    """Draw the figures of a run and print its table; of a flight, its path and its times.
 
     Args:
-        run: Folder of the run.
+        run: Folder of the run, or of a flight of `infogoal fly`.
     """
+    if (Path(run) / "flight.jsonl").is_file():
+        from infogoal_jax.report.flight_figures import report_flight
+
+        print(f"figure      {report_flight(Path(run))}")
+        return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run
 

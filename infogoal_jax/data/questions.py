@@ -13,7 +13,7 @@ from typing import NamedTuple
 from infogoal_jax.data import text
 from infogoal_jax.data.splits import read_json
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.goals import NO_USE, USES
+from infogoal_jax.goal_uses import NO_USE, USES
 
 SHIPPED = Path(__file__).parent / "files" / "shelf" / "questions.json"
 SHIPPED_EMBEDDINGS = SHIPPED.with_name("embeddings.npz")
@@ -32,7 +32,7 @@ class AskedGoal(NamedTuple):
     text: str
     object: str
     use: int
-    """Position in `goals.USES`, or `goals.NO_USE`."""
+    """Position in `goal_uses.USES`, or `goal_uses.NO_USE`."""
     room: int
     """Position in `Questions.room_names`."""
 

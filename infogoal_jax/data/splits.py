@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.goals import USES
+from infogoal_jax.goal_uses import USES
 
 
 @dataclasses.dataclass(frozen=True)

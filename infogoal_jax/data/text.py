@@ -151,6 +151,12 @@ def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) 
     return embeddings.vectors[np.array(rows, np.int64)]
 
 
+def as_goal_inputs(embeddings: np.ndarray) -> np.ndarray:
+    """Embeddings float32 [N, D] of length 1 as the goal encoder of embodied question answering takes them: networks
+    want numbers of the order of 1."""
+    return embeddings * np.float32(np.sqrt(embeddings.shape[1]))
+
+
 def spelling(text: str) -> str:
     """What two texts have in common that the encoder cannot tell apart (it is uncased)."""
     return clean(text).lower()

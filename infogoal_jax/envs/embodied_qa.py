@@ -17,7 +17,8 @@ from infogoal_jax.data import frames, questions, text
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
-from infogoal_jax.goals import NO_USE, GoalSet
+from infogoal_jax.goal_uses import NO_USE
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.replay import Trajectories
 
 
@@ -53,6 +54,11 @@ class EmbodiedQAConfig:
 class EmbodiedQA(DetectionWalk):
     """The environment: a walk on a graph of images, with recorded flights. Known goals are names and training
     questions."""
+
+    action_names: tuple[str, ...] = flax.struct.field(pytree_node=False, default=(), kw_only=True)
+    """A names of the actions, as the dataset has them."""
+    goal_objects: tuple[str, ...] = flax.struct.field(pytree_node=False, default=(), kw_only=True)
+    """N names of the object that each goal asks about."""
 
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: images uint8 [..., H, W, C] for stored observations int32 [...]."""
@@ -147,8 +153,7 @@ def lay_out(
         f"no trajectory ever reaches the training goal {', '.join(unseen)}: record one that does",
     )
     embedded = text.embed_known([goal.text for goal in goals_asked], embeddings)
-    # Embeddings have length 1; networks want numbers of the order of 1.
-    inputs = embedded * np.float32(np.sqrt(embedded.shape[1]))
+    inputs = text.as_goal_inputs(embedded)
     known = in_view & np.isin(uses, (NO_USE, 0))
     goals = GoalSet.of(
         inputs, [goal.room for goal in goals_asked], uses, tuple(goal.text for goal in goals_asked), asked.room_names
@@ -162,5 +167,7 @@ def lay_out(
         recorded=recorded_rows(data, np.flatnonzero(uses == 0)),
         views=None if views is None else jnp.asarray(views),
         source=data.describe(data.frames, data.detected, next_node, data.frame, inputs),
+        action_names=data.actions,
+        goal_objects=tuple(goal.object for goal in goals_asked),
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

@@ -20,7 +20,8 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.errors import require
-from infogoal_jax.goals import NO_USE, USES, GoalSet
+from infogoal_jax.goal_uses import NO_USE, USES
+from infogoal_jax.goals import GoalSet
 
 REACHED = np.deg2rad(10.0)
 """Largest angle between the pose and the goal at which the goal is reached, in radians [P]."""

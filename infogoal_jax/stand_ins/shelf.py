@@ -49,9 +49,7 @@ def build(
     the images.
     """
     random = np.random.default_rng([seed, GENERATOR_VERSION])
-    places = furnish(random)
-    uprights = np.concatenate([[0.0], np.sort(random.uniform(1.0, SIZE[0] - 1.0, 6)), [SIZE[0]]])
-    wall = shelf_render.draw_wall(SIZE, list(BOARDS), uprights, places, random)
+    wall, places = furnished_wall(random)
     count = VIEWS if hovering else 1
     column, row = np.arange(COLUMNS * ROWS) % COLUMNS, np.arange(COLUMNS * ROWS) // COLUMNS
     state = np.repeat(np.arange(COLUMNS * ROWS), count)
@@ -91,6 +89,13 @@ def build(
         detected=np.array(detected),
         objects=tuple(places),
     )
+
+
+def furnished_wall(random: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The picture of the wall with its shelf and objects, uint8 RGB [H, W, 3], and where each object stands."""
+    places = furnish(random)
+    uprights = np.concatenate([[0.0], np.sort(random.uniform(1.0, SIZE[0] - 1.0, 6)), [SIZE[0]]])
+    return shelf_render.draw_wall(SIZE, list(BOARDS), uprights, places, random), places
 
 
 def furnish(random: np.random.Generator) -> dict[str, np.ndarray]:

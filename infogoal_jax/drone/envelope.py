@@ -1,0 +1,81 @@
+"""Where the drone may be: an envelope of steps around the place where it hovered first, and which moves stay inside.
+
+An answer that never came leaves open whether the move was made. The place is therefore kept as an interval, and a move
+is allowed only if it stays inside from wherever the drone may be.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from infogoal_jax.errors import require
+
+STEP = 20
+"""Length of a move in cm; the least that the SDK takes [P]."""
+MARGIN = 40
+"""Centimetres around the outermost steps for what no command says: the hover drifts, moves end beside their place, and
+another controller may move the drone once before this one lands it."""
+MOVES = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}
+"""Columns and rows that each move adds."""
+LOWEST = 40
+"""Centimetres that must lie below the drone after a move down, by its own sensor."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Envelope:
+    """How many steps of 20 cm the drone may go from where it hovered first."""
+
+    left: int = 3
+    """Steps to the left."""
+    right: int = 3
+    """Steps to the right."""
+    up: int = 2
+    """Steps up."""
+    down: int = 1
+    """Steps down."""
+
+    def check(self) -> None:
+        """Raise `UserError` for negative numbers of steps."""
+        for name, steps in dataclasses.asdict(self).items():
+            require(steps >= 0, name, steps, "give a number of steps of 20 cm, 0 or more")
+
+    def centimetres(self) -> dict[str, int]:
+        """How far the drone may ever be from where it hovered first, cm by direction, the margin included."""
+        return {name: steps * STEP + MARGIN for name, steps in dataclasses.asdict(self).items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Whereabouts:
+    """Where the drone may be, in steps from where it hovered first: the least and the greatest column and row."""
+
+    low: tuple[int, int] = (0, 0)
+    high: tuple[int, int] = (0, 0)
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is one place."""
+        return self.low == self.high
+
+    def after(self, move: str, answer: str) -> "Whereabouts":
+        """After a move that was made, refused, or never answered."""
+        step = np.array(MOVES[move])
+        low, high = np.array(self.low), np.array(self.high)
+        if answer == "made":
+            low, high = low + step, high + step
+        elif answer == "unanswered":
+            low, high = np.minimum(low, low + step), np.maximum(high, high + step)
+        return Whereabouts(tuple(low.tolist()), tuple(high.tolist()))
+
+
+def allowed(envelope: Envelope, place: Whereabouts, moves: Sequence[str], below: float | None = None) -> np.ndarray:
+    """Which of the moves stay inside from wherever the drone may be, bool [A]. below: cm to what lies under the drone,
+    None if it is not known."""
+
+    def stays(move: str) -> bool:
+        there = place.after(move, "made")
+        inside = -envelope.left <= there.low[0] and there.high[0] <= envelope.right
+        inside = inside and -envelope.down <= there.low[1] and there.high[1] <= envelope.up
+        return inside and not (move == "down" and below is not None and below - STEP < LOWEST)
+
+    return np.array([stays(move) for move in moves])

@@ -1,0 +1,223 @@
+"""What `infogoal fly` and `infogoal record` put together: a policy and a question, the drone or a simulated one, the
+envelope, the detector and the log."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from infogoal_jax.data import text
+from infogoal_jax.drone.detection import Detector, check_known, simulated_detector, yolo_detector
+from infogoal_jax.drone.envelope import MOVES, Envelope
+from infogoal_jax.drone.flight import Flight, Outcome, Policy
+from infogoal_jax.drone.limits import Limits
+from infogoal_jax.drone.link import Address, Link, import_djitellopy
+from infogoal_jax.drone.log import Log
+from infogoal_jax.drone.recording import Recorder
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.policy_file import ExportedPolicy
+
+
+class Asked(NamedTuple):
+    """A question: the goal encoder's input float32 [384], and the object that answers it."""
+
+    goal: np.ndarray
+    object: str
+
+
+class Flown(NamedTuple):
+    """A policy as it flies: its function, the names of its moves, and height and width of its pictures."""
+
+    policy: Policy
+    moves: tuple[str, ...]
+    size: tuple[int, int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """A flight's settings, as the flags of the commands have them (infogoal_jax/cli/fly.py)."""
+
+    simulate: bool
+    simulated: tuple[int, int] | None
+    start: tuple[int, int]
+    speed: float
+    seed: int
+    host: str
+    ports: tuple[int, int, int]
+    left: int | None
+    right: int | None
+    up: int | None
+    down: int | None
+    steps: int
+    battery_floor: int
+    weights: str
+    confidence: float
+    shelf_seed: int = 0
+    """Seed of the generated shelf that the simulated drone sees."""
+
+    def envelope(self) -> Envelope:
+        """The envelope: small around a real drone, as far as the shelf goes around a simulated one."""
+        given = {name: getattr(self, name) for name in MOVES if getattr(self, name) is not None}
+        whole = {}
+        if self.simulate:
+            from infogoal_jax.stand_ins.shelf import COLUMNS, ROWS
+
+            column, row = self.start
+            whole = {"left": column, "right": COLUMNS - 1 - column, "up": ROWS - 1 - row, "down": row}
+        envelope = Envelope(**(whole | given))
+        envelope.check()
+        return envelope
+
+
+def load_policy(path: str, folder: Path) -> ExportedPolicy:
+    """The exported policy at this path; that of a run's folder is exported into `folder` first.
+
+    Raises `UserError` for a file that is none, and for a policy that does not move left, right, up and down by what a
+    camera sees.
+    """
+    file = Path(path)
+    if file.is_dir():
+        from infogoal_jax.report.export import export
+        from infogoal_jax.report.runs import load_run
+
+        run = load_run(file)
+        file = folder / "policy.npz"
+        export(run, file, run.seeds[0])
+    try:
+        policy = ExportedPolicy(file)
+    except (OSError, KeyError, ValueError) as error:
+        raise UserError(
+            f"policy = {path!r}: is no file of `infogoal export` ({error}); give one, or a run's folder"
+        ) from error
+    shape, kind = policy.program["inputs"][1][0]
+    fits = set(policy.about["actions"]) == set(MOVES) and len(shape) == 3 and shape[-1] == 3 and kind == "uint8"
+    require(fits, "policy", path, f"cannot fly: it needs the moves {', '.join(MOVES)} and colour images")
+    return policy
+
+
+def read_question(policy: ExportedPolicy, question: str, object: str = "", embeddings: str = "") -> Asked:
+    """The goal of a question. Raises `UserError` for one that cannot be embedded, or whose object is not known."""
+    names = [text.spelling(name) for name in policy.about["goal_names"]]
+    if not embeddings and text.spelling(question) in names:
+        row = names.index(text.spelling(question))
+        return Asked(policy.goals[row], object or policy.about["goal_objects"][row])
+    require(
+        object != "", "object", object, "name the object whose detection ends the flight; the policy's file has none"
+    )
+    return Asked(text.as_goal_inputs(embedded(question, embeddings))[0], object)
+
+
+def embedded(question: str, embeddings: str) -> np.ndarray:
+    """The embedding of a question float32 [1, 384]: looked up, or by the sentence encoder where it is installed."""
+    known = text.load(embeddings) if embeddings else None
+    try:
+        return text.embed_known([question], known)
+    except UserError as unknown:
+        if embeddings:
+            raise
+        from infogoal_jax.data import sentence_encoder
+
+        try:
+            return sentence_encoder.encode(sentence_encoder.load_encoder(), [question])
+        except UserError as missing:
+            raise UserError(f"{unknown}\nand the sentence encoder cannot be used: {missing}") from missing
+
+
+def flown_policy(policy: ExportedPolicy, asked: Asked, seed: int) -> Flown:
+    """The exported policy with this goal; its code is drawn anew at every step, as in the evaluation."""
+    random, sampled = np.random.default_rng(seed), policy.about["samples_code"]
+
+    def act(picture: np.ndarray, mask: np.ndarray) -> int:
+        noise = random.normal(size=policy.about["code_size"]).astype(np.float32) if sampled else None
+        return policy.act(picture, asked.goal, mask, noise)
+
+    height, width, _ = policy.program["inputs"][1][0][0]
+    return Flown(act, tuple(policy.about["actions"]), (height, width))
+
+
+def run_mission(
+    folder: Path, flown: Flown, target: str, settings: Settings, record: str = "", origin: tuple[int, int] = (0, 0)
+) -> Outcome:
+    """Fly, on a simulated drone that is started for it if `simulate` is set, and leave the log in `folder`.
+
+    target: object that ends the flight, "" for none. Raises `UserError` for what is found before the take-off.
+    """
+    limits = Limits(settings.steps, settings.battery_floor, settings.confidence)
+    limits.check()
+    envelope = settings.envelope()
+    require(settings.speed > 0, "speed", settings.speed, "give a number greater than 0")
+    require(settings.simulate or settings.speed == 1, "speed", settings.speed, "a real drone has its own; leave it out")
+    import_djitellopy()
+    if not settings.simulate:
+        detect, address = real_detector(settings.weights, target), Address(settings.host, 8889, settings.ports)
+        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+    with simulated_drone(settings) as (port, truth_port):
+        detect, address = simulated_detector(truth_port), Address("127.0.0.1", port, settings.ports)
+        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+
+
+@contextlib.contextmanager
+def simulated_drone(settings: Settings) -> Iterator[tuple[int, int]]:
+    """The ports of a simulated drone, for commands and for questions: one that runs already, or one for this flight."""
+    if settings.simulated is not None:
+        yield settings.simulated
+        return
+    from infogoal_jax.drone import simulated_tello
+    from infogoal_jax.stand_ins import shelf
+
+    place = np.array(settings.start)
+    inside = (place >= 0).all() and (place < [shelf.COLUMNS, shelf.ROWS]).all()
+    require(bool(inside), "start", settings.start, f"give 0 to {shelf.COLUMNS - 1} and 0 to {shelf.ROWS - 1}")
+    _, state_port, video_port = settings.ports
+    started = simulated_tello.start(
+        simulated_tello.SimulatedTello(
+            first=tuple((shelf.FIRST + shelf.STEP * place).tolist()),
+            shelf_seed=settings.shelf_seed,
+            seed=settings.seed,
+            speed=settings.speed,
+            state_port=state_port,
+            video_port=video_port,
+        )
+    )
+    try:
+        yield started.port, started.truth_port
+    finally:
+        started.stop()
+
+
+def real_detector(weights: str, target: str) -> Detector:
+    """The detector of a real drone; without weights one that sees nothing, which only a recording can do with. Raises
+    `UserError`."""
+    if not weights:
+        require(not target, "weights", weights, "give the weights of a YOLO network that detects the object")
+        return lambda image: []
+    detect = yolo_detector(Path(weights))
+    if target:
+        check_known(target, detect)
+    return detect
+
+
+def fly_at(
+    folder, address: Address, detect, flown: Flown, target, envelope, limits, settings, record, origin
+) -> Outcome:
+    """Fly a drone at this address."""
+    log = Log(folder)
+    recorder = Recorder(Path(record), folder.name, origin) if record else None
+    log.write(
+        "settings", target=target, host=address.host, simulated=settings.simulate, speed=settings.speed,
+        start=settings.start, envelope=dataclasses.asdict(envelope), centimetres=envelope.centimetres(),
+        limits=dataclasses.asdict(limits),
+    )  # fmt: skip
+    link = Link(address, flown.size, log, settings.speed)
+    visit = recorder.visit if recorder is not None else None
+    flight = Flight(link, flown.policy, flown.moves, detect, target, envelope, limits, log, visit)
+    try:
+        return flight.fly()
+    finally:
+        link.close()
+        log.close()
+        if recorder is not None:
+            recorder.close()

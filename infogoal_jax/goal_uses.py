@@ -1,0 +1,4 @@
+"""What a goal is used for. Files of questions and of splits name it, so that this is known without JAX."""
+
+USES = ("train", "validation", "test")
+NO_USE = -1  # Of a goal that is neither a training, a validation nor a test goal: it can be achieved only.

@@ -1,0 +1,198 @@
+"""Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO.
+
+The policy is traced once and its operations are written down as they are, so that every learner and every agent with
+discrete actions can be exported, those of a user too.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import Literal
+
+from infogoal_jax import policy_file, presets
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.learners.learner import conditioned
+from infogoal_jax.report.runs import Run, read_params
+from infogoal_jax.train import files
+from infogoal_jax.train.program import Train
+
+FORMAT_VERSION = 1
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
+"""Primitives that hold a program of their own, and the name of the setting that it is."""
+
+
+def export(run: Run, out: Path, seed: int = 0, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
+    """Write the greedy policy of a seed of a run, and return it as read back.
+
+    Raises `UserError` for a run with continuous actions, a seed that the run does not have, or a disk that refuses.
+    """
+    require(seed in run.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, run.seeds))}")
+    params = jax.tree.map(lambda leaf: jnp.asarray(leaf[run.seeds.index(seed)]), read_params(run, run.train))
+    about = {"seed": seed, "data": run.data, "versions": run.versions}
+    return export_params(run.train, params, out, about, stablehlo)
+
+
+def export_params(
+    train: Train, params: Any, out: Path, about: dict[str, Any], stablehlo: Path | None = None
+) -> policy_file.ExportedPolicy:
+    """Write the greedy policy of these parameters, and return it as read back. about: what else the file shall say."""
+    config, env = train.parts.config, train.env
+    values, examples = action_values(train, params)
+    program, constants = trace(values, examples)
+    texts = env.goals.inputs.dtype == jnp.float32
+    about = about | {
+        "format_version": FORMAT_VERSION,
+        "task": config.task,
+        "method": presets.name_of(config),
+        "action_size": int(env.action_size),
+        "actions": list(getattr(env, "action_names", ())),
+        "episode_length": int(env.episode_length),
+        "code_size": int(examples[2].shape[0]),
+        "samples_code": not train.parts.learner.mean_at_test,
+        "generator_seed": getattr(config.env, "generator_seed", 0),
+        "goal_names": list(env.goals.names) if texts else [],
+        "goal_objects": list(getattr(env, "goal_objects", ())) if texts else [],
+    }
+    members = {f"constant_{index}": value for index, value in enumerate(constants)}
+    members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
+    if texts:
+        members["goals"] = np.asarray(env.goals.inputs)
+    files.make_folder(out.parent)
+    files.write_atomically(out, lambda file: np.savez_compressed(file, **members))
+    if stablehlo is not None:
+        write_stablehlo(stablehlo, values, examples)
+    return policy_file.ExportedPolicy(out)
+
+
+def write_stablehlo(path: Path, function, examples) -> None:
+    """Write a function for arguments of these shapes as StableHLO, for every kind of device: `jax.export.deserialize`
+    reads it.
+
+    Raises `UserError` where the library that JAX writes it by is missing.
+    """
+    exported = jax.export.export(jax.jit(function), platforms=("cpu", "cuda", "tpu"))(*examples)
+    try:
+        content = exported.serialize()
+    except ImportError as error:
+        raise UserError(
+            f"stablehlo = {str(path)!r}: JAX needs flatbuffers to write it: pip install flatbuffers"
+        ) from error
+    files.make_folder(path.parent)
+    files.write_atomically(path, lambda file: file.write(content))
+
+
+def action_values(train: Train, params: Any):
+    """The function (observation, goal input, noise [d]) -> float32 [A] of these parameters, and its arguments' shapes.
+
+    The contract of an agent gives the value of the greedy action. That of an action is the value where no other is
+    legal.
+    """
+    parts, env = train.parts, train.env
+    start = env.reset(jax.random.key(0))
+    observation = jax.eval_shape(lambda: env.render(env.observe(start)))
+    goal = jax.eval_shape(lambda: env.goals.inputs_of(jnp.zeros((), jnp.int32)))
+    require(
+        env.discrete,
+        "task",
+        parts.config.task,
+        "its actions are continuous; only policies with discrete ones are exported",
+    )
+
+    def encoded(observation, goal):
+        features = parts.state_encoder.apply(params["state"], observation[None])
+        code = parts.learner.encode(params["goal"], goal[None])
+        return features, conditioned(parts.learner, params["goal"], code, features)
+
+    def values(observation, goal, noise):
+        features, found = encoded(observation, goal)
+        drawn = found.mean if found.std is None else found.mean + found.std * noise
+        features, drawn = (jnp.repeat(one, env.action_size, axis=0) for one in (features, drawn))
+        return parts.agent.value(params["agent"], features, drawn, jnp.asarray(np.eye(env.action_size, dtype=bool)))
+
+    code = jax.eval_shape(lambda *given: encoded(*given)[1].mean, observation, goal)
+    return values, (observation, goal, jax.ShapeDtypeStruct(code.shape[1:], jnp.float32))
+
+
+def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """The operations of a function for arguments of these shapes, as `policy_file` runs them, and its constants.
+
+    What does not depend on an argument is computed now and becomes a constant. Raises `UserError` for an operation that
+    the reader does not know.
+    """
+    closed = jax.make_jaxpr(function)(*examples)
+    steps: list[tuple[str, list[int], list[int], dict]] = []
+    fixed: dict[int, np.ndarray] = {}
+    places: dict[Any, int] = {}
+    count = iter(range(10**9))
+
+    def place_of(variable, inside):
+        if isinstance(variable, Literal):
+            place = next(count)
+            fixed[place] = np.asarray(variable.val)
+            return place
+        return inside[variable]
+
+    def walk(jaxpr, constants, inputs):
+        inside = dict(zip(jaxpr.invars, inputs, strict=True))
+        for variable, value in zip(jaxpr.constvars, constants, strict=True):
+            inside[variable] = next(count)
+            fixed[inside[variable]] = np.asarray(value)
+        for equation in jaxpr.eqns:
+            name, given = equation.primitive.name, [place_of(one, inside) for one in equation.invars]
+            if name in CALLS:
+                called = equation.params[CALLS[name]]
+                results = walk(called.jaxpr, called.consts, given)
+            else:
+                results = [next(count) for _ in equation.outvars]
+                step(name, given, results, equation.params)
+            inside |= dict(zip(equation.outvars, results, strict=True))
+        return [place_of(one, inside) for one in jaxpr.outvars]
+
+    def step(name, given, results, params):
+        require(
+            name in policy_file.OPERATIONS,
+            "policy",
+            name,
+            "an operation that policy_file.py does not know; add it to OPERATIONS there",
+        )
+        settings = {key: plain(value) for key, value in params.items() if plain(value) is not None}
+        if all(place in fixed for place in given):
+            found = policy_file.OPERATIONS[name](*(fixed[place] for place in given), **settings)
+            fixed.update(zip(results, found if name == "split" else [found], strict=True))
+        else:
+            steps.append((name, given, results, settings))
+
+    arguments = [next(count) for _ in closed.jaxpr.invars]
+    (output,) = walk(closed.jaxpr, closed.consts, arguments)
+    used = sorted({place for _, given, _, _ in steps for place in given} & set(fixed))
+    order = [*used, *arguments, *(place for _, _, results, _ in steps for place in results)]
+    places = {place: index for index, place in enumerate(order)}
+    kinds = [[list(one.shape), str(np.dtype(one.dtype))] for one in examples]
+    program = {
+        "constants": len(used),
+        "inputs": [[places[place] for place in arguments], kinds],
+        "operations": [
+            [name, [places[place] for place in given], [places[place] for place in results], settings]
+            for name, given, results, settings in steps
+        ],
+        "output": places[output],
+    }
+    return program, [np.ascontiguousarray(fixed[place]) for place in used]
+
+
+def plain(value: Any) -> Any:
+    """A setting of an operation as JSON has it; None for what only a compiler needs."""
+    if isinstance(value, (bool, int, float)):
+        return value
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (tuple, list)):
+        inside = [plain(one) for one in value]
+        return None if any(one is None for one in inside) else inside
+    if isinstance(value, np.dtype) or (isinstance(value, type) and issubclass(value, np.generic)):
+        return str(np.dtype(value))
+    return None

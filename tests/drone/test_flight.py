@@ -1,0 +1,264 @@
+"""A flight without a network: whatever goes wrong after the take-off, it lands, and the log says why."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from infogoal_jax.drone import flight as flight_module
+from infogoal_jax.drone.detection import Detection
+from infogoal_jax.drone.envelope import MOVES, Envelope
+from infogoal_jax.drone.flight import Flight
+from infogoal_jax.drone.limits import Limits
+from infogoal_jax.drone.link import Answer
+from infogoal_jax.drone.log import NAME, Log, events_of, read
+from infogoal_jax.drone.pictures import Picture
+from infogoal_jax.errors import UserError
+
+SPEED = 200.0
+IMAGE = np.zeros((48, 64, 3), np.uint8)
+TARGET = Detection("mug", (10.0, 10.0, 30.0, 30.0))
+
+
+class ScriptedLink:
+    """A drone that answers what the script says. script: answers by command, "" for none; then ok."""
+
+    def __init__(self, log: Log, script=None):
+        self.log, self.script, self.speed = (
+            log,
+            {word: list(answers) for word, answers in (script or {}).items()},
+            SPEED,
+        )
+        self.sent, self.in_air, self.answers = [], False, True
+        self.packet = {"bat": 80, "h": 80, "tof": 170, "vgx": 0, "vgy": 0, "vgz": 0}
+        self.age, self.height = 0.0, 80
+
+    def connect(self):
+        pass
+
+    def send(self, command, seconds):
+        self.sent.append(command)
+        answers = self.script.get(command.split()[0])
+        text = answers.pop(0) if answers else "ok"
+        if callable(text):
+            text = text()
+        if command == "takeoff":
+            self.in_air = True
+        if text == "ok" and command.split()[0] in ("up", "down"):
+            self.height += {"up": 20, "down": -20}[command.split()[0]]
+            self.packet = self.packet | {"h": self.height}
+        if command == "land" and text == "ok":
+            self.in_air = False
+        outcome = {"ok": "made", "": "unanswered"}.get(text, "refused")
+        now = time.monotonic()
+        self.log.write("command", command=command)
+        return Answer(outcome, text, now, now)
+
+    def resynchronise(self, seconds):
+        self.sent.append("battery?")
+        return self.answers
+
+    def state(self):
+        return self.packet, self.age
+
+    def pictures(self):
+        return [Picture(time.monotonic(), IMAGE, IMAGE)]
+
+    def on_ground(self):
+        return not self.in_air
+
+
+OPEN_LOGS: list[Log] = []
+
+
+@pytest.fixture(autouse=True)
+def trusted_pictures(monkeypatch):
+    """Pictures are trusted: tests/drone/test_pictures.py is about them. Logs are closed in the end."""
+    monkeypatch.setattr(flight_module, "fault_of", lambda found, now, since, *more: "" if now > since else "waiting")
+    yield
+    while OPEN_LOGS:
+        OPEN_LOGS.pop().close()
+
+
+def go_right(picture, mask):
+    """A policy that goes to the right as far as it may."""
+    return int(np.argmax(mask * np.array([1, 2, 0.5, 0.5])))
+
+
+def make_flight(tmp_path, script=None, policy=go_right, detect=lambda image: [], steps=4, **link):
+    """A flight over a scripted link."""
+    log = Log(tmp_path)
+    OPEN_LOGS.append(log)
+    drone = ScriptedLink(log, script)
+    for name, value in link.items():
+        setattr(drone, name, value)
+    flight = Flight(drone, policy, tuple(MOVES), detect, "mug", Envelope(3, 3, 2, 2), Limits(steps), log)
+    return flight, drone
+
+
+def moves_of(drone) -> list[str]:
+    """The moves that were sent."""
+    return [command.split()[0] for command in drone.sent if command.split()[0] in MOVES]
+
+
+def reason_in_log(tmp_path) -> str:
+    """Why the log says that it ended."""
+    (end,) = events_of(read(tmp_path / NAME), "end")
+    return end["reason"]
+
+
+def test_it_lands_where_it_sees_the_object(tmp_path):
+    seen = iter([[], [], [TARGET]])
+    flight, drone = make_flight(tmp_path, detect=lambda image: next(seen))
+    outcome = flight.fly()
+    assert outcome.found and outcome.landed and outcome.steps == 2
+    assert drone.sent == ["takeoff", "right 20", "right 20", "land"]
+
+
+def test_a_box_that_is_cut_off_does_not_count(tmp_path):
+    flight, _ = make_flight(tmp_path, detect=lambda image: [TARGET._replace(box=(0.0, 10.0, 30.0, 30.0))])
+    assert not flight.fly().found
+
+
+def test_steps_are_used_up_inside_of_the_envelope(tmp_path):
+    flight, drone = make_flight(tmp_path, steps=5)
+    assert "steps" in flight.fly().reason
+    assert moves_of(drone) == ["right", "right", "right", "left", "right"]
+
+
+@pytest.mark.parametrize("where", ["policy", "detector"])
+def test_an_error_lands_and_is_raised(tmp_path, where):
+    def fail(*arguments):
+        raise ZeroDivisionError("oh")
+
+    flight, drone = make_flight(tmp_path, **({"policy": fail} if where == "policy" else {"detect": fail}))
+    with pytest.raises(ZeroDivisionError):
+        flight.fly()
+    assert drone.sent[-1] == "land" and not drone.in_air
+    assert reason_in_log(tmp_path) == "error: ZeroDivisionError: oh"
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_signals_land(tmp_path, name):
+    """The second and the third, while it lands, end nothing; and the old handlers are back after it."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt():
+        os.kill(os.getpid(), getattr(signal, name))
+        return "ok"
+
+    flight, drone = make_flight(tmp_path, {"right": [interrupt], "land": [interrupt, interrupt]})
+    outcome = flight.fly()
+    assert outcome.landed and outcome.reason == f"interrupted by {name}"
+    assert moves_of(drone) == ["right"]
+    assert len(events_of(read(tmp_path / NAME), "signal")) == 2
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_take_off_that_is_not_answered_lands(tmp_path):
+    flight, drone = make_flight(tmp_path, {"takeoff": [""]})
+    assert "takeoff was unanswered" in flight.fly().reason
+    assert drone.sent == ["takeoff", "land"]
+
+
+def test_an_ok_alone_is_no_landing(tmp_path):
+    """It may be the late answer to a move: the drone must say that its motors rest."""
+    flight, drone = make_flight(tmp_path, {"land": ["error", "", "ok"]})
+    assert flight.fly().landed
+    assert drone.sent[-3:] == ["land"] * 3
+
+
+def test_a_dead_link_is_waited_for_and_then_given_up(tmp_path):
+    flight, drone = make_flight(tmp_path)
+
+    def die():
+        drone.age = 100.0
+        return ""
+
+    drone.script = {"right": [die], "land": [""] * 50}
+    outcome = flight.fly()
+    assert not outcome.landed and "link lost" in outcome.reason
+    assert moves_of(drone) == ["right"]
+
+
+def test_no_move_follows_an_unanswered_one_before_the_drone_answers(tmp_path):
+    flight, drone = make_flight(tmp_path, {"right": [""]}, steps=2)
+    flight.fly()
+    assert drone.sent[:4] == ["takeoff", "right 20", "battery?", "right 20"]
+    flight, drone = make_flight(tmp_path / "again", {"right": [""]}, answers=False)
+    assert "no longer answers" in flight.fly().reason
+    assert moves_of(drone) == ["right"]
+
+
+def test_unanswered_moves_end_the_flight(tmp_path):
+    flight, drone = make_flight(tmp_path, {"right": [""] * 9, "left": [""] * 9}, steps=9)
+    assert "never answered" in flight.fly().reason
+    assert len(moves_of(drone)) == flight_module.MOST_UNANSWERED
+
+
+def test_a_refused_move_is_not_tried_again_from_there(tmp_path):
+    flight, drone = make_flight(tmp_path, {"right": ["error"]}, steps=3)
+    flight.fly()
+    assert moves_of(drone) == ["right", "left", "right"]
+
+
+@pytest.mark.parametrize(("answer", "moves"), [("out of range", 3), ("error Auto land", 1), ("error No valid imu", 1)])
+def test_refusals_end_the_flight(tmp_path, answer, moves):
+    flight, drone = make_flight(tmp_path, {name: [answer] * 9 for name in MOVES}, steps=9)
+    assert "refused" in flight.fly().reason
+    assert len(moves_of(drone)) == moves
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"bat": 25}, "battery"), ({"vgy": 3}, "another controller"), ({"h": 140}, "another controller")],
+)
+def test_the_state_is_watched(tmp_path, change, words):
+    flight, drone = make_flight(tmp_path)
+
+    def disturb():
+        drone.packet = drone.packet | change
+        return "ok"
+
+    drone.script = {"right": [disturb]}
+    assert words in flight.fly().reason
+    assert moves_of(drone) == ["right"]
+
+
+@pytest.mark.parametrize("packet", [{"bat": 30}, {}])
+def test_it_is_refused_on_the_ground(tmp_path, packet):
+    flight, drone = make_flight(tmp_path, packet=packet, age=0.0 if packet else 9.0)
+    with pytest.raises(UserError):
+        flight.fly()
+    assert not drone.sent and "refused on the ground" in reason_in_log(tmp_path)
+
+
+def test_pictures_that_cannot_be_trusted_end_it(tmp_path, monkeypatch):
+    faults = iter(["", ""])
+    monkeypatch.setattr(flight_module, "fault_of", lambda *arguments: next(faults, "frozen"))
+    flight, _ = make_flight(tmp_path)
+    assert flight.fly().reason == "video frozen"
+
+
+def test_a_full_disk_lands(tmp_path):
+    flight, drone = make_flight(tmp_path)
+
+    class Full:
+        closed = False
+
+        def write(self, line):
+            raise OSError("no space left")
+
+        def close(self):
+            pass
+
+    def fill():
+        flight.log.file.close()
+        flight.log.file = Full()
+        return "ok"
+
+    drone.script = {"right": [fill]}
+    outcome = flight.fly()
+    assert outcome.landed and "no space left" in outcome.reason

@@ -1,0 +1,50 @@
+"""`infogoal fly` over the real protocol: djitellopy as it is published, a simulated Tello in a process of its own."""
+
+import flights
+import pytest
+
+pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
+pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
+
+from infogoal_jax.data import frames_import
+from infogoal_jax.drone import log, simulated_tello
+from infogoal_jax.drone.recording import TABLE
+
+
+@pytest.fixture(scope="module")
+def drone():
+    """A simulated Tello."""
+    started = simulated_tello.start(flights.settings((0, 0, 0)))
+    yield started
+    started.stop()
+
+
+def fly(drone, folder, policy, *more, **settings):
+    """A flight to its end: its output, its log and the truth about the drone."""
+    ports = flights.free_ports()
+    drone.restart(flights.settings(ports, **settings))
+    process = flights.begin_flight(folder / "flight", policy, drone, ports, 0, *more)
+    output, _ = process.communicate(timeout=120)
+    truth = flights.wait_for(drone, lambda truth: truth["phase"] == "ground", 20)
+    return process.returncode, output, log.read(folder / "flight" / log.NAME), truth
+
+
+def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
+    """The alarm clock of the generated shelf is wholly in view from the second or third place to the right."""
+    policy = flights.write_policy(tmp_path / "policy.npz", objects=["alarm clock"])
+    first, recordings = (0.5 + 0.2 * 31, 0.4 + 0.2 * 8), tmp_path / "recordings"
+    code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(recordings), first=first)
+    (end,) = log.events_of(events, "end")
+    assert code == 0 and end["found"] and end["landed"], output
+    assert (truth["phase"], truth["crashed"], truth["why_landed"]) == ("ground", False, "command land")
+    steps = log.events_of(events, "step")
+    assert [step["move"] for step in steps] == ["right"] * len(steps) and 1 <= len(steps) <= 3
+    data = frames_import.import_folder(recordings, recordings / TABLE, tmp_path / "mine.npz", size=(48, 64))
+    assert len(data.frame) == len(steps) and data.objects == ("alarm clock",) and data.detected[-1, 0]
+
+
+def test_ctrl_c_lands(drone, tmp_path):
+    """While it flies, from a terminal."""
+    policy = flights.write_policy(tmp_path / "policy.npz")
+    fault = next(fault for fault in flights.FAULTS if fault.name == "Ctrl-C")
+    assert flights.fly_with(fault, tmp_path / "flight", policy, drone, 0) == []

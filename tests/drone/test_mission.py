@@ -1,0 +1,109 @@
+"""Before the take-off: questions, policies, libraries and ports that cannot be used are refused."""
+
+import socket
+import subprocess
+import sys
+
+import flights
+import numpy as np
+import pytest
+
+from infogoal_jax.cli.main import main
+from infogoal_jax.data import questions, text
+from infogoal_jax.drone import link, mission
+from infogoal_jax.errors import UserError
+from infogoal_jax.policy_file import ExportedPolicy
+
+
+@pytest.fixture
+def policy(tmp_path) -> ExportedPolicy:
+    """A policy that knows one question."""
+    return ExportedPolicy(flights.write_policy(tmp_path / "policy.npz", objects=["mug"]))
+
+
+def test_a_question_of_the_policy(policy):
+    """Case and white space make no difference."""
+    asked = mission.read_question(policy, f" {flights.QUESTION.upper()}")
+    assert asked.object == "mug"
+    np.testing.assert_array_equal(asked.goal, policy.goals[0])
+
+
+def test_a_question_of_the_shipped_embeddings(policy):
+    shipped = text.load(questions.SHIPPED_EMBEDDINGS)
+    asked = mission.read_question(policy, shipped.texts[0], "mug", str(questions.SHIPPED_EMBEDDINGS))
+    np.testing.assert_allclose(asked.goal, shipped.vectors[0] * np.sqrt(384), rtol=1e-6)
+
+
+def test_a_question_without_an_object(policy):
+    with pytest.raises(UserError, match="object"):
+        mission.read_question(policy, "What is this?")
+
+
+def test_a_question_that_cannot_be_embedded(policy, monkeypatch):
+    from infogoal_jax.data import sentence_encoder
+
+    def missing():
+        raise UserError("no weights")
+
+    monkeypatch.setattr(sentence_encoder, "load_encoder", missing)
+    with pytest.raises(UserError, match="no embedding of the text") as refused:
+        mission.read_question(policy, "Where did I leave my keys?", "keys")
+    assert "no weights" in str(refused.value) and "infogoal data embed" in str(refused.value)
+
+
+def test_policies_that_cannot_fly(tmp_path):
+    (tmp_path / "words.npz").write_text("words")
+    for path in (tmp_path / "words.npz", tmp_path / "nothing.npz", questions.SHIPPED_EMBEDDINGS):
+        with pytest.raises(UserError, match="no file of `infogoal export`"):
+            mission.load_policy(str(path), tmp_path)
+    with pytest.raises(UserError, match="cannot fly"):
+        grey = flights.write_policy(tmp_path / "grey.npz")
+        members = dict(np.load(grey))
+        members["program"] = np.array(str(members["program"]).replace("64, 3]", "64, 1]"))
+        np.savez(grey, **members)
+        mission.load_policy(str(grey), tmp_path)
+
+
+def test_without_the_libraries(tmp_path, monkeypatch, capsys):
+    """The refusal says what to install; nothing is started."""
+    monkeypatch.setitem(sys.modules, "djitellopy", None)
+    policy = flights.write_policy(tmp_path / "policy.npz")
+    words = ["fly", str(policy), "--question", flights.QUESTION, "--simulate", "--out", str(tmp_path / "flight")]
+    assert main(words) == 2
+    assert "pip install" in capsys.readouterr().err
+    assert not (tmp_path / "flight").exists()
+
+
+def test_no_take_off_without_a_yes(tmp_path, monkeypatch, capsys):
+    policy = flights.write_policy(tmp_path / "policy.npz")
+    monkeypatch.setattr("builtins.input", lambda prompt: "no")
+    words = ["fly", str(policy), "--question", flights.QUESTION, "--out", str(tmp_path / "flight")]
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert "Before the propellers turn" in printed.out and "no take-off" in printed.err
+
+
+def test_a_real_drone_needs_a_detector():
+    with pytest.raises(UserError, match="weights"):
+        mission.real_detector("", "mug")
+    assert mission.real_detector("", "")(np.zeros((4, 4, 3), np.uint8)) == []
+
+
+def test_a_port_that_is_taken():
+    """By another program that flies the drone."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("", 0))
+        with pytest.raises(UserError, match="another program"):
+            link.check_ports((other.getsockname()[1],))
+
+
+@pytest.mark.parametrize("words", [["--help"], ["fly", "--help"]])
+def test_nothing_is_imported_that_is_not_needed(words):
+    """Neither the drone's libraries nor, for the help, JAX."""
+    code = (
+        "import sys; from infogoal_jax.cli.main import main\n"
+        f"try: main({words})\nexcept SystemExit: pass\n"
+        "found = {'djitellopy', 'av', 'ultralytics', 'infogoal_jax.drone'} & set(sys.modules)\n"
+        "assert not found, found"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)

@@ -1,0 +1,90 @@
+"""The simulated firmware: answers of the SDK, and the landings that it makes by itself."""
+
+import numpy as np
+import pytest
+
+from infogoal_jax.drone import simulated_body
+from infogoal_jax.drone.simulated_body import Body
+
+FIRST = np.array([4.0, 1.2])
+
+
+def let_pass(body: Body, seconds: float) -> None:
+    """Let the time pass in small steps."""
+    for _ in range(round(seconds / 0.05)):
+        body.advance(body.time + 0.05)
+
+
+@pytest.fixture
+def hovering() -> Body:
+    """A drone that took off."""
+    body = Body(FIRST, np.random.default_rng(0))
+    assert body.obey("takeoff", 0.0) == ""
+    let_pass(body, simulated_body.TAKEOFF_SECONDS + 0.1)
+    assert body.phase == "hovering"
+    return body
+
+
+@pytest.mark.parametrize("move", ["left", "right", "up", "down"])
+def test_a_move_takes_its_time_and_leads_20_cm_on(hovering, move):
+    before = hovering.nominal
+    assert hovering.obey(f"{move} 20", hovering.time) == ""
+    assert hovering.obey("right 20", hovering.time) == "error Not joystick", "the last is not finished"
+    let_pass(hovering, 2.0)
+    step = 0.2 * np.array(simulated_body.DIRECTIONS[move])
+    np.testing.assert_allclose(hovering.nominal - before, step, atol=5 * simulated_body.MOVE_ERROR)
+
+
+REFUSALS = {
+    "up 19": "out of range",
+    "up": "out of range",
+    "up 501": "out of range",
+    "dance": "unknown command: dance",
+    "takeoff": "error",
+}
+
+
+@pytest.mark.parametrize(("command", "answer"), REFUSALS.items())
+def test_what_cannot_be_done(hovering, command, answer):
+    assert hovering.obey(command, hovering.time) == answer
+
+
+def test_on_the_ground():
+    body = Body(FIRST, np.random.default_rng(0))
+    assert (body.obey("up 20", 0.0), body.obey("land", 0.0)) == ("error Motor stop", "error")
+    assert Body(FIRST, np.random.default_rng(0), battery=9.0).obey("takeoff", 0.0) == "error"
+
+
+def test_it_lands_after_15_s_without_a_command(hovering):
+    """A question for the battery does not count as a command."""
+    hovering.obey("up 20", hovering.time)
+    last = hovering.time
+    while hovering.phase != "landing":
+        hovering.obey("battery?", hovering.time)
+        let_pass(hovering, 0.1)
+        assert hovering.time < last + 20
+    assert hovering.time > last + simulated_body.SILENCE
+    let_pass(hovering, 10)
+    assert (hovering.phase, hovering.why_landed) == ("ground", "no command for 15 s")
+
+
+def test_it_lands_with_an_empty_battery(hovering):
+    hovering.battery = 4.0
+    let_pass(hovering, 10)
+    assert (hovering.phase, hovering.why_landed) == ("ground", "battery empty")
+
+
+def test_drift_is_that_of_the_hovering_dataset(hovering):
+    drift = []
+    for _ in range(4000):
+        hovering.last_command = hovering.time
+        hovering.battery = 80.0
+        hovering.advance(hovering.time + 0.5)
+        drift.append(hovering.drift)
+    np.testing.assert_allclose(np.std(drift, axis=0), simulated_body.shelf.DRIFT, rtol=0.15)
+
+
+def test_the_state_is_that_of_the_sdk(hovering):
+    state = dict(field.split(":") for field in hovering.state().strip().rstrip(";").split(";"))
+    names = "pitch roll yaw vgx vgy vgz templ temph tof h bat baro time agx agy agz".split()
+    assert list(state) == names and state["h"] == "80" and 160 < int(state["tof"]) < 180

@@ -1,0 +1,142 @@
+"""An exported policy says with NumPy what the run's policy says with JAX, and its file needs nothing of the package."""
+
+import subprocess
+import sys
+from typing import NamedTuple
+
+import hand_made
+import hand_made_frames
+import hand_made_points
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from places import ROOT
+
+from infogoal_jax import make_train, policy_file
+from infogoal_jax.errors import UserError
+from infogoal_jax.learners.learner import encode_goals
+from infogoal_jax.report import export, runs
+from infogoal_jax.train import policies
+from infogoal_jax.train.program import Train
+
+SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
+WITHIN = 1e-5
+
+
+class Case(NamedTuple):
+    """A task and a method with parameters drawn at random."""
+
+    train: Train
+    params: dict
+
+
+def case_of(config, env) -> Case:
+    """Parameters of the sizes that training has, none of them zero."""
+    train = make_train(config, env)
+    return Case(train, hand_made_points.random_params(train))
+
+
+@pytest.fixture(scope="module")
+def shelf() -> Case:
+    """Embodied question answering with sampled codes."""
+    return case_of(hand_made_frames.qa_config("infogoal", **SHORT), hand_made_frames.qa())
+
+
+@pytest.fixture(scope="module")
+def exported(shelf, tmp_path_factory) -> policy_file.ExportedPolicy:
+    """Its policy as read back."""
+    return export.export_params(*shelf, tmp_path_factory.mktemp("export") / "policy.npz", {"seed": 0})
+
+
+CASES = {
+    "codes that depend on the state": (lambda: hand_made.config("gcb", **SHORT), hand_made.environment),
+    "image goals": (lambda: hand_made_frames.manipulation_config("infogoal", **SHORT), hand_made_frames.manipulation),
+}
+
+
+def check_alike(case: Case, exported: policy_file.ExportedPolicy) -> None:
+    """The values of actions are those of JAX within 1e-5, for several goals, with and without noise."""
+    env = case.train.env
+    values, (_, _, noise) = export.action_values(*case)
+    values, random = jax.jit(values), np.random.default_rng(0)
+    look = jax.jit(lambda key: env.render(env.observe(env.reset(key))))
+    for goal in range(min(env.goals.num_goals, 8)):
+        seen = np.asarray(look(jax.random.key(goal)))
+        inputs = np.asarray(env.goals.inputs_of(jnp.asarray(goal)))
+        for drawn in (np.zeros(noise.shape, np.float32), random.normal(size=noise.shape).astype(np.float32)):
+            expected = np.asarray(values(seen, inputs, drawn))
+            np.testing.assert_allclose(exported.values(seen, inputs, drawn), expected, rtol=WITHIN, atol=WITHIN)
+
+
+def test_values_are_those_of_jax(shelf, exported):
+    check_alike(shelf, exported)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_other_networks_too(name, tmp_path):
+    config, env = CASES[name]
+    case = case_of(config(), env())
+    check_alike(case, export.export_params(*case, tmp_path / "policy.npz", {}))
+
+
+def test_actions_are_those_of_the_evaluation(shelf, exported):
+    """The greedy action among the legal ones, by the mean of the code."""
+    (train, params), env = shelf, shelf.train.env
+    encode = encode_goals(train.parts.learner, params["goal"], env.goals, train.parts.config.batch_size)
+    policy = policies.tested_policy(train.parts, params, train.parts.config.hyper, env, encode, use_mean=True)
+    images = jnp.arange(env.num_observations)
+    goals = images % env.goals.num_goals
+    expected, masks = np.asarray(policy(images, goals, jax.random.key(0))), np.asarray(env.action_mask(images))
+    found = [
+        exported.act(np.asarray(env.images[image]), exported.goals[goal], mask)
+        for image, goal, mask in zip(np.asarray(images), np.asarray(goals), masks, strict=True)
+    ]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_the_file_says_what_it_is_for(shelf, exported):
+    about = exported.about
+    assert (about["task"], about["method"], about["seed"]) == ("embodied_qa", "infogoal", 0)
+    assert about["actions"] == list(hand_made_frames.shelf().actions)
+    assert len(about["goal_names"]) == len(about["goal_objects"]) == shelf.train.env.goals.num_goals
+    assert set(about["goal_objects"]) <= set(hand_made_frames.OBJECTS)
+
+
+def test_the_reader_needs_numpy_alone(shelf, tmp_path):
+    """Its file is copied away and runs where the package is not."""
+    export.export_params(*shelf, tmp_path / "policy.npz", {})
+    (tmp_path / "policy_file.py").write_text((ROOT / "infogoal_jax" / "policy_file.py").read_text())
+    code = (
+        "import sys; sys.path.insert(0, '.'); import numpy as np, policy_file;"
+        "policy = policy_file.ExportedPolicy('policy.npz'); shape, kind = policy.program['inputs'][1][0];"
+        "policy.act(np.zeros(shape, kind), policy.goals[0]);"
+        "assert not {'jax', 'flax', 'infogoal_jax'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-I", "-c", code], cwd=tmp_path, check=True)
+
+
+def test_another_shape_is_refused(exported):
+    with pytest.raises(ValueError, match="wants"):
+        exported.values(np.zeros((3, 3), np.uint8), exported.goals[0])
+
+
+def test_continuous_actions_are_refused():
+    train = make_train(hand_made_points.config("none", **SHORT), hand_made_points.steered())
+    with pytest.raises(UserError, match="continuous"):
+        export.action_values(train, {})
+
+
+def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
+    run = runs.Run(tmp_path, shelf.train.config, [0, 1], "", {}, "")
+    with pytest.raises(UserError, match="seed = 7"):
+        export.export(run, tmp_path / "policy.npz", 7)
+
+
+def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
+    pytest.importorskip("flatbuffers", reason="JAX writes StableHLO by flatbuffers, which is not installed")
+    export.export_params(*shelf, tmp_path / "policy.npz", {}, tmp_path / "policy.stablehlo")
+    program = jax.export.deserialize(bytearray((tmp_path / "policy.stablehlo").read_bytes()))
+    seen, noise = np.asarray(shelf.train.env.images[0]), np.zeros(exported.about["code_size"], np.float32)
+    expected = exported.values(seen, exported.goals[0], noise)
+    np.testing.assert_allclose(program.call(seen, exported.goals[0], noise), expected, rtol=WITHIN, atol=WITHIN)
