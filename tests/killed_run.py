@@ -17,5 +17,5 @@ if __name__ == "__main__":
     folder, resume = Path(sys.argv[1]), sys.argv[2:] == ["resume"]
     print("starting", flush=True)
     host.run(
-        chunk_config(), [0, 1], folder, resume=resume and (folder / "checkpoint").exists(), env=hand_made.environment()
+        chunk_config(), [0, 1], folder, resume=resume and (folder / "config.json").exists(), env=hand_made.environment()
     )

@@ -7,16 +7,33 @@ from places import ROOT
 
 PACKAGE = ROOT / "infogoal_jax"
 LAYERS = (
-    {"errors", "config", "registry", "hyperparameters", "goals", "pairs", "networks", "replay", "angles"},
+    {
+        "errors",
+        "stopping",
+        "locks",
+        "field_types",
+        "config",
+        "registry",
+        "hyperparameters",
+        "goals",
+        "pairs",
+        "networks",
+        "replay",
+        "angles",
+    },
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},
     {"presets"},
+    {"runs"},
     {"train"},
     {"report", "bridges"},
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
-NOT_OF_LEARNING = {"data": {"goals", "errors"}, "envs": {"goals", "errors", "replay", "registry", "angles"}}
+NOT_OF_LEARNING = {
+    "data": {"goals", "errors", "locks", "stopping"},
+    "envs": {"goals", "errors", "replay", "registry", "angles"},
+}
 """What data and environments may know of the lowest layer."""
 
 

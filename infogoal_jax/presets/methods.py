@@ -24,6 +24,7 @@ METHODS = (
 
 def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
+    require(isinstance(name, str), "method", name, f"give the name of a method. Known: {', '.join(METHODS)}")
     if name in learners.registry:
         return Method(name)  # One that was registered after this module was imported, too.
     require(

@@ -6,16 +6,17 @@ from typing import Any, NamedTuple
 import jax
 import optax
 
-from infogoal_jax import agents, envs, exploration, learners, networks, relabelling
+from infogoal_jax import agents, envs, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import Learner
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.train import hierarchy
-from infogoal_jax.train.combinations import STEERING, check_combination
+from infogoal_jax.train.combinations import STEERING, check_combination, check_same_task
 
 
 class Parts(NamedTuple):
@@ -76,9 +77,14 @@ def load_environment(config: TrainConfig, env: Any = None):
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is
     not made for.
     """
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
+    if config.task in envs.registry:
+        kind = envs.registry[config.task].config
+        require(isinstance(config.env, kind), "env", type(config.env).__name__, f"{config.task} needs {kind.__name__}")
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
+    check_environment(config, env)
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
     if agents.registry.name_of(config.agent) in STEERING and not isinstance(env, hierarchy.SubgoalEnv):
@@ -86,8 +92,15 @@ def load_environment(config: TrainConfig, env: Any = None):
     return env
 
 
+def check_environment(config: TrainConfig, env: Any) -> None:
+    """Raise `UserError` for what is no environment, or one of another task than the configuration."""
+    require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    check_same_task(config, env)
+
+
 def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
-    """Raise `UserError` where float hyperparameters are not those of the configuration's parts."""
+    """Raise `UserError` where float hyperparameters are not those of the configuration's parts, or out of range."""
+    require(isinstance(hyper, Hyperparameters), "hyper", hyper, "give Hyperparameters, such as config.hyper")
     for registered, own, given in (
         (learners.registry, config.learner, hyper.learner),
         (agents.registry, config.agent, hyper.agent),
@@ -101,3 +114,4 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
             "take "
             "presets.default_hyperparameters",
         )
+    hyperparameters.check(hyper)

@@ -15,9 +15,9 @@ from infogoal_jax import envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
-from infogoal_jax.presets.saved import from_dict, to_json
+from infogoal_jax.runs import tables
+from infogoal_jax.runs.configuration import from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
-from infogoal_jax.train import files
 
 
 @pytest.fixture(autouse=True)
@@ -265,7 +265,7 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
         "timing.json",
         "checkpoint",
         "policy",
-        *(f"{table}{end}" for table in files.TABLES for end in (".csv", ".jsonl")),
+        *(f"{table}{end}" for table in tables.TABLES for end in (".csv", ".jsonl")),
     ):
         assert (run / name).stat().st_size > 0, name
     assert (run / "figures" / "learning_curves.png").exists()
@@ -298,7 +298,6 @@ def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
     written."""
     code = f"""
 import resource, sys
-from infogoal_jax.train import files
 from infogoal_jax.cli.main import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 sys.exit(main({arguments.split()!r}))

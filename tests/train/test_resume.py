@@ -20,8 +20,8 @@ from killed_run import chunk_config
 from places import TESTS
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.presets.saved import to_json
-from infogoal_jax.train import checkpoint, files, host
+from infogoal_jax.runs import checkpoint, tables
+from infogoal_jax.train import host
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
@@ -92,11 +92,11 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
     rows = [
         {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
     ]
-    files.append_rows(tmp_path, "epochs", rows)
+    tables.append_rows(tmp_path, "epochs", rows)
     with open(tmp_path / "epochs.jsonl", "a") as file:
         file.write('{"seed": 0, "epo')  # The line that the kill cut short.
-    files.cut_back(tmp_path, 2)
-    assert files.read_table(tmp_path, "epochs") == rows[:4]
+    tables.replace_table(tmp_path, "epochs", tables.rows_until(tmp_path, "epochs", [0, 1], [1, 2]))
+    assert tables.read_table(tmp_path, "epochs") == rows[:4]
     assert (tmp_path / "epochs.csv").read_text().splitlines() == [
         "seed,epoch,x",
         "0,1,0.1",
@@ -124,7 +124,7 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
         damage
     )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
-    with pytest.raises(UserError, match="damaged|no checkpoint"):
+    with pytest.raises(UserError, match="damaged|no checkpoint|cannot be resumed"):
         host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
     assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
 
@@ -159,8 +159,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrup
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
     for leaf in jax.tree.leaves(params):
         leaf[1] = np.nan
-    kept = {name: value for name, value in header.items() if name not in ("format", "sha256", "bytes")}
-    checkpoint.save(copy_of_whole / "checkpoint", kept, states.replace(params=params))
+    checkpoint.save(copy_of_whole / "checkpoint", header, states.replace(params=params))
     poisoned = host.run(longer, [0, 1], copy_of_whole, resume=True, env=env)
     healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
     assert poisoned.diverged == {1: 13} and healthy.diverged == {}
@@ -190,11 +189,11 @@ def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):
 import resource, signal, sys
 from pathlib import Path
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import files
+from infogoal_jax.runs import disk
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:
-    files.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
+    disk.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
 except UserError as error:
     print(error)
 """
@@ -205,11 +204,14 @@ except UserError as error:
     ).read_bytes() == b"old"
 
 
-def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):
-    """A field that it does not have cannot be given the same value."""
-    config = json.loads(to_json(hand_made.config()))
-    description = {"seeds": [0], "data": "rooms", "config": config, "epoch": 1}
-    earlier = description | {"config": {name: value for name, value in config.items() if name != "format"}}
-    checkpoint.save(tmp_path / "checkpoint", earlier, {"weight": np.zeros(2)})
-    with pytest.raises(UserError, match="earlier version, which has no format.*start a new run"):
-        host.resume_from(tmp_path / "checkpoint", None, description)
+def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
+    """Its fields have other names, and its checkpoint another first line."""
+    path = copy_of_whole / "checkpoint"
+    path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
+    with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+    about = json.loads((copy_of_whole / "config.json").read_text())
+    del about["config"]["format"]
+    (copy_of_whole / "config.json").write_text(json.dumps(about))
+    with pytest.raises(UserError, match="config.format = 1.*use the version that wrote the run"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
