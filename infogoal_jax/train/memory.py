@@ -175,8 +175,7 @@ def to_blame(train: Train, num_seeds: int, memory: int, needs: str) -> UserError
     room = f"a device has {memory / GIB:.1f} GiB"
     if not fields:
         return UserError(f"task = {train.config.task!r}: {needs}, {room}: give smaller sizes, or take a larger device")
-    left = {name: need() for name, (_, _, need) in fields.items()}
-    name = min(left, key=left.get)
+    name = min(fields, key=lambda name: fields[name][2]()) if len(fields) > 1 else next(iter(fields))
     value, usual, _ = fields[name]
     return UserError(f"{name} = {value!r}: {needs}, {room}: give a smaller value, such as {usual!r}")
 
