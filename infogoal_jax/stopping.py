@@ -7,6 +7,7 @@ was being written beside goes with `temporary`.
 import contextlib
 import os
 import signal
+import stat
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -99,8 +100,8 @@ def note_then_raise() -> Callable[[StopRequest], None]:
 
 def leave(request: StopRequest) -> None:
     """End the process, wherever its threads are, and say what is on disk."""
-    remove_temporaries()
     say(f"infogoal: stopped; {request.advice}")
+    remove_temporaries()
     with contextlib.suppress(OSError, ValueError, RuntimeError):
         if sys.stdout.isatty():
             os.write(1, b"\x1b[?25h")  # A progress bar hides the cursor.
@@ -118,7 +119,7 @@ def forget_terminal() -> None:
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             with contextlib.suppress(OSError):
-                if os.isatty(stream):
+                if stat.S_ISCHR(os.fstat(stream).st_mode):  # A closed terminal says that it is none.
                     os.dup2(nowhere.fileno(), stream)
 
 

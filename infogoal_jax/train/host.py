@@ -23,7 +23,7 @@ from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.compilation import compiler_options
 from infogoal_jax.train.devices import chunk_over_seeds, over_seeds, seed_mesh
 from infogoal_jax.train.memory import at_once as seeds_at_once
-from infogoal_jax.train.memory import bytes_of, check_program, mesh_memory
+from infogoal_jax.train.memory import bytes_of, check_program
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.resuming import BEGINNING, Point, last_point
 
@@ -65,13 +65,14 @@ class Sweep:
 class Programs:
     """Training of all seeds side by side. initial: (keys, hyper, env) -> states; chunk: (states, epochs [E], hyper,
     env) -> (states, metrics of epochs, of the evaluation), which gives the memory of the states back; shared: hyper and
-    env on every device; states_shape: shapes of all seeds' states."""
+    env on every device; states_shape: shapes of all seeds' states; count: of seeds."""
 
     initial: Callable
     chunk: Callable
     shared: Any
     states_shape: Any
     by_seed: jax.sharding.NamedSharding
+    count: int
 
 
 def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
@@ -142,8 +143,12 @@ def run(
         train = make_train(config, env)
         programs = programs_of(train, seeds)
         now = describe(config, train.env, list(seeds))
+        if not resume:
+            check_fits(train, programs)  # So that a refusal leaves no folder behind.
         with only_writer(folder, new=() if resume else RUN):
             point = last_point(folder, now, programs.states_shape) if resume else BEGINNING
+            if resume:
+                check_fits(train, programs)
             for table, rows in point.rows.items():
                 tables.replace_table(folder, table, rows)
             if not resume or description.read(folder) != now:
@@ -177,11 +182,15 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
     )
     shared = jax.device_put((train.config.hyper, train.env), everywhere)
     states_shape = jax.eval_shape(initial, jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype), *shared)
+    return Programs(initial, chunk, shared, states_shape, by_seed, len(seeds))
+
+
+def check_fits(train: Train, programs: Programs) -> None:
+    """Raise `UserError`, naming the field that is to blame, if the traced program of all seeds needs more memory than
+    there is. Lowering it does not trace it again: the types are the same."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    # It is not traced again where it is lowered: the types are the same.
-    traced, held = chunk.trace(states_shape, numbers, *shared), bytes_of((states_shape, train.env))
-    check_program(traced, held, train, len(seeds), mesh_memory(mesh), mesh.size)
-    return Programs(initial, chunk, shared, states_shape, by_seed)
+    traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
+    check_program(traced, bytes_of((programs.states_shape, train.env)), train, programs.count, programs.by_seed.mesh)
 
 
 def train_on(

@@ -98,8 +98,6 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     start = jax.jit(begin, out_shardings=by_lane, compiler_options=compiler_options())
     shared = jax.device_put(train.env, everywhere)
     shape = jax.eval_shape(start, starts, shared)
-    traced = go_on.trace(shape, jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32), shared)
-    memory.check_program(traced, memory.bytes_of((shape, train.env)), train, count, memory.mesh_memory(mesh), mesh.size)
     return Programs(start, go_on, starts, shared, shape, by_lane)
 
 
@@ -123,15 +121,25 @@ def side_by_side(
         about = host.describe(train.config, train.env, list(seeds))
         fields = tuple(trials[0].values)
         result = TuneResult(train.config, group, fields, list(seeds), [], list(trials), 0.0, 0.0, about)
+        if not resume:
+            check_fits(train, programs, len(trials) * len(seeds))
         if watch is None:
             return run_lanes(train, programs, result, None, stop)
         with only_writer(watch.folder, new=() if resume else SEARCH):
             lanes = None
             if resume:
                 result, lanes = last_point(watch.folder, result, programs)
+                check_fits(train, programs, len(trials) * len(seeds))
             else:
                 write_plan(watch.folder, about, plan_of(result))
             return run_lanes(train, programs, result, lanes, stop, watch)
+
+
+def check_fits(train: Train, programs: Programs, count: int) -> None:
+    """Raise `UserError`, naming the field that is to blame, if all lanes need more memory than there is."""
+    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
+    traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
+    memory.check_program(traced, memory.bytes_of((programs.shape, train.env)), train, count, programs.by_lane.mesh)
 
 
 def plan_of(result: TuneResult) -> Plan:

@@ -155,12 +155,12 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
     return num_seeds * carried + running + bytes_of(train.env)
 
 
-def check_program(traced: Any, held: int, train: Train, num_seeds: int, memory: int, devices: int = 1) -> None:
+def check_program(traced: Any, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh) -> None:
     """Raise `UserError`, naming the field that is to blame, if a traced program of all seeds cannot run.
 
-    held: bytes of its arguments on all devices together; memory: of one device.
+    held: bytes of its arguments on all devices of the mesh together.
     """
-    needed = (held + peak_bytes(traced.jaxpr)) / devices
+    needed, memory = (held + peak_bytes(traced.jaxpr)) / mesh.size, mesh_memory(mesh)
     if needed > memory:
         raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least")
 

@@ -25,7 +25,7 @@ def contents(path: Path) -> dict[str, bytes]:
 
 def test_a_second_writer_is_refused_and_the_first_one_s_lock_goes_with_it(tmp_path):
     with only_writer(tmp_path / "run"):
-        with pytest.raises(UserError, match=f"being written by another process .process {os.getpid()} on "):  # noqa: SIM117
+        with pytest.raises(UserError, match=f"being written by another process .process {os.getpid()} on "):
             with only_writer(tmp_path / "run"):
                 pass
     assert contents(tmp_path) == {}
@@ -97,11 +97,7 @@ def test_a_new_run_starts_where_none_of_its_files_is(names, tmp_path):
 
 @pytest.mark.parametrize(
     "command",
-    [
-        "train object_search --seeds 1",
-        "tune object_search --trials 2 --fields discount",
-        "pretrain fetch_reach",
-    ],
+    ["train object_search --seeds 1", "tune object_search --trials 2 --fields discount", "pretrain fetch_reach"],
 )
 def test_files_of_others_stay_as_they_are(command, tmp_path, capsys, monkeypatch):
     """In a folder with the files of a search, of a run or of a person: refused, and every byte is as before."""
