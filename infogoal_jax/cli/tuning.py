@@ -142,10 +142,13 @@ def go_on(folder: str, command: str, config: Any = None) -> int:
 
 
 def search_folder(out: str, config: Any, kind: str) -> Path:
-    """The folder that was given, or a new one."""
+    """The folder that was given, or a new one. Raises `UserError` if a search is in it already."""
     from infogoal_jax import presets
+    from infogoal_jax.runs.folder import SEARCH, check_new
 
-    return Path(out) if out else new_folder(config.task, presets.name_of(config), kind)
+    folder = Path(out) if out else new_folder(config.task, presets.name_of(config), kind)
+    check_new(folder, SEARCH)
+    return folder
 
 
 def watch_search(config: Any, trials: int, seeds: int, folder: Path, command: str, run: Callable[[Any], Any]) -> int:

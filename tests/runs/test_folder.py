@@ -24,10 +24,9 @@ def contents(path: Path) -> dict[str, bytes]:
 
 
 def test_a_second_writer_is_refused_and_the_first_one_s_lock_goes_with_it(tmp_path):
-    with only_writer(tmp_path / "run"):
-        with pytest.raises(UserError, match=f"being written by another process .process {os.getpid()} on "):
-            with only_writer(tmp_path / "run"):
-                pass
+    by_us = f"being written by another process .process {os.getpid()} on "
+    with only_writer(tmp_path / "run"), pytest.raises(UserError, match=by_us), only_writer(tmp_path / "run"):
+        pass
     assert contents(tmp_path) == {}
     with only_writer(tmp_path / "run"):
         pass

@@ -1,5 +1,6 @@
-"""Runs, searches and finals that are killed or stopped at random moments, while they compile, train, write or draw, end
-with the same bits as those that were left alone, and leave no stale file; of two that want one folder one is refused."""
+"""Runs, searches and finals that are killed or stopped at random moments, while they compile, train, write or draw,
+end with the same bits as those that were left alone, and leave no stale file; of two that want one folder one is
+refused."""
 
 import os
 import random
