@@ -7,14 +7,18 @@ them.
 """
 
 import dataclasses
-from typing import Annotated, Any, Literal, get_args
+import reprlib
+from typing import Annotated, Any, Literal
 
 import flax.struct
 
 from infogoal_jax import hyperparameters
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.field_types import LARGEST_WHOLE, checked, checked_value, hints_of
 from infogoal_jax.hyperparameters import NoHyperparameters, Number, Search
 
+PARTS = ("env", "learner", "agent", "relabelling", "explorer", "state_encoder")
+"""Fields of `TrainConfig` that hold the configuration of a part, which checks itself."""
 KnownGoals = Literal["train", "held_out", "visited", "all"]
 
 
@@ -119,6 +123,17 @@ class TrainConfig:
     """Start states for each goal in an evaluation."""
 
     def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value, of_part = getattr(self, field.name), field.name in PARTS
+            if of_part and (isinstance(value, type) or not hasattr(value, "check")):
+                raise UserError(f"{field.name} = {reprlib.repr(value)}: give a configuration, see presets.load")
+            if field.name == "hyper":
+                new = hyperparameters.checked(value)
+            elif of_part:
+                new = checked(value, f"{field.name}.")
+            else:
+                new = checked_value(value, hints_of(TrainConfig)[field.name], field.name)
+            object.__setattr__(self, field.name, new)
         for name in (
             "num_epochs",
             "epochs_per_evaluation",
@@ -130,12 +145,7 @@ class TrainConfig:
             "evaluation_starts",
         ):
             value = getattr(self, name)
-            require(
-                isinstance(value, int) and not isinstance(value, bool) and value > 0,
-                name,
-                value,
-                "give a whole number greater than 0",
-            )
+            require(value > 0, name, value, "give a whole number greater than 0")
         if self.num_epochs % self.epochs_per_evaluation:
             nearest = max(1, round(self.num_epochs / self.epochs_per_evaluation)) * self.epochs_per_evaluation
             raise UserError(
@@ -148,11 +158,12 @@ class TrainConfig:
             self.buffer_steps,
             f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}",
         )
+        positions = self.buffer_epochs * self.num_envs * (self.rollout_steps + 1)
         require(
-            self.known_goals in get_args(KnownGoals),
-            "known_goals",
-            self.known_goals,
-            "give train, held_out, visited or all",
+            positions <= LARGEST_WHOLE,
+            "buffer_steps",
+            self.buffer_steps,
+            f"is {positions} places with whole epochs and their last observations; give at most {LARGEST_WHOLE}",
         )
         require(
             0 <= self.training_corruption < 1,
@@ -166,8 +177,6 @@ class TrainConfig:
             self.test_corruption,
             "give a weight from 0 to 1, for example 0.4",
         )
-        if isinstance(self.hyper.learning_rate, int | float):
-            hyperparameters.check(self.hyper)
         for part in (self.state_encoder, self.env, self.learner, self.agent, self.relabelling, self.explorer):
             part.check(self)
 

@@ -1,5 +1,8 @@
 """The one error a user is meant to read: what was given, why it cannot be used, and what would be right."""
 
+LONGEST = 200
+"""Characters of a value in an error."""
+
 
 class UserError(ValueError):
     """A mistake in what the user gave: a field, a file, a name. The command line prints its text alone."""
@@ -8,7 +11,13 @@ class UserError(ValueError):
 def require(condition: bool, field: str, value: object, remedy: str) -> None:
     """Raise `UserError` naming the field, its value and the remedy, unless the condition holds."""
     if not condition:
-        raise UserError(f"{field} = {value!r}: {remedy}")
+        raise UserError(f"{field} = {shown(value)}: {remedy}")
+
+
+def shown(value: object) -> str:
+    """A value as it is written in Python, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 def nearest(name: str, known: list[str]) -> str:

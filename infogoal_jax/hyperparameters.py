@@ -12,14 +12,16 @@ again.
 
 import dataclasses
 import functools
-import math
 import typing
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import flax.struct
+import jax
+import numpy as np
 
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import LARGEST_FLOAT, plain
 
 
 class Search(NamedTuple):
@@ -85,10 +87,27 @@ def floats(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Number]]:
 
 
 def check(record: Any) -> None:
-    """Raise `UserError` for a value outside of its interval. For Python floats only, never for traced values."""
+    """Raise `UserError` for a value outside of its interval, or that float32 cannot hold: of numbers, and of each
+    number in an array. What is traced, inside of a jitted function, has no value to look at."""
     for name, value, number in floats(record):
-        require(isinstance(value, int | float) and math.isfinite(value), f"hyper.{name}", value, "give a finite number")
-        require(number.allows(value), f"hyper.{name}", value, f"give a number in {number.interval}")
+        if isinstance(value, jax.core.Tracer):
+            continue
+        array = np.asarray(value)
+        numeric = array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16
+        require(numeric, f"hyper.{name}", value, "give a number, or an array of them")
+        for one in np.unique(array.astype(float)):
+            one = float(one)
+            require(abs(one) <= LARGEST_FLOAT, f"hyper.{name}", one, "give a finite number that float32 holds")
+            require(number.allows(one), f"hyper.{name}", one, f"give a number in {number.interval}")
+
+
+def checked(record: Any) -> Any:
+    """A record with numbers of numpy as those of Python. Raises `UserError` as `check` does, and for what is no record
+    of floats."""
+    require(dataclasses.is_dataclass(record) and not isinstance(record, type), "hyper", record, "give Hyperparameters")
+    record = with_values(record, {name: plain(value) for name, value, _ in floats(record)})
+    check(record)
+    return record
 
 
 def with_values(record: Any, values: dict[str, Any]) -> Any:

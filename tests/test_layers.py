@@ -9,6 +9,9 @@ PACKAGE = ROOT / "infogoal_jax"
 LAYERS = (
     {
         "errors",
+        "stopping",
+        "locks",
+        "field_types",
         "config",
         "registry",
         "hyperparameters",
@@ -23,13 +26,14 @@ LAYERS = (
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},
     {"presets"},
+    {"runs"},
     {"train"},
     {"report", "bridges", "drone"},
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {
-    "data": {"goals", "goal_uses", "errors"},
+    "data": {"goals", "goal_uses", "errors", "locks", "stopping"},
     "envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"},
 }
 """What data and environments may know of the lowest layer."""

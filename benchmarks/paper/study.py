@@ -16,7 +16,7 @@ from study_numbers import Study, StudyRun
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
-from infogoal_jax.train import devices, host
+from infogoal_jax.train import host, memory
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate, group_means, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners
 
@@ -63,7 +63,8 @@ def train(config, seeds: int, out: Path, measure: Callable[[host.Sweep], dict] =
         return
     started = time.perf_counter()
     with make_listeners(out, config, seeds) as listeners:
-        sweep = host.run(config, list(range(seeds)), out, resume=(out / "checkpoint").exists(), listeners=listeners)
+        resume = (out / "config.json").exists()
+        sweep = host.run(config, range(seeds), out, resume, listeners.progress, compiling=listeners.compiling)
     if sweep.stopped:
         sys.exit(130)
     result = {
@@ -73,7 +74,7 @@ def train(config, seeds: int, out: Path, measure: Callable[[host.Sweep], dict] =
         "compile_seconds": sweep.compile_seconds,
         "run_seconds": sweep.run_seconds,
         "seconds": time.perf_counter() - started,
-        "data_bytes": devices.bytes_of(sweep.train.env),
+        "data_bytes": memory.bytes_of(sweep.train.env),
         "peak_bytes": (jax.devices()[0].memory_stats() or {}).get("peak_bytes_in_use"),
     }
     (out / "result.json").write_text(json.dumps(result | measure(sweep)) + "\n")

@@ -35,8 +35,8 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
-from infogoal_jax.train.tune import batched_hyper
 
 KINDS = (
     "train_goal",

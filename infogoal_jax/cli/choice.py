@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from infogoal_jax.config import TrainConfig
 
 
+AUTO = "auto"
+"""In place of a run's folder: the newest of the configuration."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Parts:
     """Parts that are chosen by name. None: the task's or the method's own."""
@@ -68,9 +72,9 @@ def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
     """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts
     than those that are named."""
     from infogoal_jax import presets
-    from infogoal_jax.report.runs import load_run
+    from infogoal_jax.runs import description
 
-    config = load_run(Path(folder)).config
+    config = description.read(Path(folder)).config
     if task not in ("", config.task):
         raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
     if choice.method is not None and not is_of_method(config, choice.method):

@@ -9,8 +9,8 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.data_files import new_file, print_size, progress_bar
-from infogoal_jax.cli.folders import empty_folder
-from infogoal_jax.errors import UserError
+from infogoal_jax.cli.folders import check_seed, empty_folder
+from infogoal_jax.errors import UserError, require
 
 
 def house(path: Positional[str], seed: int = 0) -> int:
@@ -22,6 +22,7 @@ def house(path: Positional[str], seed: int = 0) -> int:
     """
     from infogoal_jax.stand_ins.house import build_house
 
+    check_seed(seed)
     folder = empty_folder(path, "path")
     build_house(folder, seed=seed)
     print(f"{folder}: built from seed {seed}")
@@ -38,6 +39,8 @@ def backgrounds(path: Positional[str], seed: int = 0, crops_of_each: int = 84) -
     """
     from infogoal_jax.stand_ins.photographs import build_backgrounds
 
+    check_seed(seed)
+    require(0 < crops_of_each <= 10_000, "crops_of_each", crops_of_each, "give 1 to 10000")
     folder = empty_folder(path, "path")
     build_backgrounds(folder, seed, crops_of_each)
     print(f"{folder}: built from seed {seed}")
@@ -55,6 +58,7 @@ def fetch(
         seed: Seed of the goals for training, validation and tests; 0: the shipped ones.
         tasks: The tasks.
     """
+    check_seed(seed)
     from rich.progress import track
 
     from infogoal_jax.data import goal_images
@@ -84,6 +88,7 @@ def cube(path: Positional[str], seed: int = 0, physical_limits: FlagCreatePairsO
         seed: Seed of stickers, camera, room and light.
         physical_limits: Leave out what the limits of the real arm's joints do not allow.
     """
+    check_seed(seed)
     from infogoal_jax.stand_ins import cube
 
     return write_frames(path, "drawing the cube", lambda bar: cube.build(seed, physical_limits, progress=bar))
@@ -97,6 +102,7 @@ def shelf(path: Positional[str], seed: int = 0, hovering: FlagCreatePairsOff[boo
         seed: Seed of the shelf and of the flights.
         hovering: The drone drifts where it hovers, so that a state has several images.
     """
+    check_seed(seed)
     from infogoal_jax.stand_ins import shelf
 
     return write_frames(path, "drawing the shelf", lambda bar: shelf.build(seed, hovering, progress=bar))

@@ -53,7 +53,9 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
                         help_behavior_hint=lambda shown, number=number: f"(in {number.interval}, default: {shown})"
                     ),
                 ]
-            elif of_command and (name == "task" or (brief and dataclasses.is_dataclass(value))):
+            elif of_command and name == "task":  # The name of the subcommand, and no flag.
+                hint = tyro.conf.Suppress[tyro.conf.Fixed[str]]
+            elif of_command and brief and dataclasses.is_dataclass(value):
                 hint = tyro.conf.Suppress[type(value)]
             else:
                 hint = short(hints[name]) if of_command and brief else hints[name]

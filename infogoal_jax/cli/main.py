@@ -1,6 +1,7 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
 import gc
+import signal
 import sys
 
 import tyro
@@ -16,6 +17,7 @@ from infogoal_jax.cli.runs import check_fetch, compare, evaluate, report, video
 from infogoal_jax.cli.training import train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError
+from infogoal_jax.stopping import NOTHING, STATUS
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
 `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
@@ -80,6 +82,8 @@ def main(arguments: list[str] | None = None) -> int:
     except UserError as error:
         print(f"infogoal: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("infogoal: stopped at once; a run that has a checkpoint goes on from it with --resume", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stopped:
+        print(f"infogoal: stopped; {stopped or NOTHING}", file=sys.stderr)
+        return STATUS
+    except BrokenPipeError:  # Nobody reads what is printed any more, as after `| head`.
+        return 128 + signal.SIGPIPE

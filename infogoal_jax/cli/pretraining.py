@@ -7,7 +7,7 @@ import tyro
 from tyro.conf import Suppress
 
 from infogoal_jax.cli.commands import Group, TaskCommands, first_word, named
-from infogoal_jax.cli.folders import new_folder
+from infogoal_jax.cli.folders import new_folder, seeds_from
 from infogoal_jax.errors import UserError, nearest
 
 JOINTS = "object_manipulation"
@@ -38,11 +38,10 @@ def pretrain(
     from infogoal_jax.train.compilation import use_compilation_cache
     from infogoal_jax.train.low_level import host
 
-    if seeds <= 0:
-        raise UserError(f"seeds = {seeds}: give at least 1")
+    numbers = seeds_from(first_seed, seeds)
     use_compilation_cache()
     folder = Path(out) if out else new_folder(config.task, "low-level")
-    result = host.pretrain(config, list(range(first_seed, first_seed + seeds)), folder, evaluation_episodes, command)
+    result = host.pretrain(config, numbers, folder, evaluation_episodes, command)
     host.print_result(result)
     return 130 if result.stopped else 0
 

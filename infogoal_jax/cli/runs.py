@@ -5,7 +5,8 @@ from pathlib import Path
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.errors import UserError
+from infogoal_jax.cli.folders import check_seed
+from infogoal_jax.errors import UserError, require
 
 
 def evaluate(
@@ -110,6 +111,9 @@ def video(
     from infogoal_jax.envs.fetch.tasks import TASKS
     from infogoal_jax.train.compilation import use_compilation_cache
 
+    check_seed(seed)
+    require(0 < episodes <= 1000, "episodes", episodes, "give 1 to 1000")
+    require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
     size = height, height * 4 // 3
     use_compilation_cache()
     if subject not in TASKS and (Path(subject).is_dir() or os.sep in subject):

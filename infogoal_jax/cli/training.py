@@ -6,10 +6,10 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff
 
-from infogoal_jax.cli.choice import config_of_run, preset_of, read_choice
+from infogoal_jax.cli.choice import AUTO, config_of_run, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import new_folder
-from infogoal_jax.errors import UserError
+from infogoal_jax.cli.folders import new_folder, seeds_from
+from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
 `infogoal train --resume RUN` goes on with a run from its last checkpoint."""
@@ -32,7 +32,8 @@ def train(
     Args:
         parts: Their names, which are in the configuration already.
         config: That of the task and the parts.
-        resume: Folder of a run to go on with, from its last checkpoint.
+        resume: Folder of a run to go on with, from its last checkpoint. auto: the run in --out, or the newest under
+            runs/ of this configuration and these seeds; a new one where there is none.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
         out: Folder of the run; empty: a new one under runs/.
@@ -42,10 +43,9 @@ def train(
         help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
-        0 when it finished, 130 when it was stopped by Ctrl-C (with a checkpoint).
+        0 when it finished, 130 when it was stopped by a signal (with a checkpoint).
     """
-    if seeds <= 0:
-        raise UserError(f"seeds = {seeds}: give at least 1")
+    numbers = seeds_from(first_seed, seeds)
     from infogoal_jax import presets
     from infogoal_jax.train import host
     from infogoal_jax.train.combinations import check_combination
@@ -54,26 +54,39 @@ def train(
 
     use_compilation_cache()
     check_combination(config)
-    numbers = list(range(first_seed, first_seed + seeds))
-    if resume and (seeds, first_seed) == (1, 0):
-        from infogoal_jax.report.runs import load_run
+    if resume == AUTO:
+        resume = run_to_go_on_with(config, numbers, out)
+    elif resume and (seeds, first_seed) == (1, 0):
+        from infogoal_jax.runs import description
 
-        numbers = load_run(Path(resume)).seeds
+        numbers = description.read(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
-        sweep = host.run(config, numbers, folder, resume=bool(resume), listeners=listeners)
+        sweep = host.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
     from infogoal_jax.report.summary import print_summary
 
-    print_summary(sweep)
-    if sweep.stopped:
-        print(f"Stopped. Go on with: infogoal train --resume {folder}")
-        return 130
-    if figures:
-        from infogoal_jax.report.figures import draw_figures
+    with stop_on_signal() as stop:
+        stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {folder}"
+        print_summary(sweep)
+        if sweep.stopped:
+            print(f"Stopped. Go on with: infogoal train --resume {folder}")
+            return STATUS
+        if figures:
+            from infogoal_jax.report.figures import draw_figures
 
-        for path in draw_figures(folder):
-            print(f"figure      {path}")
-    return 0
+            for path in draw_figures(folder):
+                print(f"figure      {path}")
+        return 0
+
+
+def run_to_go_on_with(config: Any, seeds: range, out: str) -> str:
+    """The folder of the run that `--resume auto` means, or nothing where a new run is to be started."""
+    from infogoal_jax.runs.folder import newest_run
+
+    if out:
+        return out if (Path(out) / "config.json").exists() else ""
+    newest = newest_run(Path("runs"), config, seeds)
+    return str(newest) if newest else ""
 
 
 def tasks(arguments: list[str]) -> TaskCommands:
@@ -82,7 +95,8 @@ def tasks(arguments: list[str]) -> TaskCommands:
     from infogoal_jax.cli.by_task import all_tasks, of_task
 
     task, choice = read_choice(arguments, "infogoal train")
-    if not task and not choice.resume:
+    if not task and choice.resume in (None, "", AUTO):
         return all_tasks(train, HELP, arguments)
-    config = config_of_run(choice.resume, task, choice) if choice.resume else preset_of(task, choice)
+    of_run = choice.resume not in (None, "", AUTO)
+    config = config_of_run(choice.resume, task, choice) if of_run else preset_of(task, choice)
     return of_task(train, config, choice, arguments if task else [config.task, *arguments])

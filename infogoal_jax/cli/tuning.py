@@ -7,17 +7,19 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.choice import preset_of, read_choice
+from infogoal_jax.cli.choice import config_of_run, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import empty_folder, new_folder
-from infogoal_jax.errors import UserError
+from infogoal_jax.cli.folders import check_seed, new_folder, seeds_from
+from infogoal_jax.errors import UserError, require
 
-HELP = "Look for hyperparameters by random search. `infogoal tune TASK --help` shows the flags of a task."
+HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help` shows the flags of a task, and
+`infogoal tune --resume SEARCH` goes on with a search that was stopped."""
 
 
 def tune(
     parts: Annotated[Any, tyro.conf.arg(name="")] = None,
     config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    resume: str = "",
     trials: int = 16,
     seeds: int = 2,
     first_seed: int = 1000,
@@ -31,6 +33,7 @@ def tune(
     Args:
         parts: Their names, which are in the configuration already.
         config: That of the task and the parts.
+        resume: Folder of a search to go on with; its trials and seeds are those that it has.
         trials: Settings that are tried; the first is the preset.
         seeds: Seeds of each setting.
         first_seed: Number of the first seed: 1000 or more, because reported runs have the seeds 0, 1, 2, ...
@@ -40,91 +43,124 @@ def tune(
         help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
-        0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then).
+        0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
     """
+    if resume:
+        return go_on(resume, "tune", config)
+    check_seed(space_seed, "space_seed")
     import jax
 
     from infogoal_jax.train import tune as search
 
-    numbers = range(first_seed, first_seed + seeds)
+    numbers = seeds_from(first_seed, seeds)
     fields = tuple(field.replace("-", "_") for field in fields)
-    key = jax.random.key(space_seed)
+    folder = search_folder(out, config, "tuning")
     return watch_search(
         config,
         trials,
         seeds,
-        search_folder(out, config, "tuning"),
-        lambda watch: search.tune(config, trials, numbers, key, fields, watch=watch),
+        folder,
+        "tune",
+        lambda watch: search.tune(config, trials, numbers, jax.random.key(space_seed), fields, watch=watch),
     )
 
 
 def tasks(arguments: list[str]) -> TaskCommands:
-    """`tune` for each task; for one that is named, with the preset of the method that is chosen as its defaults."""
+    """`tune` for each task; for one that is named, or known from a search to go on with, with the configuration that is
+    chosen as its defaults."""
     from infogoal_jax.cli.by_task import all_tasks, of_task
     from infogoal_jax.train.tune import same_budget
 
     task, choice = read_choice(arguments, "infogoal tune")
-    return (
-        of_task(tune, same_budget(preset_of(task, choice)), choice, arguments)
-        if task
-        else all_tasks(tune, HELP, arguments)
-    )
+    if not task and not choice.resume:
+        return all_tasks(tune, HELP, arguments)
+    config = config_of_run(choice.resume, task, choice) if choice.resume else same_budget(preset_of(task, choice))
+    return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
 
 
 def final(
-    search: Positional[str], trials: int = 4, seeds: int = 8, first_seed: int | None = None, out: str = ""
+    search: Positional[str] = "",
+    resume: str = "",
+    trials: int = 4,
+    seeds: int = 8,
+    first_seed: int | None = None,
+    out: str = "",
 ) -> int:
     """Run the preset and the best trials of a search again, with other seeds.
 
     Args:
         search: Folder of an `infogoal tune` that came to its end. Its task, method and configuration are those of the
             final.
+        resume: Folder of a final to go on with, in place of a search.
         trials: How many, the preset among them.
         seeds: Seeds of each.
         first_seed: Number of the first seed; none: the one after the search's last.
         out: Folder of the final; empty: a new one under runs/.
 
     Returns:
-        0 when it finished, 130 when it was stopped by Ctrl-C (with the scores until then).
+        0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
     """
+    require(bool(search) != bool(resume), "search", search, "give the folder of a search, or --resume with a final's")
+    if resume:
+        return go_on(resume, "final")
     from infogoal_jax.report import tuning
     from infogoal_jax.train import tune as searching
 
-    run, found = tuning.read(Path(search))
+    about, found = tuning.read(Path(search))
     finalists = searching.finalists(found, trials)
-    first = max(run.seeds) + 1 if first_seed is None else first_seed
-    numbers = range(first, first + seeds)
-    if set(numbers) & set(run.seeds):
+    first = max(about.seeds) + 1 if first_seed is None else first_seed
+    numbers = seeds_from(first, seeds)
+    if any(seed in numbers for seed in about.seeds):
         raise UserError(
-            f"first_seed = {first}: the search had the seeds {run.seeds}; give others, or leave the flag out"
+            f"first_seed = {first}: the search had the seeds {about.seeds}; give others, or leave the flag out"
         )
     return watch_search(
-        run.config,
+        about.config,
         trials,
         seeds,
-        search_folder(out, run.config, "final"),
-        lambda watch: searching.final(run.config, finalists, numbers, watch=watch),
+        search_folder(out, about.config, "final"),
+        "final",
+        lambda watch: searching.final(about.config, finalists, numbers, watch=watch),
+    )
+
+
+def go_on(folder: str, command: str, config: Any = None) -> int:
+    """Go on with the search or the final in this folder. Returns the exit status."""
+    from infogoal_jax.report import tuning
+    from infogoal_jax.train import tune as searching
+
+    about, trials = tuning.read_drawn(Path(folder))
+    config = about.config if config is None else config
+    return watch_search(
+        config,
+        len(trials),
+        len(about.seeds),
+        Path(folder),
+        command,
+        lambda watch: searching.final(config, trials, about.seeds, watch=watch, resume=True),
     )
 
 
 def search_folder(out: str, config: Any, kind: str) -> Path:
-    """The folder that was given, which must be empty, or a new one."""
+    """The folder that was given, or a new one. Raises `UserError` if a search is in it already."""
     from infogoal_jax import presets
+    from infogoal_jax.runs.folder import SEARCH, check_new
 
-    return empty_folder(out, "out") if out else new_folder(config.task, presets.name_of(config), kind)
+    folder = Path(out) if out else new_folder(config.task, presets.name_of(config), kind)
+    check_new(folder, SEARCH)
+    return folder
 
 
-def watch_search(config: Any, trials: int, seeds: int, folder: Path, run: Callable[[Callable], Any]) -> int:
-    """Run a search or a final, given what watches it. Returns the exit status."""
+def watch_search(config: Any, trials: int, seeds: int, folder: Path, command: str, run: Callable[[Any], Any]) -> int:
+    """Run a search or a final, given what accompanies it. Returns the exit status."""
     from infogoal_jax.report import tuning
     from infogoal_jax.train.compilation import use_compilation_cache
 
     use_compilation_cache()
-    try:
-        with tuning.watching(config, trials, seeds, folder) as watch:
-            result = run(watch)
-    except KeyboardInterrupt:
-        print(f"Stopped. The scores until then, if there are any, are in {folder}")
+    with tuning.watching(config, trials, seeds, folder, command) as watch:
+        result = run(watch)
+    if not result.finished:
+        print(f"Stopped. The scores until then are in {folder}; go on with: infogoal {command} --resume {folder}")
         return 130
     tuning.print_result(result)
     return 0

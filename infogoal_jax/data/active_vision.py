@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.data.archives import regular
 from infogoal_jax.data.scene_images import CHECK_HINT, scene_pictures
 from infogoal_jax.errors import UserError, nearest
 
@@ -120,7 +121,9 @@ def read_instance_map(root: Path) -> dict[str, int]:
         if (root / name).is_file():
             try:
                 pairs = [
-                    line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()
+                    line.split()
+                    for line in regular(root / name).read_text(encoding="utf-8").splitlines()
+                    if line.strip()
                 ]
                 return {object_name: int(identity) for object_name, identity in pairs}
             except (OSError, ValueError) as error:
@@ -144,7 +147,7 @@ def read_annotations(scene: Path) -> dict[str, dict]:
     """Image name -> moves and boxes of one scene, checked for the fields that are used."""
     path = scene / "annotations.json"
     try:
-        with open(path, encoding="utf-8") as file:
+        with open(regular(path), encoding="utf-8") as file:
             annotations = json.load(file)
         for record in annotations.values():
             for action in ACTIONS:
@@ -197,7 +200,7 @@ def _in_clear_view(
 def _origin(root: Path) -> str:
     """What a dataset is, for reports: the builder of the synthetic house leaves a note at its root."""
     try:
-        note = json.loads((root / "synthetic.json").read_text(encoding="utf-8"))
+        note = json.loads(regular(root / "synthetic.json").read_text(encoding="utf-8"))
         return f"synthetic house, seed {note['seed']} (a stand-in for the Active Vision Dataset)"
     except (OSError, ValueError, KeyError, TypeError):
         return "Active Vision Dataset"

@@ -7,9 +7,11 @@ what to do.
 
 import contextlib
 import dataclasses
+import errno
 import hashlib
 import io
 import os
+import stat
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -19,6 +21,8 @@ import numpy as np
 import platformdirs
 
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.locks import try_lock
+from infogoal_jax.stopping import temporary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,6 +32,22 @@ class Archive:
 
     content: bytes
     sizes: dict[str, int]
+
+
+MOST_UNPACKED, MOST_RATIO = 2**30, 100
+"""Bytes that an archive may unpack to however small it is, and times its own size beyond that."""
+
+
+def regular(path: str | os.PathLike) -> Path:
+    """The path of a file that can be read to its end. Raises `OSError` for a folder, or a pipe, which would wait for a
+    writer for ever."""
+    path = Path(path)
+    kind = path.stat().st_mode
+    if stat.S_ISDIR(kind):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(kind):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return path
 
 
 @contextlib.contextmanager
@@ -48,7 +68,7 @@ def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
 def read(path: str | os.PathLike, remedy: str) -> Archive:
     """The npz at `path`, its members still packed. Raises `OSError` if it cannot be read, `UserError` if it is no npz
     or cut short."""
-    content = Path(path).read_bytes()  # From memory: numpy leaves a file open when it finds it damaged.
+    content = regular(path).read_bytes()  # From memory: numpy leaves a file open when it finds it damaged.
     require(
         zipfile.is_zipfile(io.BytesIO(content)),
         "format",
@@ -57,9 +77,17 @@ def read(path: str | os.PathLike, remedy: str) -> Archive:
     )
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as members:
-            return Archive(content, {info.filename.removesuffix(".npy"): info.file_size for info in members.infolist()})
+            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in members.infolist()}
     except Exception as error:  # zipfile raises half a dozen types on a damaged list of members
         raise UserError(f"format = a damaged npz ({error}); {remedy}") from error
+    unpacked = sum(sizes.values())
+    require(
+        unpacked <= max(MOST_UNPACKED, MOST_RATIO * len(content)),
+        "size",
+        f"{len(content):,} bytes that unpack to {unpacked:,}",
+        f"no dataset is like this; {remedy}",
+    )
+    return Archive(content, sizes)
 
 
 def member(archive: Archive, name: str, remedy: str) -> np.ndarray:
@@ -115,16 +143,14 @@ def replace_file(path: str | os.PathLike, write_content: Callable[[object], None
     `OSError`."""
     path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with temporary(beside):
         with open(beside, "wb") as file:
+            with contextlib.suppress(OSError):  # A file system without locks.
+                try_lock(file)  # It says that the writer lives: what killed ones leave is deleted.
             write_content(file)
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, path)
-    except BaseException:
-        with contextlib.suppress(OSError):  # What hinders the tidying up must not hide why it is needed.
-            beside.unlink(missing_ok=True)
-        raise
 
 
 def content_of(*parts: np.ndarray) -> str:

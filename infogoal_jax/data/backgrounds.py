@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from infogoal_jax.data.archives import user_cache
+from infogoal_jax.data.archives import regular, user_cache
 from infogoal_jax.errors import UserError, require
 
 SIZE = 64
@@ -143,7 +143,7 @@ def _read_images(folder: Path, names: list[str], count: int) -> Backgrounds:
 
 def _read_image(file: Path) -> np.ndarray:
     """One image, uint8 RGB [SIZE, SIZE, 3], whatever its own shape."""
-    encoded = np.frombuffer(file.read_bytes(), np.uint8)
+    encoded = np.frombuffer(regular(file).read_bytes(), np.uint8)
     try:
         image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
     except cv2.error:

@@ -20,6 +20,7 @@ import numpy as np
 
 from infogoal_jax.data import scene_images
 from infogoal_jax.data.active_vision import ACTIONS, DEFAULT_MIN_BOX_SIZE, MAX_DIFFICULTY
+from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
 
 OPPOSITE = {
@@ -73,7 +74,9 @@ def _check_maps(root: Path) -> tuple[dict[str, int], list[Finding]]:
         if not (root / name).exists():
             continue
         entries: dict[str, int] = {}
-        for number, line in enumerate((root / name).read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        for number, line in enumerate(
+            regular(root / name).read_text(encoding="utf-8", errors="replace").splitlines(), 1
+        ):
             words = line.split()
             if not words:
                 continue
@@ -115,7 +118,7 @@ def _read_annotations(scene: Path) -> tuple[dict[str, dict], list[Finding]]:
     """Records that are at least dictionaries, and what is wrong with the file."""
     where = f"{scene.name}/annotations.json"
     try:
-        content = json.loads((scene / "annotations.json").read_text(encoding="utf-8"))
+        content = json.loads(regular(scene / "annotations.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}, [Finding("error", where, "missing")]
     except (OSError, ValueError) as error:
@@ -142,7 +145,7 @@ def _read_present(scene: Path, names: dict[str, int]) -> tuple[dict[str, int], l
         if not (scene / name).exists()
     ]
     try:
-        listed = (scene / "present_instance_names.txt").read_text(encoding="utf-8", errors="replace").split()
+        listed = regular(scene / "present_instance_names.txt").read_text(encoding="utf-8", errors="replace").split()
     except OSError:
         return {}, [*findings, Finding("warning", where, "missing: objects that no image shows cannot be found out")]
     findings += [
@@ -178,7 +181,7 @@ def _read_images(scene: Path, annotated: set[str]) -> tuple[dict[str, tuple[int,
 def _decode(path: Path) -> tuple[int, int] | None:
     """Size of an image that decodes to its end, else None. An eighth of the resolution still reads all the data."""
     try:
-        data = path.read_bytes()
+        data = regular(path).read_bytes()
     except OSError:
         return None
     size = scene_images.decode_size(data)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from infogoal_jax.data import frames, frames_grid
+from infogoal_jax.data.archives import regular
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.data.frames_table import (
     MOVES,
@@ -158,7 +159,7 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
     """One image as OpenCV decodes it, uint8 RGB [H, W, 3]."""
     name = cells["image"]
     try:
-        content = np.frombuffer((folder / name).read_bytes(), np.uint8)
+        content = np.frombuffer(regular(folder / name).read_bytes(), np.uint8)
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
         raise UserError(

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax.data import frames_check
+from infogoal_jax.data.archives import regular
 from infogoal_jax.data.frames_grid import Move
 from infogoal_jax.errors import UserError, nearest
 
@@ -32,7 +33,7 @@ def wants(condition: bool, table: Path, number: int, column: str, value: str, re
 def read_rows(table: Path) -> Rows:
     """The rows of the CSV below its header; blank lines are left out, but counted."""
     try:
-        with open(table, encoding="utf-8-sig", newline="") as file:
+        with open(regular(table), encoding="utf-8-sig", newline="") as file:
             lines = [[cell.strip() for cell in line] for line in csv.reader(file, strict=True)]
     except FileNotFoundError:
         raise UserError(f"{table}: no such file; give a CSV with a row for each image") from None

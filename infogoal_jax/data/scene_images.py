@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from infogoal_jax.data import archives
+from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
 
 CACHE_VERSION = 1
@@ -59,7 +60,7 @@ def scene_pictures(
 def read_grey(path: Path, image_size: int) -> tuple[np.ndarray, tuple[int, int]]:
     """One image as a small grey square, and its own width and height."""
     try:
-        data = path.read_bytes()
+        data = regular(path).read_bytes()
     except OSError as error:
         raise UserError(f"{path}: {error.strerror or error}; {CHECK_HINT.format(path.parents[2])}") from error
     size = decode_size(data)

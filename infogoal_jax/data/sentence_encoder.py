@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import erf, softmax
 
 from infogoal_jax.data import text
+from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
 
 MODEL = "sentence-transformers/all-MiniLM-L6-v2"
@@ -78,7 +79,7 @@ def load_encoder(folder: str | os.PathLike | None = None, allow_other_weights: b
             "get the official files, or allow other weights if you mean to use these"
         )
     try:
-        config = json.loads(files["config.json"].read_text(encoding="utf-8"))
+        config = json.loads(regular(files["config.json"]).read_text(encoding="utf-8"))
         tokenizer = tokenizers.Tokenizer.from_file(str(files["tokenizer.json"]))
         weights = safetensors_numpy.load_file(files["model.safetensors"])
     except Exception as error:  # both libraries raise plain Exception on a damaged file

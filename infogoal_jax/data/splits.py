@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Mapping
 
+from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
 from infogoal_jax.goal_uses import USES
 
@@ -111,7 +112,7 @@ def read_json(what: str, path: str | os.PathLike, remedy: str = "") -> object:
     """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is
     and where."""
     try:
-        with open(path, encoding="utf-8") as file:
+        with open(regular(path), encoding="utf-8") as file:
             return json.load(file, object_pairs_hook=without_repeats)
     except OSError as error:
         raise UserError(f"{what} {path}: {error.strerror or error}; give the path of a readable JSON file") from error

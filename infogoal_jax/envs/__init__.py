@@ -8,6 +8,7 @@ from infogoal_jax.envs import embodied_qa, object_manipulation, object_search
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.errors import require
 from infogoal_jax.registry import Entry, Registry
 
 
@@ -44,4 +45,10 @@ def load(task: str, config: Any = None):
     dataset.
     """
     found = registry.entry(task)
+    require(
+        config is None or isinstance(config, found.config),
+        "config",
+        type(config).__name__,
+        f"{task} needs a {found.config.__name__}; leave it out for the defaults",
+    )
     return found.make(found.config() if config is None else config)

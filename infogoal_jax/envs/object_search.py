@@ -53,10 +53,10 @@ class ObjectSearchConfig:
             "give a share of the image's height, from 0 to below 1",
         )
         require(
-            self.image_size % config.state_encoder.patch == 0,
+            self.image_size <= 2048 and self.image_size % config.state_encoder.patch == 0,
             "env.image_size",
             self.image_size,
-            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}",
+            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}, and at most 2048",
         )
 
 

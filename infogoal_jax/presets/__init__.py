@@ -1,11 +1,12 @@
 """The tuned configuration of each task and method, a file a task. `registry` is the one place where a new one is
 named."""
 
+import dataclasses
 from typing import Any
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.config import Hyperparameters, TrainConfig
-from infogoal_jax.errors import require
+from infogoal_jax.errors import nearest, require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search
 from infogoal_jax.presets.methods import AGENT_FIELDS, METHODS, Method, method_named
@@ -75,6 +76,9 @@ def load(
     changes: fields of `TrainConfig`.
     """
     preset, named = preset_of(task), method_named(method)
+    fields = [field.name for field in dataclasses.fields(TrainConfig)]
+    for name in changes:
+        require(name in fields, name, changes[name], f"no such field of TrainConfig.{nearest(name, fields)}")
     asked = {
         "learner": learner or named.learner,
         "agent": agent or preset.agent,

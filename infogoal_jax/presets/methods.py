@@ -29,6 +29,7 @@ AGENT_FIELDS = {"all_goals": {"head": "product", "bounded": True, "num_steps": 1
 
 def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
+    require(isinstance(name, str), "method", name, f"give the name of a method. Known: {', '.join(METHODS)}")
     if name in learners.registry:
         return Method(name)  # One that was registered after this module was imported, too.
     require(

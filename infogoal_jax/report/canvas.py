@@ -19,7 +19,7 @@ from infogoal_jax import presets
 from infogoal_jax.report.runs import Run
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.tables import Table
-from infogoal_jax.train import files
+from infogoal_jax.runs import disk
 from infogoal_jax.train.program import Train
 
 DOTS_PER_INCH = 130
@@ -84,8 +84,8 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG. Raises `UserError` if the disk refuses."""
-    files.make_folder(path.parent)
-    files.write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white"))
+    disk.make_folder(path.parent)
+    disk.write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white"))
 
 
 def draw_curve(axes: Axes, x: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:

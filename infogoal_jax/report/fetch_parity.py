@@ -1,7 +1,6 @@
 """Recorded episodes of the reference beside our Fetch tasks, as tables and as a file."""
 
 import dataclasses
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from infogoal_jax.envs.fetch.parity import ALL, Parity, Replayed, compare, dista
 from infogoal_jax.envs.fetch.recordings import Recording, Recordings
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import files
+from infogoal_jax.runs import disk
 
 
 def episode_rows(recording: Recording, replayed: Replayed, kinds: Sequence[str]) -> list[dict]:
@@ -152,6 +151,6 @@ def check_recordings(
             "jax": jax.__version__,
             "tasks": written,
         }
-        files.write_atomically(out, lambda file: file.write((json.dumps(content, indent=1) + "\n").encode()))
+        disk.write_json(out, content, indent=1)
         console.print(f"file        {out}", soft_wrap=True, highlight=False, markup=False)
     return parities

@@ -33,6 +33,7 @@ from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.image_goal_figures import draw_image_goals
 from infogoal_jax.report.runs import load_run, read_params
 from infogoal_jax.report.shelf_figures import draw_shelves
+from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
 from infogoal_jax.train.program import make_train
 
@@ -52,6 +53,7 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
     figures = {draw.__name__: draw(subject) for draw in drawings}
     for draw_more in (draw_plans, draw_shelves, draw_image_goals):
         figures |= draw_more(subject)
+    remove_abandoned(folder)
     paths = {folder / "figures" / f"{name}.png": figure for name, figure in figures.items() if figure is not None}
     for path, figure in paths.items():
         save(figure, path)

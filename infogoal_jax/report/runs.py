@@ -2,17 +2,15 @@
 
 import dataclasses
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, require
-from infogoal_jax.presets.saved import from_dict
-from infogoal_jax.train import checkpoint
+from infogoal_jax.errors import require
+from infogoal_jax.runs import checkpoint, description
+from infogoal_jax.runs.description import Description
 from infogoal_jax.train.evaluation import GoalView
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
@@ -20,15 +18,10 @@ from infogoal_jax.train.settings import corrupted_view, has_image_goals
 
 
 @dataclasses.dataclass(frozen=True)
-class Run:
-    """What config.json of a run says. data: what the dataset was, in words (a stand-in is called one)."""
+class Run(Description):
+    """A run in its folder: what its config.json says, its environment and its policies."""
 
     folder: Path
-    config: TrainConfig
-    seeds: list[int]
-    data: str
-    versions: dict[str, str]
-    device: str
 
     @functools.cached_property
     def train(self) -> Train:
@@ -67,27 +60,7 @@ class Run:
 def load_run(folder: str | Path) -> Run:
     """The run in this folder. Raises `UserError` if there is none, or its config.json cannot be read."""
     folder = Path(folder)
-    path = folder / "config.json"
-    try:
-        values = json.loads(path.read_text())
-        return Run(
-            folder, from_dict(values["config"]), values["seeds"], values["data"], values["versions"], values["device"]
-        )
-    except FileNotFoundError as error:
-        raise UserError(
-            f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`"
-        ) from error
-    except OSError as error:
-        raise UserError(
-            f"run = {str(folder)!r}: could not be read ({error.strerror}); give the folder of a run of `infogoal train`"
-        ) from error
-    except UserError:
-        raise
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(
-            f"{path}: is damaged or from another version of infogoal ({error}); train again, or bring back a copy of "
-            "the file"
-        ) from error
+    return Run(**vars(description.read(folder)), folder=folder)
 
 
 def read_params(run: Run, train: Train) -> dict[str, Any]:
@@ -96,12 +69,3 @@ def read_params(run: Run, train: Train) -> dict[str, Any]:
     keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
     shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
     return checkpoint.load(run.folder / "policy", shapes)[1]
-
-
-def read_timing(folder: Path) -> dict[str, float]:
-    """Seconds spent compiling and running in the last session of a run, and its rates; empty if no session got past a
-    chunk."""
-    try:
-        return json.loads((folder / "timing.json").read_text())
-    except (FileNotFoundError, json.JSONDecodeError):
-        return {}

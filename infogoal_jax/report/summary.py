@@ -1,7 +1,6 @@
 """What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is
 from, what went wrong."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,13 @@ from rich.table import Table
 
 from infogoal_jax import learners, presets
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.report import tables
-from infogoal_jax.report.runs import Run, load_run, read_params, read_timing
+from infogoal_jax.report.runs import Run, load_run, read_params
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.train import checkpoint, files, host
+from infogoal_jax.runs import checkpoint, results
+from infogoal_jax.runs.folder import RUN, remove_abandoned
+from infogoal_jax.train import host, memory
 from infogoal_jax.train.program import make_train
 from infogoal_jax.train.settings import has_image_goals
 
@@ -29,16 +31,6 @@ GOALS = {
 }
 # Title and decimals.
 COLUMNS = {"success_rate": ("success rate", 2), "spl": ("SPL", 2), "episode_length": ("steps", 1)}
-FILES = (
-    "config.json",
-    "timing.json",
-    "epochs.csv",
-    "evaluations.csv",
-    "policy",
-    "checkpoint",
-    "evaluation.json",
-    "figures",
-)
 LEARNER_NUMBERS = {"beta": ("beta", 4), "accuracy": ("accuracy", 3), "kl": ("KL (nats)", 2)}
 
 
@@ -128,13 +120,13 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[learners.registry.name_of(run.config.learner)] = f"{numbers} (mean of the last epoch)"
-    if times := read_timing(run.folder):
+    if times := results.read_timing(run.folder):
         lines["time"] = (
-            f"compiling {times['compile_seconds']:.0f} s, running {times['run_seconds']:.0f} s in the last session: "
-            + f"{times['env_steps_per_second']:,.0f} environment steps/s, " * acted
-            + f"{times['updates_per_second']:,.0f} updates/s over all seeds"
+            f"compiling {times.compile_seconds:.0f} s, running {times.run_seconds:.0f} s in the last session: "
+            + f"{times.env_steps_per_second:,.0f} environment steps/s, " * acted
+            + f"{times.updates_per_second:,.0f} updates/s over all seeds"
         )
-    lines["files"] = f"{run.folder}: {', '.join(name for name in FILES if (run.folder / name).exists())}"
+    lines["files"] = f"{run.folder}: {', '.join(name for name in RUN if (run.folder / name).exists())}"
     for label, text in lines.items():
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
 
@@ -171,8 +163,8 @@ def evaluate_run(
     `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or damaged
     parameters.
     """
-    require(starts > 0, "starts", starts, "give a whole number greater than 0")
-    require(start_seed >= 0, "start_seed", start_seed, "give 0 or more")
+    require(0 < starts <= LARGEST_WHOLE, "starts", starts, "give a whole number greater than 0, such as 50")
+    require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
     require(
         test_epsilon <= 1,
         "test_epsilon",
@@ -203,22 +195,33 @@ def evaluate_run(
         hyper = run.config.hyper.replace(test_epsilon=epsilon)
         return train.evaluate(params, hyper, env, starts, weight, start_seed)
 
-    metrics = jax.device_get(jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None)))(params, train.env))
+    program = jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None))).trace(params, train.env)
+    needed, room = memory.peak_bytes(program.jaxpr), memory.device_memory(jax.devices()[0])
+    needed += memory.episode_bytes(train, starts) * len(run.seeds)
+    require(
+        needed <= room,
+        "starts",
+        starts,
+        f"evaluating {len(run.seeds)} seeds needs {needed / memory.GIB:,.1f} GiB at least, a device has "
+        f"{room / memory.GIB:.1f} GiB: give fewer, such as {run.config.evaluation_starts}",
+    )
+    metrics = jax.device_get(program.lower().compile()(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
-    written = {
-        "epoch": epoch,
-        "starts": starts,
-        "start_seed": start_seed,
-        "test_epsilon": float(epsilon),
-        "corruption": weight if has_images else None,
-        "seeds": seeds,
-        "diverged": diverged,
-        "data": run.data,
-        "metrics": {name: value.tolist() for name, value in scores.items()},
-    }
-    files.write_atomically(folder / "evaluation.json", lambda file: file.write((json.dumps(written) + "\n").encode()))
+    found = results.Evaluation(
+        epoch=epoch,
+        starts=starts,
+        start_seed=start_seed,
+        test_epsilon=float(epsilon),
+        corruption=weight if has_images else None,
+        seeds=seeds,
+        diverged=diverged,
+        data=run.data,
+        metrics={name: value.tolist() for name, value in scores.items()},
+    )
+    remove_abandoned(folder)
+    results.write_evaluation(folder, found)
     protocol = (
         f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the "
         "actions random"

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.train import files, host
+from infogoal_jax.runs import tables
+from infogoal_jax.train import host
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,15 +24,15 @@ class Table:
 
 def diverged_seeds(folder: Path) -> dict[int, int]:
     """Seeds whose loss or gradient stopped being finite, with the first such epoch."""
-    return host.diverged_seeds(files.read_table(folder, "epochs"))
+    return host.diverged_seeds(tables.read_table(folder, "epochs"))
 
 
 def read(folder: Path, name: str, leave_out=()) -> Table:
-    """A table of the run (one of `files.TABLES`) without some seeds. An epoch counts once every seed has its row.
+    """A table of the run (one of `tables.TABLES`) without some seeds. An epoch counts once every seed has its row.
 
     Raises `UserError` if the run has no such table.
     """
-    rows = {(row["seed"], row["epoch"]): row for row in files.read_table(folder, name)}
+    rows = {(row["seed"], row["epoch"]): row for row in tables.read_table(folder, name)}
     all_seeds = sorted({seed for seed, _ in rows})
     epochs = [
         epoch for epoch in sorted({epoch for _, epoch in rows}) if all((seed, epoch) in rows for seed in all_seeds)

@@ -177,6 +177,22 @@ def check_combination(config: TrainConfig, env: Any = None) -> None:
         require(False, refusal.field, refusal.value, f"{refusal.reason}: {refusal.remedy}")
 
 
+def check_same_task(config: TrainConfig, env: Any) -> None:
+    """Raise `UserError` for an environment that is plainly of another task than the configuration."""
+    should_be, seen = traits_declared(config), traits_seen(env.unwrapped)
+    if should_be is None:
+        return
+    for trait in ("finite_goals", "image_goals", "moves", "finite_observations", "recorded"):
+        wanted, found = getattr(should_be, trait), getattr(seen, trait)
+        require(
+            wanted == found,
+            "env",
+            type(env.unwrapped).__name__,
+            f"is an environment of another task than {config.task} ({trait} is {found}, should be {wanted}); leave it "
+            "out, or give one of the task",
+        )
+
+
 def remarks(config: TrainConfig) -> list[str]:
     """What is allowed but unusual about a configuration."""
     declared = traits_declared(config)

@@ -1,87 +1,10 @@
-"""How seeds share devices: what fits into memory, slices of a sweep that does not, and a part of the seeds on each
-device."""
+"""How seeds share devices: slices of a sweep that does not fit into memory, and a part of the seeds on each device."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-
-from infogoal_jax.errors import require
-from infogoal_jax.train import checkpoint
-from infogoal_jax.train.program import Train
-
-MEMORY_SHARE = 0.8  # Of the device's memory that a sweep may fill before it is sliced.
-EVALUATION_POLICIES = 4  # Code sampled or mean, goals clean or corrupted.
-WORKING_COPIES = (
-    2  # Copies of a seed's state that a running chunk holds beside the one that is carried: updated, and gradients.
-)
-
-
-def bytes_of(tree: Any) -> int:
-    """Bytes that the arrays of a pytree (or of its shapes) take."""
-    leaves = jax.tree.leaves(tree)
-    # A key is two uint32.
-    return sum(leaf.size * (8 if checkpoint.is_key(leaf) else leaf.dtype.itemsize) for leaf in leaves)
-
-
-def device_memory(device) -> int:
-    """Bytes of memory that the device has."""
-    statistics = device.memory_stats()
-    if statistics and "bytes_limit" in statistics:
-        return statistics["bytes_limit"]
-    import os
-
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-
-
-def working_bytes(train: Train) -> int:
-    """Bytes that a seed takes beside copies of its state, roughly: what is seen of each transition three times over and
-    cut into patches, the goals that it achieved, and the episodes of an evaluation."""
-    config, env = train.config, train.env
-    observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
-    seen, goal = jax.eval_shape(env.render, observation), env.goals.inputs[0]
-    num_goals = (
-        env.goals.num_goals
-        if env.goals.num_goals <= config.batch_size
-        else config.batch_size * train.parts.agent.num_steps
-    )
-    encoded = (6 * config.batch_size * seen.size + 4 * num_goals * goal.size) * np.dtype("float32").itemsize
-    episodes = (
-        len(env.goals.evaluated)
-        * config.evaluation_starts
-        * (env.episode_length + 1)
-        * bytes_of(observation)
-        * EVALUATION_POLICIES
-    )
-    return encoded + episodes
-
-
-def seeds_at_once(
-    state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int, devices: int = 1
-) -> int:
-    """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that
-    divides their number.
-
-    Raises `UserError` if not even their states fit and one of them. state_bytes: carried for each of the `num_seeds` of
-    the device, and once more for those that run in a slice; extra_bytes: `working_bytes` of each that runs; env_bytes:
-    held once; devices: how many there are, for the message.
-    """
-    room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
-    if num_seeds * (state_bytes + running) <= room:
-        return num_seeds
-    fitting = int((room - num_seeds * state_bytes) // (state_bytes + running))
-    most = devices * max(0, int((room - state_bytes - running) // state_bytes))
-    require(
-        fitting > 0,
-        "seeds",
-        num_seeds * devices,
-        f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, a device has "
-        f"{memory / 2**30:.1f} GiB: "
-        f"give at most {most}, or a smaller buffer_steps, batch_size or evaluation_starts",
-    )
-    return max(count for count in range(1, fitting + 1) if num_seeds % count == 0)
 
 
 def over_seeds(function: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:

@@ -1,13 +1,10 @@
 """The host loop: the training program in chunks, with progress, metrics, checkpoints and a clean stop between them."""
 
 import dataclasses
-import json
 import math
 import platform
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +14,18 @@ import numpy as np
 
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, require
-from infogoal_jax.presets.saved import to_dict
-from infogoal_jax.train import checkpoint, files
+from infogoal_jax.errors import require
+from infogoal_jax.runs import checkpoint, description, results, tables
+from infogoal_jax.runs.description import MOST_SEEDS, Description
+from infogoal_jax.runs.folder import RUN, check_new, only_writer
+from infogoal_jax.runs.results import Timing
+from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.devices import (
-    bytes_of,
-    chunk_over_seeds,
-    device_memory,
-    over_seeds,
-    seed_mesh,
-    seeds_at_once,
-    working_bytes,
-)
+from infogoal_jax.train.devices import chunk_over_seeds, over_seeds, seed_mesh
+from infogoal_jax.train.memory import at_once as seeds_at_once
+from infogoal_jax.train.memory import bytes_of, check_program
 from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.resuming import BEGINNING, Point, last_point
 
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
 
@@ -54,8 +49,8 @@ Listener = Callable[[Progress], None]
 
 @dataclasses.dataclass
 class Sweep:
-    """A finished or stopped run. diverged: seeds whose metrics stopped being finite, with the epoch; stopped: by Ctrl-C
-    before the end."""
+    """A finished or stopped run. diverged: seeds whose metrics stopped being finite, with the epoch; stopped: by a
+    signal before the end."""
 
     folder: Path
     train: Train
@@ -66,49 +61,29 @@ class Sweep:
     run_seconds: float
 
 
-class StopRequest:
-    """Set by the first Ctrl-C or SIGTERM; a second one stops at once."""
+@dataclasses.dataclass(frozen=True)
+class Programs:
+    """Training of all seeds side by side. initial: (keys, hyper, env) -> states; chunk: (states, epochs [E], hyper,
+    env) -> (states, metrics of epochs, of the evaluation), which gives the memory of the states back; shared: hyper and
+    env on every device; states_shape: shapes of all seeds' states; count: of seeds."""
 
-    def __init__(self):
-        self.requested = False
-
-    def __call__(self, number, frame):
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
-        print("\nStopping after this chunk, with a checkpoint. Press Ctrl-C again to stop at once.", flush=True)
-
-
-@contextmanager
-def stop_on_signal() -> Iterator[StopRequest]:
-    """Turn Ctrl-C and SIGTERM into a request that the loop reads between chunks. Outside the main thread nothing is
-    changed."""
-    request = StopRequest()
-    try:
-        before = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # Not the main thread: Python keeps signals there.
-        before = {}
-    try:
-        yield request
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    initial: Callable
+    chunk: Callable
+    shared: Any
+    states_shape: Any
+    by_seed: jax.sharding.NamedSharding
+    count: int
 
 
-def describe(config: TrainConfig, env: Any, seeds: list[int]) -> dict[str, Any]:
-    """What config.json says beside the configuration: seeds, data and versions."""
-    return {
-        "config": to_dict(config),
-        "seeds": seeds,
-        "data": env.source,
-        "versions": {
-            "infogoal_jax": infogoal_jax.__version__,
-            "jax": jax.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-        "device": str(jax.devices()[0].device_kind),
+def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
+    """What config.json says of a run with these seeds."""
+    versions = {
+        "infogoal_jax": infogoal_jax.__version__,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
     }
+    return Description(config, seeds, env.source, versions, str(jax.devices()[0].device_kind))
 
 
 def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
@@ -131,89 +106,120 @@ def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
     return dict(sorted(diverged.items()))
 
 
-def differences(first: dict, second: dict, prefix: str = "") -> list[str]:
-    """The fields in which two nested dictionaries differ, as `field: first value, now second value`."""
-    found = []
-    for name in sorted(first.keys() | second.keys()):
-        left, right = first.get(name), second.get(name)
-        if isinstance(left, dict) and isinstance(right, dict):
-            found += differences(left, right, f"{prefix}{name}.")
-        elif json.dumps(left) != json.dumps(right):
-            found.append(f"{prefix}{name} was {left!r}, now {right!r}")
-    return found
+def check_seeds(seeds: Sequence[int]) -> None:
+    """Raise `UserError` for seeds that cannot be used. A range of them is not looked at one by one."""
+    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
+    if not isinstance(seeds, range):
+        require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
+    first, last = (seeds[0], seeds[-1]) if isinstance(seeds, range) else (min(seeds), max(seeds))
+    require(
+        first >= 0 and last < MOST_SEEDS,
+        "seeds",
+        f"{first} to {last}",
+        "give seeds from 0 to below 2^32 (--first-seed)",
+    )
 
 
 def run(
     config: TrainConfig,
-    seeds: list[int],
+    seeds: Sequence[int],
     folder: Path,
     resume: bool = False,
     listeners: tuple[Listener, ...] = (),
     env: Any = None,
+    compiling: Callable[[], None] = lambda: None,
 ) -> Sweep:
-    """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its checkpoint.
+    """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
+    from the beginning if it was stopped before there was one.
 
-    Raises `UserError` before any compilation for a folder that holds another run, a damaged checkpoint, or one of
-    another configuration.
+    compiling: called before the program is compiled. Raises `UserError` before any compilation, and without a change on
+    the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one of another
+    configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
     """
-    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
-    require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
-    require(
-        min(seeds) >= 0 and max(seeds) < 2**32,
-        "seeds",
-        f"{min(seeds)} to {max(seeds)}",
-        "give seeds from 0 to below 2^32 (--first-seed)",
-    )
-    saved = folder / "checkpoint"
-    if not resume and (saved.exists() or (folder / "policy").exists()):
-        raise UserError(
-            f"out = {str(folder)!r}: holds a run already; go on with --resume {folder}, or give another folder"
-        )
-    train = make_train(config, env)
+    check_seeds(seeds)
+    if not resume:
+        check_new(folder, RUN)
+    with stop_on_signal() as stop:
+        train = make_train(config, env)
+        programs = programs_of(train, seeds)
+        now = describe(config, train.env, list(seeds))
+        if not resume:
+            check_fits(train, programs)  # So that a refusal leaves no folder behind.
+        with only_writer(folder, new=() if resume else RUN):
+            point = last_point(folder, now, programs.states_shape) if resume else BEGINNING
+            if resume:
+                check_fits(train, programs)
+            for table, rows in point.rows.items():
+                tables.replace_table(folder, table, rows)
+            if not resume or description.read(folder) != now:
+                description.write(folder, now)
+            stop.advice = how_to_go_on(folder, point.epoch)
+            stop.check()
+            compiling()
+            return train_on(train, programs, point, now, folder, listeners, stop)
+
+
+def how_to_go_on(folder: Path, epoch: int) -> str:
+    """What is on disk after this epoch, in words, and the command that goes on with it."""
+    there = f"{folder} has a checkpoint of epoch {epoch}" if epoch else f"{folder} has no checkpoint yet"
+    return f"{there}; go on with: infogoal train --resume {folder}"
+
+
+def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
+    """The programs of all seeds. Raises `UserError` if the memory of the devices is too small for them."""
     mesh = seed_mesh(len(seeds))
     by_seed, everywhere = (
         jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
     )
-    keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
-    one_seed = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    memory = min(device_memory(device) for device in mesh.devices.flat)
-    at_once = seeds_at_once(
-        bytes_of(one_seed), working_bytes(train), bytes_of(train.env), len(seeds) // mesh.size, memory, mesh.size
+    together = seeds_at_once(train, len(seeds), mesh)
+    initial = jax.jit(
+        over_seeds(train.initial, len(seeds), together, mesh),
+        out_shardings=by_seed,
+        compiler_options=compiler_options(),
     )
-    states_shape = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
-    description = describe(config, train.env, seeds)
-    done, states = 0, None
-    if resume:
-        header, states = resume_from(saved, states_shape, description)
-        done = header["epoch"]
-        states = jax.device_put(states, by_seed)
-    files.make_folder(folder)
-    files.cut_back(folder, done)
-    files.write_atomically(
-        folder / "config.json", lambda file: file.write((json.dumps(description, indent=2) + "\n").encode())
+    chunk = jax.jit(
+        chunk_over_seeds(train.chunk, len(seeds), together, mesh), donate_argnums=0, compiler_options=compiler_options()
     )
+    shared = jax.device_put((train.config.hyper, train.env), everywhere)
+    states_shape = jax.eval_shape(initial, jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype), *shared)
+    return Programs(initial, chunk, shared, states_shape, by_seed, len(seeds))
 
+
+def check_fits(train: Train, programs: Programs) -> None:
+    """Raise `UserError`, naming the field that is to blame, if the traced program of all seeds needs more memory than
+    there is. Lowering it does not trace it again: the types are the same."""
+    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
+    traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
+    check_program(traced, bytes_of((programs.states_shape, train.env)), train, programs.count, programs.by_seed.mesh)
+
+
+def train_on(
+    train: Train,
+    programs: Programs,
+    point: Point,
+    now: Description,
+    folder: Path,
+    listeners: tuple[Listener, ...],
+    stop: StopRequest,
+) -> Sweep:
+    """Train from this point to the end or until a signal comes, and write the files of the run after each chunk."""
+    config, seeds, (done, states, _) = now.config, now.seeds, point
     started = time.perf_counter()
-    shared = jax.device_put((config.hyper, train.env), everywhere)
+    shared = programs.shared
     if states is None:
-        initial = jax.jit(
-            over_seeds(train.initial, len(seeds), at_once, mesh),
-            out_shardings=by_seed,
-            compiler_options=compiler_options(),
-        )
-        states = initial(jax.device_put(keys, by_seed), *shared)
-
+        keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+        states = programs.initial(jax.device_put(keys, programs.by_seed), *shared)
+    else:
+        states = jax.device_put(states, programs.by_seed)
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        chunk = jax.jit(
-            chunk_over_seeds(train.chunk, len(seeds), at_once, mesh),
-            donate_argnums=0,
-            compiler_options=compiler_options(),
-        )
-        compiled = chunk.lower(states, numbers, *shared).compile()
+        compiled = programs.chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())
-    with stop_on_signal() as stop:
+    if done == 0:
+        stop.check()
+    stop.finishing = "this chunk of epochs, with a checkpoint"
+    try:
         while done < config.num_epochs and not stop.requested:
             started = time.perf_counter()
             states, epoch_metrics, metrics = compiled(states, numbers + done, *shared)
@@ -222,51 +228,28 @@ def run(
             epochs = rows_of(range(done + 1, done + len(numbers) + 1), seeds, epoch_metrics)
             done, this_session = done + len(numbers), this_session + len(numbers)
             evaluations = rows_of([done], seeds, {name: value[:, None] for name, value in metrics.items()})
-            files.append_rows(folder, "epochs", epochs)
-            files.append_rows(folder, "evaluations", evaluations)
-            checkpoint.save(saved, {"epoch": done, **description}, states)
-            checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
-            timing = {
-                "compile_seconds": compile_seconds,
-                "run_seconds": run_seconds,
-                "env_steps_per_second": (int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
-                "updates_per_second": this_session * config.updates_per_epoch * len(seeds) / run_seconds,
-            }
-            files.write_atomically(
-                folder / "timing.json", lambda file, timing=timing: file.write((json.dumps(timing) + "\n").encode())
+            timing = Timing(
+                compile_seconds=compile_seconds,
+                run_seconds=run_seconds,
+                env_steps_per_second=(int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
+                updates_per_second=this_session * config.updates_per_epoch * len(seeds) / run_seconds,
             )
+            tables.append_rows(folder, "epochs", epochs)
+            tables.append_rows(folder, "evaluations", evaluations)
+            checkpoint.save(folder / "checkpoint", {"epoch": done, **now.values()}, states)
+            checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, states.params)
+            results.write_timing(folder, timing)
+            stop.advice = how_to_go_on(folder, done)
             for listener in listeners:
                 listener(
-                    Progress(epoch=done, num_epochs=config.num_epochs, epochs=epochs, evaluations=evaluations, **timing)
+                    Progress(
+                        done, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)
+                    )
                 )
-        stopped = done < config.num_epochs
+    finally:
+        stop.finishing = ""
     # Again, if a kill came between the two files.
-    checkpoint.save(folder / "policy", {"epoch": done, **description}, states.params)
-    diverged = diverged_seeds(files.read_table(folder, "epochs"))
+    checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, states.params)
+    diverged = diverged_seeds(tables.read_table(folder, "epochs"))
+    stopped = done < config.num_epochs
     return Sweep(folder, train, jax.device_get(states.params), diverged, stopped, compile_seconds, run_seconds)
-
-
-def resume_from(saved: Path, states_shape: Any, description: dict[str, Any]) -> tuple[dict, Any]:
-    """The header and states of a checkpoint, if it is of this configuration; a longer `num_epochs` is all that may
-    differ."""
-    header, _ = checkpoint.read_header(saved)
-    described = (header, json.loads(json.dumps(description)))
-    then, now = ({"seeds": of["seeds"], "data": of["data"], **of["config"], "num_epochs": None} for of in described)
-    unknown = sorted(now.keys() - then.keys())
-    if unknown:
-        raise UserError(
-            f"{saved}: written by an earlier version, which has no {', '.join(unknown)}; it cannot be resumed: start a "
-            "new run"
-        )
-    different = differences(then, now)
-    if different:
-        raise UserError(
-            f"{saved}: this checkpoint is of another configuration: {'; '.join(different)}. Give the same values, or "
-            "start a new run"
-        )
-    if header["epoch"] > description["config"]["num_epochs"]:
-        raise UserError(
-            f"num_epochs = {description['config']['num_epochs']}: the run is already at epoch {header['epoch']}; give "
-            "at least that"
-        )
-    return checkpoint.load(saved, states_shape)

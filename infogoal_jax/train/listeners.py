@@ -1,19 +1,25 @@
 """What watches a run: the progress bar, and TensorBoard or Weights & Biases when asked for (imported only then)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import NamedTuple
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.train import host
+from infogoal_jax.train.progress import progress_line
 
 SHOWN = {"train_goal/success_rate": "train", "test_goal/success_rate": "test"}
+
+
+class Listeners(NamedTuple):
+    """compiling: called before the program is compiled; progress: called after each chunk."""
+
+    compiling: Callable[[], None]
+    progress: tuple[host.Listener, ...]
 
 
 def seed_means(rows: list[dict]) -> dict[str, float]:
@@ -25,7 +31,7 @@ def seed_means(rows: list[dict]) -> dict[str, float]:
 @contextmanager
 def make_listeners(
     folder: Path, config: TrainConfig, num_seeds: int, tensorboard: bool = False, wandb: str = ""
-) -> Iterator[tuple[host.Listener, ...]]:
+) -> Iterator[Listeners]:
     """The listeners of a run, closed at its end. Raises `UserError` if one that was asked for is not installed."""
     closing, listeners = [], []
     if tensorboard:
@@ -63,34 +69,19 @@ def make_listeners(
             )
 
         listeners.append(log)
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[numbers]}"),
-        console=Console(),
-        refresh_per_second=2,
-    )
-    line = bar.add_task(
-        f"{config.task} {presets.name_of(config)} x {num_seeds}", total=config.num_epochs, numbers="compiling"
-    )
 
-    def advance(progress: host.Progress):
-        means = seed_means(progress.evaluations)
-        numbers = "  ".join(f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means)
-        numbers += f"  {progress.env_steps_per_second:,.0f} env steps/s  {progress.updates_per_second:,.0f} updates/s"
-        bar.update(line, completed=progress.epoch, numbers=numbers)
-        if not bar.console.is_terminal:  # A log file gets a line for each evaluation instead of a moving bar.
-            bar.console.print(f"epoch {progress.epoch}/{progress.num_epochs}  {numbers}", soft_wrap=True)
+    with progress_line(f"{config.task} {presets.name_of(config)} x {num_seeds}", config.num_epochs) as line:
 
-    listeners.append(advance)
-    try:
-        if bar.console.is_terminal:
-            with bar:
-                yield tuple(listeners)
-        else:
-            yield tuple(listeners)
-    finally:
-        for close in closing:
-            close()
+        def advance(progress: host.Progress):
+            means = seed_means(progress.evaluations)
+            numbers = "  ".join(f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means)
+            if progress.env_steps_per_second:  # Who learns offline takes none.
+                numbers += f"  {progress.env_steps_per_second:,.0f} env steps/s"
+            line.advance(progress.epoch, f"{numbers}  {progress.updates_per_second:,.0f} updates/s")
+
+        listeners.append(advance)
+        try:
+            yield Listeners(line.compiling, tuple(listeners))
+        finally:
+            for close in closing:
+                close()

@@ -6,15 +6,16 @@ from typing import Any, NamedTuple
 import jax
 import optax
 
-from infogoal_jax import agents, envs, exploration, learners, networks, relabelling
+from infogoal_jax import agents, envs, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.learners.learner import Learner
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.train import hierarchy
-from infogoal_jax.train.combinations import check_combination, make_learner, steers
+from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
 
 
 class Parts(NamedTuple):
@@ -71,9 +72,14 @@ def load_environment(config: TrainConfig, env: Any = None):
     Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is
     not made for.
     """
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
+    if config.task in envs.registry:
+        kind = envs.registry[config.task].config
+        require(isinstance(config.env, kind), "env", type(config.env).__name__, f"{config.task} needs {kind.__name__}")
     if env is None:
         check_combination(config)
         env = envs.load(config.task, config.env)
+    check_environment(config, env)
     if make_learner(config).by_index and env.goals is not None:
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)
@@ -83,8 +89,15 @@ def load_environment(config: TrainConfig, env: Any = None):
     return env
 
 
+def check_environment(config: TrainConfig, env: Any) -> None:
+    """Raise `UserError` for what is no environment, or one of another task than the configuration."""
+    require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    check_same_task(config, env)
+
+
 def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
-    """Raise `UserError` where float hyperparameters are not those of the configuration's parts."""
+    """Raise `UserError` where float hyperparameters are not those of the configuration's parts, or out of range."""
+    require(isinstance(hyper, Hyperparameters), "hyper", hyper, "give Hyperparameters, such as config.hyper")
     for registered, own, given in (
         (learners.registry, config.learner, hyper.learner),
         (agents.registry, config.agent, hyper.agent),
@@ -98,3 +111,4 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
             "take "
             "presets.default_hyperparameters",
         )
+    hyperparameters.check(hyper)

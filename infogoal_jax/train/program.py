@@ -21,11 +21,12 @@ from jax.flatten_util import ravel_pytree
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.collection import collect_epoch, update_statistics
 from infogoal_jax.train.encoding import encode_states
 from infogoal_jax.train.experience import Experience, experience_of
-from infogoal_jax.train.parts import Parts, check_hyperparameters, load_environment, make_parts
+from infogoal_jax.train.parts import Parts, check_environment, check_hyperparameters, load_environment, make_parts
 from infogoal_jax.train.policies import trained_policy, training_policy
 from infogoal_jax.train.rollout import Policy, rows_shape
 from infogoal_jax.train.settings import evaluate_settings
@@ -56,6 +57,13 @@ class Train:
         hyper = self.config.hyper if hyper is None else hyper
         check_hyperparameters(self.config, hyper)
         env = self.env if env is None else env
+        check_environment(self.config, env)
+        require(
+            isinstance(key, jax.Array) and (key.shape == () or key.dtype == jnp.uint32),
+            "key",
+            key,
+            "give one key, such as jax.random.key(0); for several see jax.vmap",
+        )
         epochs = jnp.arange(self.config.num_epochs).reshape(self.config.num_evaluations, -1)
         state, (epoch_metrics, metrics) = jax.lax.scan(
             lambda state, numbers: self._scannable(state, numbers, hyper, env), self.initial(key, hyper, env), epochs

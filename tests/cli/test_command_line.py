@@ -15,9 +15,9 @@ from infogoal_jax import agents, envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
-from infogoal_jax.presets.saved import from_dict, to_json
+from infogoal_jax.runs import tables
+from infogoal_jax.runs.configuration import from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
-from infogoal_jax.train import files
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +40,18 @@ MISTAKES = [
     ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
     ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
     ("train object_search --seeds 100000", ["seeds = 100000", "at most"]),
-    ("train object_search --evaluation-starts 1000000000", ["seeds = 1", "evaluation_starts"]),
+    ("train object_search --evaluation-starts 1000000000", ["evaluation_starts = 1000000000", "GiB", "such as 10"]),
+    ("train object_search --seeds 2147483648", ["seeds = 2147483648", "at most"]),
+    ("train object_search --seeds 99999999999999999999", ["seeds = ", "below 2^32"]),
+    ("train object_search --learner.num-pairs 1000000000", ["learner.num_pairs = 1000000000", "GiB", "such as 256"]),
+    ("train object_search --learner.latent-size 100000000", ["learner.latent_size = 100000000", "such as 32"]),
+    ("train object_search --updates-per-epoch 99999999999999999999", ["updates_per_epoch = 99999999999999999999"]),
+    ("train object_search --env.image-size 1000000000", ["env.image_size = 1000000000", "at most 2048"]),
+    ("tune object_search --space-seed 99999999999999999999", ["space_seed = ", "below 2^32"]),
+    ("evaluate not_there --starts 99999999999", ["starts = 99999999999"]),
+    ("evaluate not_there --start-seed 99999999999999999999", ["start_seed = "]),
+    ("data build cube a.npz --seed -1", ["seed = -1", "below 2^32"]),
+    (f"train object_search --out {'x' * 300}", ["could not be written", "shorter path"]),
     ("train object_search --state-encoder.patch 0", ["state_encoder.patch = 0", "greater than 0"]),
     ("train object_search --first-seed -1", ["seeds = '-1 to -1'", "from 0 to below"]),
     ("report a_file", ["a_file", "could not be read"]),
@@ -273,7 +284,7 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
         "timing.json",
         "checkpoint",
         "policy",
-        *(f"{table}{end}" for table in files.TABLES for end in (".csv", ".jsonl")),
+        *(f"{table}{end}" for table in tables.TABLES for end in (".csv", ".jsonl")),
     ):
         assert (run / name).stat().st_size > 0, name
     assert (run / "figures" / "learning_curves.png").exists()
@@ -306,7 +317,6 @@ def run_on_a_full_disk(arguments: str) -> subprocess.CompletedProcess:
     written."""
     code = f"""
 import resource, sys
-from infogoal_jax.train import files
 from infogoal_jax.cli.main import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 sys.exit(main({arguments.split()!r}))

@@ -9,7 +9,7 @@ import pytest
 from places import ROOT
 
 from infogoal_jax.hyperparameters import check, with_values
-from infogoal_jax.train import files
+from infogoal_jax.runs.tables import append_rows, read_table
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
 import study_numbers
@@ -60,7 +60,7 @@ def write_run(folder: Path, seeds: int = 2, epochs: int = 4) -> None:
     )
     (folder / "result.json").write_text(json.dumps({"machine": "a machine", "seconds": 2.5}))
     for epoch in range(1, epochs + 1):
-        files.append_rows(
+        append_rows(
             folder,
             "epochs",
             [{"seed": seed, "epoch": epoch, "infogoal/beta": draw.random(), "loss": 1.0} for seed in range(seeds)],
@@ -76,7 +76,7 @@ def write_run(folder: Path, seeds: int = 2, epochs: int = 4) -> None:
                 }
                 for seed in range(seeds)
             ]
-            files.append_rows(folder, "evaluations", rows)
+            append_rows(folder, "evaluations", rows)
 
 
 def test_numbers_of_a_folder_survive_their_file(tmp_path):
@@ -89,7 +89,7 @@ def test_numbers_of_a_folder_survive_their_file(tmp_path):
     before, after = (results.finished("task", ["none", "infogoal"])["infogoal"] for results in (collected, loaded))
     assert after.about["result"] == {"machine": "a machine", "seconds": 2.5} and after.evaluations.seeds == [0, 1]
     assert list(after.evaluations.epochs) == [2, 4] and set(after.evaluations.values) == set(before.evaluations.values)
-    rows = files.read_table(tmp_path / "task" / "infogoal", "epochs")
+    rows = read_table(tmp_path / "task" / "infogoal", "epochs")
     assert np.allclose(
         after.evaluations.values["infogoal/beta"].T.ravel(),
         [row["infogoal/beta"] for row in rows if row["epoch"] in (2, 4)],

@@ -12,9 +12,9 @@ from matplotlib.image import imread
 from infogoal_jax import envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.presets.saved import to_dict
 from infogoal_jax.report.comparison_figures import check_same_task, comparison, draw_comparison, read_compared
-from infogoal_jax.train import files
+from infogoal_jax.runs import tables
+from infogoal_jax.runs.configuration import to_dict
 
 EPOCHS, STARTS = (1, 2, 3), 2
 DATA = "hand-made graph (a stand-in for nothing)"
@@ -55,8 +55,8 @@ def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
                     "agent/gradient_norm": 1.0,
                 }
             )
-    files.append_rows(folder, "evaluations", evaluations)
-    files.append_rows(folder, "epochs", epochs)
+    tables.append_rows(folder, "evaluations", evaluations)
+    tables.append_rows(folder, "epochs", epochs)
     return folder
 
 
@@ -92,7 +92,7 @@ def test_curves_are_the_means_of_the_runs_tables(folders, env):
             ("infogoal, 3 seeds", folders[0], (0, 1, 2)),
             ("sse_db, 2 seeds", folders[1], (0, 2)),
         ):
-            rows = [row for row in files.read_table(folder, "evaluations") if row["seed"] in seeds]
+            rows = [row for row in tables.read_table(folder, "evaluations") if row["seed"] in seeds]
             rates = [
                 np.mean([row[f"{group}_goal/success_rate"] for row in rows if row["epoch"] == epoch])
                 for epoch in EPOCHS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import Hyperparameters, make_train, presets
-from infogoal_jax.train import files
+from infogoal_jax.runs import tables
 
 
 def repeated(hyper: Hyperparameters, times: int) -> Hyperparameters:
@@ -154,7 +154,7 @@ def test_training_looks_at_training_backgrounds_alone_and_only_when_it_corrupts(
 def test_fetch_reach_trains_with_its_own_physics(reach_run):
     """The preset, made small: two seeds of the real task, with its low level and images."""
     config = reach_run.train.config
-    epochs, evaluations = (files.read_table(reach_run.folder, name) for name in ("epochs", "evaluations"))
+    epochs, evaluations = (tables.read_table(reach_run.folder, name) for name in ("epochs", "evaluations"))
     assert not reach_run.diverged and len(epochs) == len(evaluations) == 2 * config.num_epochs
     for row in (*epochs, *evaluations):
         assert all(np.isfinite(value).all() for value in row.values())

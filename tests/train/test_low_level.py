@@ -20,7 +20,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import checkpoint, files
+from infogoal_jax.runs import checkpoint, tables
 from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level import host, joints
 from infogoal_jax.train.low_level.fetch import PRESETS
@@ -285,13 +285,13 @@ def test_training_learns_to_reach_and_is_reproducible(reaching):
 
 @pytest.mark.long
 def test_a_stopped_training_leaves_its_curve_and_what_was_learned(tmp_path, monkeypatch):
-    append = files.append_rows
+    append = tables.append_rows
 
     def interrupted(*arguments):
         append(*arguments)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(files, "append_rows", interrupted)
+    monkeypatch.setattr(tables, "append_rows", interrupted)
     config = preset("fetch_reach", num_envs=16, num_epochs=3, updates_per_epoch=2)
     result = host.pretrain(config, [5, 6], tmp_path, evaluation_episodes=16, command="infogoal pretrain fetch_reach")
     assert result.stopped

@@ -20,8 +20,9 @@ from killed_run import chunk_config
 from places import TESTS
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.presets.saved import to_json
-from infogoal_jax.train import checkpoint, files, host
+from infogoal_jax.runs import checkpoint, tables
+from infogoal_jax.train import host
+from infogoal_jax.train.resuming import BEGINNING, last_point
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
@@ -35,7 +36,7 @@ def start(folder: Path) -> subprocess.Popen:
     """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not
     the compiler."""
     environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    command = [sys.executable, str(TESTS / "killed_run.py"), str(folder), "resume"]
+    command = [sys.executable, str(TESTS / "killed_run.py"), str(folder)]
     return subprocess.Popen(command, env=environment, cwd=TESTS, stdout=subprocess.DEVNULL)
 
 
@@ -83,20 +84,15 @@ def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp
     kill_and_resume(tmp_path, uninterrupted, kills=1)
 
 
-@pytest.mark.long
-def test_killed_at_twenty_random_moments_it_ends_with_the_same_bits(uninterrupted, tmp_path):
-    kill_and_resume(tmp_path, uninterrupted, kills=20)
-
-
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
     rows = [
         {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
     ]
-    files.append_rows(tmp_path, "epochs", rows)
+    tables.append_rows(tmp_path, "epochs", rows)
     with open(tmp_path / "epochs.jsonl", "a") as file:
         file.write('{"seed": 0, "epo')  # The line that the kill cut short.
-    files.cut_back(tmp_path, 2)
-    assert files.read_table(tmp_path, "epochs") == rows[:4]
+    tables.replace_table(tmp_path, "epochs", tables.rows_until(tmp_path, "epochs", [0, 1], [1, 2]))
+    assert tables.read_table(tmp_path, "epochs") == rows[:4]
     assert (tmp_path / "epochs.csv").read_text().splitlines() == [
         "seed,epoch,x",
         "0,1,0.1",
@@ -124,9 +120,71 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
         damage
     )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
-    with pytest.raises(UserError, match="damaged|no checkpoint"):
+    with pytest.raises(UserError, match="damaged|no checkpoint|cannot be resumed"):
         host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
     assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
+
+
+def without_half(content: bytes) -> bytes:
+    """The first half of the lines."""
+    lines = content.splitlines(keepends=True)
+    return b"".join(lines[: len(lines) // 2])
+
+
+TABLE_DAMAGES = {
+    "missing": lambda content: None,
+    "empty": lambda content: b"",
+    "half": without_half,
+    "folder": lambda content: "folder",
+    "another row": lambda content: content.replace(b'"epoch": 4', b'"epoch": 5', 1),
+    "junk": lambda content: content.replace(b"{", b"\0", 1),
+}
+
+
+@pytest.mark.parametrize("num_epochs", [12, 14], ids=["finished", "longer"])
+@pytest.mark.parametrize("damage", TABLE_DAMAGES)
+def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, env, damage, num_epochs):
+    table = copy_of_whole / ("epochs.jsonl" if num_epochs == 12 else "evaluations.jsonl")
+    spoiled = TABLE_DAMAGES[damage](table.read_bytes())
+    table.unlink()
+    if spoiled == "folder":
+        table.mkdir()
+    elif spoiled is not None:
+        table.write_bytes(spoiled)
+    before = {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
+    longer = dataclasses.replace(chunk_config(), num_epochs=num_epochs)
+    with pytest.raises(UserError, match=f"{table.name}.*(; bring back a copy|not there)"):
+        last_point(copy_of_whole, host.describe(longer, env, [0, 1]), states_shape(env))
+    assert before == {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
+
+
+def states_shape(env):
+    """Shapes of the states of two seeds."""
+    train = host.make_train(chunk_config(), env)
+    keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
+    return jax.eval_shape(jax.vmap(lambda key: train.initial(key, train.config.hyper, env)), keys)
+
+
+@pytest.mark.parametrize("epoch", [-1, 0, 3, "2", None, 2.5])
+def test_a_checkpoint_of_an_epoch_that_is_none_is_refused(copy_of_whole, env, epoch):
+    header, _ = checkpoint.read_header(copy_of_whole / "checkpoint")
+    checkpoint.save(copy_of_whole / "checkpoint", header | {"epoch": epoch}, {})
+    with pytest.raises(UserError, match="checkpoint.*epoch = "):
+        last_point(copy_of_whole, host.describe(chunk_config(), env, [0, 1]), None)
+
+
+def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninterrupted, copy_of_whole, env):
+    for name in ("checkpoint", "policy", "timing.json"):
+        (copy_of_whole / name).unlink()
+    lines = (copy_of_whole / "epochs.jsonl").read_bytes().splitlines(keepends=True)
+    (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines[:3]) + b'{"seed": 0, "epo')
+    (copy_of_whole / "evaluations.jsonl").unlink()
+    (copy_of_whole / "evaluations.csv").unlink()
+    now = host.describe(chunk_config(), env, [0, 1])
+    assert last_point(copy_of_whole, now, None) == BEGINNING
+    (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines))  # Later rows: a checkpoint was lost.
+    with pytest.raises(UserError, match="there is no checkpoint"):
+        last_point(copy_of_whole, now, None)
 
 
 def test_a_checkpoint_of_another_configuration_names_the_fields(copy_of_whole, env):
@@ -159,8 +217,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrup
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
     for leaf in jax.tree.leaves(params):
         leaf[1] = np.nan
-    kept = {name: value for name, value in header.items() if name not in ("format", "sha256", "bytes")}
-    checkpoint.save(copy_of_whole / "checkpoint", kept, states.replace(params=params))
+    checkpoint.save(copy_of_whole / "checkpoint", header, states.replace(params=params))
     poisoned = host.run(longer, [0, 1], copy_of_whole, resume=True, env=env)
     healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
     assert poisoned.diverged == {1: 13} and healthy.diverged == {}
@@ -190,11 +247,11 @@ def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):
 import resource, signal, sys
 from pathlib import Path
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import files
+from infogoal_jax.runs import disk
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 try:
-    files.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
+    disk.write_atomically(Path({str(tmp_path / "checkpoint")!r}), lambda file: file.write(bytes(10_000)))
 except UserError as error:
     print(error)
 """
@@ -205,11 +262,14 @@ except UserError as error:
     ).read_bytes() == b"old"
 
 
-def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path):
-    """A field that it does not have cannot be given the same value."""
-    config = json.loads(to_json(hand_made.config()))
-    description = {"seeds": [0], "data": "rooms", "config": config, "epoch": 1}
-    earlier = description | {"config": {name: value for name, value in config.items() if name != "format"}}
-    checkpoint.save(tmp_path / "checkpoint", earlier, {"weight": np.zeros(2)})
-    with pytest.raises(UserError, match="earlier version, which has no format.*start a new run"):
-        host.resume_from(tmp_path / "checkpoint", None, description)
+def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
+    """Its fields have other names, and its checkpoint another first line."""
+    path = copy_of_whole / "checkpoint"
+    path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
+    with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+    about = json.loads((copy_of_whole / "config.json").read_text())
+    del about["config"]["format"]
+    (copy_of_whole / "config.json").write_text(json.dumps(about))
+    with pytest.raises(UserError, match="config.format = 1.*use the version that wrote the run"):
+        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)

@@ -18,9 +18,13 @@ from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import check, search_space, with_values
 from infogoal_jax.report import tuning
+from infogoal_jax.runs.description import Description
+from infogoal_jax.runs.search import write_plan
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
-from infogoal_jax.train.tune import Trial, TuneResult, tune
+from infogoal_jax.train.lanes import plan_of
+from infogoal_jax.train.trials import Trial, TuneResult, Watch
+from infogoal_jax.train.tune import tune
 
 USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
 
@@ -54,10 +58,11 @@ def result(env, tmp_path_factory):
     """Two trials with two seeds, with what is left on disk after each evaluation."""
     folder, left = tmp_path_factory.mktemp("search"), []
 
-    def watch(found):
+    def evaluated(found):
         tuning.save(found, folder)
-        left.append({path.name: path.read_text() for path in folder.iterdir()})
+        left.append({path.name: path.read_text() for path in folder.glob("*.json*")})
 
+    watch = Watch(folder, evaluated=evaluated)
     return tune(small(), 2, [1000, 1001], jax.random.key(0), env=env, watch=watch), left
 
 
@@ -213,8 +218,15 @@ def made(config, successes, diverged=()) -> TuneResult:
         trials,
         0.0,
         0.0,
-        {"data": "made up"},
+        Description(config, [1000], "made up", {}, "cpu"),
     )
+
+
+def save(found: TuneResult, folder: Path) -> None:
+    """Leave a search on disk as the command does."""
+    folder.mkdir()
+    write_plan(folder, found.about, plan_of(found))
+    tuning.save(found, folder)
 
 
 def test_the_best_trial():
@@ -269,12 +281,11 @@ def searched(env, tmp_path, monkeypatch):
     """A search of six trials on disk, in the folder `search`, and what `infogoal final` would run: (configuration,
     trials, seeds) a call."""
     found, asked = made(small("vae"), [[0.0, 0.1], [0.0, 0.3], [0.0, 0.9], [0.0, 0.5], [0.0, 0.7], [0.0, 0.2]]), []
-    found = dataclasses.replace(found, description=host.describe(found.config, env, found.seeds))
-    tuning.save(found, tmp_path / "search")
+    save(found, tmp_path / "search")
 
     def interrupted(config, trials, seeds, watch):
         asked.append((config, [trial.number for trial in trials], list(seeds)))
-        raise KeyboardInterrupt
+        return dataclasses.replace(found, epochs=[1])
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -299,7 +310,8 @@ def test_the_command_for_a_final(searched):
         (["search", "--first-seed", "993"], "first_seed = 993: the search had the seeds [1000]"),
         (["search", "--trials", "9"], "trials = 9"),
         (["nowhere"], "search = 'nowhere': holds no trials.jsonl"),
-        (["search", "--out", "search"], "out = 'search': is there already"),
+        (["search", "--first-seed", "-1"], "seeds = '-1 to 6'"),
+        ([], "search = '': give the folder of a search"),
     ],
 )
 def test_what_cannot_be_a_final(flags, message, searched, capsys):
@@ -310,16 +322,16 @@ def test_what_cannot_be_a_final(flags, message, searched, capsys):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (lambda lines: [], "is damaged"),
-        (lambda lines: lines[1:], "is damaged (it should have the trials 0, 1, 2"),
-        (lambda lines: [line | {"values": None} for line in lines], "is damaged"),
-        (lambda lines: [{"trial": 0}], "is damaged"),
+        (lambda lines: [], "(it should have the trials 0, 1, 2"),
+        (lambda lines: lines[1:], "(it should have the trials 0, 1, 2"),
+        (lambda lines: [line | {"values": None} for line in lines], "line 1: is damaged"),
+        (lambda lines: [*lines[:2], {"trial": 0}], "line 3: is damaged or was not written by this version (preset is"),
+        (lambda lines: [line | {"loss": [[1.0]]} for line in lines], "line 1: is damaged"),
         (lambda lines: [lines[0] | {"values": {"discount": 0.9}}, *lines[1:]], "different fields"),
         (
-            lambda lines: [line | {"success": line["success"][:1]} for line in lines],
+            lambda lines: [line | {name: line[name][:1] for name in ("epochs", "success", "loss")} for line in lines],
             "was stopped after 1 of 2 evaluations",
         ),
-        (lambda lines: [line | {"success": []} for line in lines], "was stopped after 0 of 2 evaluations"),
     ],
 )
 def test_a_search_that_is_damaged_or_unfinished_has_no_final(changes, message, searched, capsys):
@@ -351,7 +363,7 @@ def test_the_flags_of_the_best_train_with_its_configuration(task, method, change
         learner=dataclasses.replace(config.learner, standardise_images=True),
     )
     found = made(config, [[0.0], [1.0]])
-    tuning.save(found, tmp_path / "search")
+    save(found, tmp_path / "search")
     ran = []
 
     def run(config, *arguments, **named):
@@ -371,8 +383,11 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
 
     def interrupted(config, trials, seeds, key, fields, watch):
         asked.append((config.num_epochs, presets.names_of(config)["learner"], trials, list(seeds), fields))
-        watch(made(config, [[0.25], [0.5]]))
-        raise KeyboardInterrupt
+        found = made(config, [[0.25], [0.5]])
+        watch.folder.mkdir()
+        write_plan(watch.folder, found.about, plan_of(found))
+        watch.evaluated(found)
+        return found
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -385,9 +400,7 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
     assert main(["tune", "object_search", *flags.split()]) == 130
     assert asked == [(40, "none", 2, [1005], ("learning_rate", "discount"))]
     assert json.loads((tmp_path / "search" / "best.json").read_text())["score"] == 0.5
-    assert "search" in capsys.readouterr().out
-    assert main(["tune", "object_search", *flags.split()]) == 2  # The folder holds a search.
-    assert "out = 'search': is there already" in capsys.readouterr().err
+    assert "go on with: infogoal tune --resume search" in capsys.readouterr().out
 
 
 def test_the_table_says_what_was_scored_and_how_to_train(capsys):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.data.archives import regular
 from infogoal_jax.envs.fetch.tasks import TASKS, Task
 from infogoal_jax.errors import UserError, nearest
 
@@ -104,7 +105,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an npz. Raises `UserError` if it cannot be read; pickled objects are never loaded, because they can
     run code."""
     try:
-        content = path.read_bytes()
+        content = regular(path).read_bytes()
     except FileNotFoundError:
         raise UserError(
             f"file = {str(path)!r}: is not there; give an npz of episodes, "

@@ -5,6 +5,7 @@ The header names the task and the widths of the layers, and how it was trained; 
 without critics.
 """
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,23 @@ from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import find
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import checkpoint
+from infogoal_jax.runs import checkpoint
+from infogoal_jax.runs.decoding import Place, decode
 
 DATA = Path(__file__).parent.parent.parent / "data" / "files"
 SHIPPED, SHIPPED_JOINT_LEVEL = DATA / "fetch" / "low_level", DATA / "cube" / "low_level"
 KIND = "low level"
+
+
+@dataclasses.dataclass(frozen=True)
+class LowLevelHeader:
+    """What is read of the header. kind: of checkpoint; hidden: widths of the layers; joints, moves: of an arm."""
+
+    kind: str = ""
+    task: str = ""
+    hidden: tuple[int, ...] = ()
+    joints: int = 0
+    moves: int = 0
 
 
 def shipped(task: str) -> Path:
@@ -53,7 +66,7 @@ def load(path: str, task: str) -> LowLevel:
 
 def load_with_header(path: str, task: str) -> tuple[dict[str, Any], LowLevel]:
     """The header and the low level, as `load` reads them."""
-    return read(Path(path) if path else shipped(task), task, lambda header: empty(task, tuple(header["hidden"])))
+    return read(Path(path) if path else shipped(task), task, lambda header: empty(task, header.hidden))
 
 
 def load_joint_level(
@@ -63,22 +76,22 @@ def load_joint_level(
     file = Path(path) if path else SHIPPED_JOINT_LEVEL
 
     def empty_joint_level(header):
-        if (header["joints"], header["moves"]) != (num_joints, num_moves):
+        if (header.joints, header.moves) != (num_joints, num_moves):
             raise UserError(
-                f"low_level = {str(file)!r}: is of an arm with {header['joints']} joints and {header['moves']} moves, "
+                f"low_level = {str(file)!r}: is of an arm with {header.joints} joints and {header.moves} moves, "
                 "the dataset's has "
                 f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it "
                 "with "
                 "--agent.low-level"
             )
-        hidden, joints = tuple(header["hidden"]), jnp.zeros(num_joints)
+        hidden, joints = header.hidden, jnp.zeros(num_joints)
         params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
         return JointLevel(params, hidden, num_moves)
 
     return read(file, task, empty_joint_level)
 
 
-def read(file: Path, task: str, empty: Callable[[dict[str, Any]], Any]) -> tuple[dict[str, Any], Any]:
+def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple[dict[str, Any], Any]:
     """The header and the low level of a task, whose shapes are those of `empty(header)`."""
     file = file / "low_level" if file.is_dir() else file
     if not file.exists():
@@ -87,20 +100,21 @@ def read(file: Path, task: str, empty: Callable[[dict[str, Any]], Any]) -> tuple
             "none at all for the "
             "shipped one"
         )
-    header, _ = checkpoint.read_header(file)
-    if header.get("kind") != KIND:
+    header, payload = checkpoint.read_header(file)
+    about = decode(LowLevelHeader, header, Place(file, remedy=checkpoint.REMEDY))
+    if about.kind != KIND:
         raise UserError(
             f"low_level = {str(file)!r}: is a checkpoint of something else; give a file that `infogoal pretrain "
             f"{task}` wrote"
         )
-    if header["task"] != task:
+    if about.task != task:
         raise UserError(
-            f"low_level = {str(file)!r}: is of the task {header['task']!r}, not {task!r}; give one of `infogoal "
+            f"low_level = {str(file)!r}: is of the task {about.task!r}, not {task!r}; give one of `infogoal "
             f"pretrain {task}`"
         )
-    template = empty(header)
+    template = empty(about)
     try:
-        return header, jax.tree.map(jnp.asarray, checkpoint.load(file, template)[1])
+        return header, jax.tree.map(jnp.asarray, checkpoint.arrays(file, payload, template))
     except UserError as error:
         raise UserError(
             f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal "

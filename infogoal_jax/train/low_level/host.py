@@ -10,26 +10,26 @@ import datetime
 import importlib.metadata
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import infogoal_jax
-from infogoal_jax.errors import UserError, require
-from infogoal_jax.train import files
+from infogoal_jax.errors import require
+from infogoal_jax.runs import tables
+from infogoal_jax.runs.folder import LOW_LEVEL, check_new, only_writer
+from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.host import stop_on_signal
+from infogoal_jax.train.host import check_seeds
 from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level.presets import make_agent
 from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
+from infogoal_jax.train.progress import ProgressLine, progress_line
 
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
@@ -51,33 +51,6 @@ class Pretrained:
     stopped: bool
     compile_seconds: float
     run_seconds: float
-
-
-@contextmanager
-def progress_line(config: PretrainConfig, num_seeds: int) -> Iterator[Any]:
-    """A function that shows how far training is: a moving bar in a terminal, a line for each epoch in a log file."""
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[numbers]}"),
-        console=Console(),
-        refresh_per_second=2,
-    )
-    line = bar.add_task(f"{config.task} low level x {num_seeds}", total=config.num_epochs, numbers="compiling")
-
-    def advance(epoch: int, seconds: float, success: np.ndarray):
-        numbers = f"{seconds:.1f} s  success " + " ".join(f"{rate:.2f}" for rate in success)
-        bar.update(line, completed=epoch, numbers=numbers)
-        if not bar.console.is_terminal:
-            bar.console.print(f"epoch {epoch}/{config.num_epochs}  {numbers}", soft_wrap=True)
-
-    if bar.console.is_terminal:
-        with bar:
-            yield advance
-    else:
-        yield advance
 
 
 def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
@@ -102,25 +75,35 @@ def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
 
 
 def pretrain(
-    config: PretrainConfig, seeds: list[int], folder: Path, evaluation_episodes: int = 2000, command: str = ""
+    config: PretrainConfig, seeds: Sequence[int], folder: Path, evaluation_episodes: int = 2000, command: str = ""
 ) -> Pretrained:
     """Train the low level of a task with these seeds in one program, and leave the best one in `folder`.
 
-    Raises `UserError` before any compilation for a folder that holds one already, or seeds that cannot be used.
+    Raises `UserError` before any compilation for a folder that holds one already or is being written, or seeds that
+    cannot be used.
     """
-    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
-    require(
-        min(seeds) >= 0 and max(seeds) < 2**32,
-        "seeds",
-        f"{min(seeds)} to {max(seeds)}",
-        "give seeds from 0 to below 2^32 (--first-seed)",
-    )
+    check_seeds(seeds)
     require(evaluation_episodes > 0, "evaluation_episodes", evaluation_episodes, "give a whole number greater than 0")
-    for name in ("low_level", "curve.csv", "curve.jsonl"):
-        if (folder / name).exists():
-            raise UserError(f"out = {str(folder)!r}: holds a low level or its curve already; give another folder")
-    agent, hyper = make_agent(config), jax.device_put(config.hyper)
-    files.make_folder(folder)
+    check_new(folder, LOW_LEVEL)
+    agent, words = make_agent(config), f"{config.task} low level x {len(seeds)}"
+    with stop_on_signal() as stop, only_writer(folder, new=LOW_LEVEL), progress_line(words, config.num_epochs) as line:
+        stop.advice = f"{folder} holds no low level; start again"
+        line.compiling()
+        return pretrain_in(config, agent, seeds, folder, evaluation_episodes, command, stop, line)
+
+
+def pretrain_in(
+    config: PretrainConfig,
+    agent: TargetAgent,
+    seeds: Sequence[int],
+    folder: Path,
+    evaluation_episodes: int,
+    command: str,
+    stop: StopRequest,
+    line: ProgressLine,
+) -> Pretrained:
+    """Train to the end or until a signal comes, and write the curve and the best low level."""
+    hyper = jax.device_put(config.hyper)
     trainer, keys = make_trainer(agent), jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
 
     def keys_of(purpose: int, number: int) -> jax.Array:
@@ -131,24 +114,25 @@ def pretrain(
     states = initial(keys, hyper)
     jax.block_until_ready((policy(states), keys_of(COLLECT, 0)))
     compile_seconds = time.perf_counter() - started
+    stop.check()
 
     curve, done, env_steps = [], 0, np.zeros(len(seeds), np.int64)
     started = time.perf_counter()
-    with stop_on_signal() as stop, progress_line(config, len(seeds)) as advance:
-        while done < config.num_epochs and not stop.requested:
-            rows, found = run(policy(states), keys_of(COLLECT, done), jnp.bool(True), hyper)
-            states, metrics = learn(states, rows, jnp.int32(done), hyper)
-            metrics = jax.device_get(metrics | found)
-            done, seconds = done + 1, time.perf_counter() - started
-            if "env_steps" in metrics:
-                metrics["env_steps"] = env_steps = env_steps + metrics["env_steps"]
-            curve += [
-                {"seed": seed, "epoch": done, "seconds": round(seconds, 3)}
-                | {name: metrics[name][i].item() for name in agent.curve}
-                for i, seed in enumerate(seeds)
-            ]
-            files.append_rows(folder, "curve", curve[-len(seeds) :])
-            advance(done, seconds, metrics["success_rate"])
+    stop.finishing = "this epoch, with what was learned"
+    while done < config.num_epochs and not stop.requested:
+        rows, found = run(policy(states), keys_of(COLLECT, done), jnp.bool(True), hyper)
+        states, metrics = learn(states, rows, jnp.int32(done), hyper)
+        metrics = jax.device_get(metrics | found)
+        done, seconds = done + 1, time.perf_counter() - started
+        if "env_steps" in metrics:
+            metrics["env_steps"] = env_steps = env_steps + metrics["env_steps"]
+        curve += [
+            {"seed": seed, "epoch": done, "seconds": round(seconds, 3)}
+            | {name: metrics[name][i].item() for name in agent.curve}
+            for i, seed in enumerate(seeds)
+        ]
+        tables.append_rows(folder, "curve", curve[-len(seeds) :])
+        line.advance(done, f"success {' '.join(f'{rate:.2f}' for rate in metrics['success_rate'])}")
     run_seconds, stopped = time.perf_counter() - started, done < config.num_epochs
 
     low_levels = policy(states)
@@ -182,6 +166,7 @@ def pretrain(
         **agent.header,
     }
     low_level_file.save(folder / "low_level", header, jax.device_get(jax.tree.map(lambda leaf: leaf[best], low_levels)))
+    stop.finishing = ""
     return Pretrained(agent, folder, reports, reports[best], stopped, compile_seconds, run_seconds)
 
 

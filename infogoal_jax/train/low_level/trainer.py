@@ -50,8 +50,7 @@ class PretrainConfig:
             self.network.hidden,
             "give widths greater than 0, for example 256 256 256",
         )
-        if isinstance(self.hyper.learning_rate, int | float):
-            hyperparameters.check(self.hyper)
+        object.__setattr__(self, "hyper", hyperparameters.checked(self.hyper))
 
 
 class TargetAgent(NamedTuple):

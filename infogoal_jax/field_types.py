@@ -1,0 +1,89 @@
+"""Values checked against the types that the fields of a record declare, in configurations and in files alike."""
+
+import dataclasses
+import functools
+import os
+import reprlib
+import typing
+from typing import Any, Literal, TypeVar
+
+import msgspec
+import numpy as np
+
+from infogoal_jax.errors import UserError
+
+Record = TypeVar("Record")
+LARGEST_WHOLE = 2**31 - 1
+"""Of sizes and counts: programs index by int32."""
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+
+
+class WrongTypeError(ValueError):
+    """A value is of another type than it should be. Its text says which, as the end of a sentence."""
+
+
+def converted(value: Any, hint: Any) -> Any:
+    """The value as this type: numbers of numpy as those of Python, lists as the tuples that are asked for, paths as
+    their names. Raises `WrongTypeError` for a value of another type; nothing is guessed from text."""
+    value = plain(value)
+    try:
+        return msgspec.convert(value, hint)
+    except msgspec.ValidationError as error:
+        raise WrongTypeError(in_words(error, hint)) from error
+    except TypeError:  # A type of a user's own record that cannot be checked.
+        return value
+
+
+def plain(value: Any) -> Any:
+    """Numbers of numpy as those of Python, paths as their names; in lists too."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return type(value)(map(plain, value)) if type(value) in (tuple, list) else value
+
+
+def in_words(error: msgspec.ValidationError, hint: Any) -> str:
+    """What a typed decoder says, as the end of a sentence."""
+    if typing.get_origin(hint) is Literal:
+        return f"give one of {', '.join(map(repr, typing.get_args(hint)))}"
+    problem = str(error).replace("`", "").partition(" - at ")[0].replace("array", "list")
+    return problem[0].lower() + problem[1:]
+
+
+@functools.cache
+def hints_of(record: type) -> dict[str, Any]:
+    """The types of a record's fields; none of those whose names cannot be resolved, as in a class within a function."""
+    try:
+        return typing.get_type_hints(record, include_extras=True)
+    except NameError:
+        return {}
+
+
+def checked(record: Record, prefix: str = "") -> Record:
+    """A frozen configuration with each value as the type of its field. Raises `UserError`, naming the field behind
+    `prefix`, for a value of another type, and for numbers that no program can hold."""
+    hints, found = hints_of(type(record)), {}
+    for field in dataclasses.fields(record):
+        value, name = getattr(record, field.name), f"{prefix}{field.name}"
+        if dataclasses.is_dataclass(value):
+            new = checked(value, f"{name}.")
+        else:
+            new = checked_value(value, hints.get(field.name, Any), name)
+        if new is not value:
+            found[field.name] = new
+    return dataclasses.replace(record, **found) if found else record
+
+
+def checked_value(value: Any, hint: Any, name: str) -> Any:
+    """A value of a configuration as its type. Raises `UserError` as `checked` does."""
+    try:
+        value = converted(value, hint)
+    except WrongTypeError as error:
+        raise UserError(f"{name} = {reprlib.repr(value)}: {error}") from error
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, int) and abs(number) > (2**64 if name.endswith("seed") else LARGEST_WHOLE):
+            raise UserError(f"{name} = {reprlib.repr(value)}: give a whole number of at most {LARGEST_WHOLE}")
+        if isinstance(number, float) and not abs(number) <= LARGEST_FLOAT:
+            raise UserError(f"{name} = {reprlib.repr(value)}: give a finite number that float32 holds")
+    return value

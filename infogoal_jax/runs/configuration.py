@@ -1,0 +1,82 @@
+"""A configuration as JSON values, and back."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from infogoal_jax import presets
+from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.field_types import hints_of
+from infogoal_jax.runs.decoding import Place, built, decode, decode_value
+
+FORMAT = 2
+"""Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
+NOT_READ = Place(Path("a configuration"))
+
+
+def to_json(config: TrainConfig) -> str:
+    """The resolved configuration as indented JSON; each part with its name."""
+    return json.dumps(to_dict(config), indent=2, sort_keys=True)
+
+
+def to_dict(config: TrainConfig) -> dict[str, Any]:
+    """The resolved configuration as plain values; each part with its name."""
+    values = dataclasses.asdict(config)
+    for kind, name in presets.names_of(config).items():
+        values[kind] = {"name": name, **values[kind]}
+    return {"format": FORMAT, **values}
+
+
+def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
+    """The configuration that `to_dict` made. Raises `UserError` for another format, and for fields that are missing,
+    unknown or of another type or range; place: where the values were read."""
+    if not isinstance(values, dict):
+        raise place.refusal(f"{place.prefix.rstrip('.')} should be an object")
+    found = values.get("format", 1)
+    if found != FORMAT:
+        raise UserError(
+            f"{place.path}: {place.prefix}format = {found!r}: this version of infogoal-jax reads runs of format "
+            f"{FORMAT}; use the version that wrote the run"
+        )
+    hints = hints_of(TrainConfig)
+    unknown = sorted(values.keys() - hints.keys() - {"format"})
+    if unknown:
+        raise place.wrong(unknown[0], values[unknown[0]], f"no such field. Known: {', '.join(hints)}")
+    missing = [name for name in hints if name not in values]
+    if missing:
+        raise place.refusal(f"{place.prefix}{missing[0]} is missing")
+    names = {kind: name_of_part(values[kind], kind, place) for kind in presets.REGISTRIES}
+    base = built(place, lambda: presets.load(decode_value(str, values["task"], "task", place), **names))
+    records = {
+        name: decode(type(getattr(base, name)), without_name(values[name]), place.within(name), all_fields=True)
+        for name in (*presets.REGISTRIES, "env", "state_encoder")
+    }
+    records["hyper"] = hyper_of(values["hyper"], base.hyper, place.within("hyper"))
+    plain = {name: decode_value(hint, values[name], name, place) for name, hint in hints.items() if name not in records}
+    return built(place, lambda: TrainConfig(**plain, **records))
+
+
+def name_of_part(values: Any, kind: str, place: Place) -> str:
+    """The name that a part's record has."""
+    if not isinstance(values, dict) or "name" not in values:
+        raise place.refusal(f"{place.prefix}{kind} should be an object with a name")
+    return decode_value(str, values["name"], "name", place.within(kind))
+
+
+def without_name(values: Any) -> Any:
+    """The fields of a part's record."""
+    return {name: value for name, value in values.items() if name != "name"} if isinstance(values, dict) else values
+
+
+def hyper_of(values: Any, base: Hyperparameters, place: Place) -> Hyperparameters:
+    """The float hyperparameters, with those of the same parts as `base` has."""
+    if not isinstance(values, dict):
+        raise place.refusal("config.hyper should be an object")
+    inner = {
+        kind: decode(type(getattr(base, kind)), values.get(kind), place.within(kind), all_fields=True)
+        for kind in ("learner", "agent")
+    }
+    own = decode(Hyperparameters, values | dict.fromkeys(inner), place, all_fields=True)
+    return own.replace(**inner)

@@ -1,0 +1,127 @@
+"""The files of a search or a final: what was to be run, what each trial came to, and the best.
+
+config.json has, beside what it says of every run, the trials that were drawn and the ranges that they are from.
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.runs import description, disk
+from infogoal_jax.runs.decoding import Place, decode, parse, parse_lines, read_bytes
+from infogoal_jax.runs.description import Description
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """A setting that is to be run: its number in the search that drew it, and the values of the fields searched."""
+
+    trial: int
+    values: dict[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What config.json of a search says beside the description. space: where each field was drawn from."""
+
+    trials: int
+    space: dict[str, dict[str, Any]]
+    drawn: list[Drawn]
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialLine:
+    """A line of trials.jsonl. goals: the group that scores are of; epochs: of the evaluations so far; success, loss:
+    [evaluations so far][seeds]; score: success at the last; diverged: seeds."""
+
+    trial: int
+    preset: bool
+    values: dict[str, float]
+    seeds: list[int]
+    goals: str
+    epochs: list[int]
+    success: list[list[float]]
+    loss: list[list[float]]
+    score: float
+    diverged: list[int]
+
+
+@dataclasses.dataclass(frozen=True)
+class Best:
+    """best.json: the best trial so far, and the flags that train with its values. finished: whether there was the last
+    evaluation."""
+
+    trial: int
+    score: float
+    score_of_preset: float
+    goals: str
+    epoch: int
+    finished: bool
+    values: dict[str, float]
+    task: str
+    flags: list[str]
+    command: str
+    compile_seconds: float
+    run_seconds: float
+
+
+def write_plan(folder: Path, about: Description, plan: Plan) -> None:
+    """Write config.json of a search."""
+    description.write(folder, about, **dataclasses.asdict(plan))
+
+
+def read_plan(folder: Path) -> tuple[Description, Plan]:
+    """What a search is of and was to run. Raises `UserError` for a folder that holds none."""
+    about, place = description.read(folder), Place(folder / description.NAME)
+    values = parse(read_bytes(place, f"{place.path}: not there"), place)
+    if "drawn" not in values:
+        raise UserError(
+            f"search = {str(folder)!r}: is not of a search; give a folder of `infogoal tune` or `infogoal final`"
+        )
+    plan = decode(Plan, values, place)
+    check_alike(plan.drawn, place)
+    return about, plan
+
+
+def write_scores(folder: Path, lines: list[TrialLine], best: Best) -> None:
+    """Write trials.jsonl and best.json."""
+    disk.write_text(folder / "trials.jsonl", "".join(json.dumps(dataclasses.asdict(line)) + "\n" for line in lines))
+    disk.write_json(folder / "best.json", dataclasses.asdict(best), indent=2)
+
+
+def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
+    """What a search that came to its end is of, and its trials 0, 1, 2, ... Raises `UserError` if the folder holds
+    none."""
+    place = Place(folder / "trials.jsonl", remedy="bring back a copy of the file, or search again")
+    content = read_bytes(
+        place,
+        f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal "
+        "tune`",
+    )
+    about = description.read(folder)
+    lines = [decode(TrialLine, values, at) for at, values in parse_lines(content, place)]
+    numbers = [line.trial for line in lines]
+    if not lines or numbers != list(range(len(lines))):
+        raise place.refusal("it should have the trials 0, 1, 2, ... and seeds; of a final there is no final")
+    check_alike(lines, place)
+    for number, line in enumerate(lines, 1):
+        at = place._replace(line=number)
+        for name in ("success", "loss"):
+            scores = getattr(line, name)
+            if len(scores) != len(line.epochs) or any(len(row) != len(about.seeds) for row in scores):
+                raise at.wrong(name, scores, f"should be [{len(line.epochs)}][{len(about.seeds)}]: evaluations, seeds")
+    done, last = min(len(line.epochs) for line in lines), about.config.num_evaluations
+    if done < last:
+        raise UserError(
+            f"search = {str(folder)!r}: was stopped after {done} of {last} evaluations; go on with: infogoal tune "
+            f"--resume {folder}"
+        )
+    return about, lines
+
+
+def check_alike(trials: list[Drawn] | list[TrialLine], place: Place) -> None:
+    """Raise `UserError` for trials of different fields."""
+    if not trials or any(trial.values.keys() != trials[0].values.keys() for trial in trials):
+        raise place.refusal("its trials have different fields, or there are none")

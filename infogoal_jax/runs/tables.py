@@ -1,0 +1,123 @@
+"""epochs, evaluations and curve: tables to which a run appends, as CSV and as JSON lines.
+
+A line is a row of a seed and an epoch. Lists of numbers stand in the JSON lines only. What a killed run wrote after its
+last checkpoint is cut off when it goes on.
+"""
+
+import csv
+import dataclasses
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.runs.decoding import Place, decode, parse_lines, read_bytes
+from infogoal_jax.runs.disk import disk_error, sync, write_text
+
+TABLES = ("epochs", "evaluations")
+Row = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class RowKey:
+    """What every row has; its other columns are numbers, or lists of numbers."""
+
+    seed: int
+    epoch: int
+
+
+def file_names(table: str) -> tuple[str, str]:
+    """The two files of a table."""
+    return f"{table}.csv", f"{table}.jsonl"
+
+
+def scalar_columns(rows: list[Row]) -> list[str]:
+    """Names of the columns that hold single numbers: those that go into the CSV."""
+    return [name for name, value in rows[0].items() if not isinstance(value, list)]
+
+
+def append_rows(folder: Path, table: str, rows: list[Row]) -> None:
+    """Add rows to both files of a table and sync them. Numbers are written in full, so that equal bits give equal
+    files. Raises `UserError` if the disk refuses."""
+    if not rows:
+        return
+    csv_path, lines_path = (folder / name for name in file_names(table))
+    try:
+        with open(csv_path, "a", newline="") as file:
+            file.write(csv_text(rows, header=file.tell() == 0))
+            sync(file)
+        with open(lines_path, "a") as file:
+            file.write(lines_text(rows))
+            sync(file)
+    except OSError as error:
+        raise disk_error(csv_path, error) from error
+
+
+def lines_text(rows: list[Row]) -> str:
+    """The rows as JSON lines."""
+    return "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def csv_text(rows: list[Row], header: bool = True) -> str:
+    """The rows as CSV, or nothing where there are none."""
+    text = io.StringIO(newline="")
+    if rows:
+        writer = csv.DictWriter(text, scalar_columns(rows), extrasaction="ignore")
+        if header:
+            writer.writeheader()
+        writer.writerows(rows)
+    return text.getvalue()
+
+
+def read_table(folder: Path, table: str) -> list[Row]:
+    """The rows of a run's table. Raises `UserError` if the run has none, and for a line that is not one of them; a last
+    line that was cut short is left out."""
+    place = Place(folder / file_names(table)[1])
+    content = read_bytes(place, f"{place.path}: not there; give the folder of a run of `infogoal train`")
+    rows: list[Row] = []
+    for at, values in parse_lines(content, place):
+        decode(RowKey, values, at)
+        for name, value in values.items():
+            if not is_numbers(value):
+                raise at.wrong(name, value, "should be a number, or a list of numbers")
+        if rows and values.keys() != rows[0].keys():
+            odd = sorted(values.keys() ^ rows[0].keys())[0]
+            raise at.refusal(f"{odd} is in this row or in the first one, not in both")
+        rows.append(values)
+    return rows
+
+
+def is_numbers(value: Any) -> bool:
+    """Whether a value is a number, or numbers in lists."""
+    if isinstance(value, list):
+        return all(is_numbers(item) for item in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def rows_until(folder: Path, table: str, seeds: Sequence[int], epochs: Sequence[int]) -> list[Row]:
+    """The rows of these epochs, each of all seeds, which the table should have in this order.
+
+    Raises `UserError` if it does not: the run cannot go on without losing what is there.
+    """
+    wanted = [(seed, epoch) for epoch in epochs for seed in seeds]
+    path = folder / file_names(table)[1]
+    rows = read_table(folder, table) if wanted or path.exists() else []
+    found = [(row["seed"], row["epoch"]) for row in rows[: len(wanted)]]
+    if found != wanted:
+        number = next((n for n, (a, b) in enumerate(zip(found, wanted, strict=False)) if a != b), len(found))
+        seed, epoch = wanted[number]
+        raise UserError(
+            f"{path}, line {number + 1}: should be the row of epoch {epoch} and seed {seed}, which the checkpoint is "
+            "later than; bring back a copy of the file, or start a new run"
+        )
+    return rows[: len(wanted)]
+
+
+def replace_table(folder: Path, table: str, rows: list[Row]) -> None:
+    """Make these the rows of a table that is there: files that hold something else are written anew."""
+    for name, text in zip(file_names(table), (csv_text(rows), lines_text(rows)), strict=True):
+        path = folder / name
+        if (rows or path.exists()) and not (path.exists() and path.read_bytes() == text.encode()):
+            write_text(path, text)

@@ -1,0 +1,142 @@
+"""Ctrl-C, TERM, HUP and USR1: asked once, a command stops where nothing is lost; asked twice, it stops at once.
+
+A process that stops at once, as a killed one, leaves files that are whole: they are written beside and renamed. What
+was being written beside goes with `temporary`.
+"""
+
+import contextlib
+import os
+import signal
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
+"""What asks to stop: Ctrl-C, the system or a scheduler, a closed terminal, a scheduler before its limit of time."""
+STATUS = 130
+"""Exit status of a command that was stopped."""
+NOTHING = "no file is half written"
+temporaries: set[Path] = set()
+"""Files that are there while something is done, and must not stay."""
+
+
+class Stopped(KeyboardInterrupt):
+    """A command was asked to stop, and stops. Its text says what is on disk and how to go on."""
+
+
+class StopRequest:
+    """Whether the command was asked to stop.
+
+    advice: what is on disk and how to go on, if it stopped now; finishing: what a loop that looks at `requested`
+    finishes before it stops by itself, or empty where there is no such loop.
+    """
+
+    def __init__(self, at_once: Callable[["StopRequest"], None]):
+        self.advice, self.finishing, self.requested, self.at_once = NOTHING, "", False, at_once
+
+    def __call__(self, number: int, frame) -> None:
+        """What is done with a signal."""
+        if number == getattr(signal, "SIGHUP", None):
+            forget_terminal()
+        if self.requested or not self.finishing:
+            self.requested = True
+            self.at_once(self)
+        else:
+            self.requested = True
+            say(f"Stopping after {self.finishing}. Press Ctrl-C again to stop at once.")
+
+    def check(self) -> None:
+        """Raise `Stopped` if the command was asked to stop."""
+        if self.requested:
+            raise Stopped(self.advice)
+
+
+watching: list[StopRequest] = []
+"""The request of this process, while there is one."""
+
+
+@contextlib.contextmanager
+def stop_on_signal(at_once: Callable[[StopRequest], None] | None = None) -> Iterator[StopRequest]:
+    """Turn signals into a request; within another one it is that one, and outside of the main thread none ever comes.
+
+    at_once: what is done where no loop stops by itself, and at a second signal; None: the first is only noted, the
+    second raises `Stopped`. Signals that are ignored, as `nohup` has it, stay so.
+    """
+    if watching:
+        yield watching[0]
+        return
+    request, before = StopRequest(at_once or note_then_raise()), {}
+    try:
+        for name in NAMES:
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                before[number] = signal.signal(number, request)
+    except ValueError:  # Not the main thread: Python keeps signals there.
+        yield request
+        return
+    watching.append(request)
+    try:
+        yield request
+    finally:
+        watching.remove(request)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def note_then_raise() -> Callable[[StopRequest], None]:
+    """For calls from Python: an exception could be swallowed by a library that is called at the moment, so that it
+    comes with the second signal only."""
+    noted = []
+
+    def at_once(request: StopRequest) -> None:
+        if noted or request.finishing:
+            raise Stopped(request.advice)
+        noted.append(True)
+        say("Stopping as soon as this step is done. Press Ctrl-C again to stop at once.")
+
+    return at_once
+
+
+def leave(request: StopRequest) -> None:
+    """End the process, wherever its threads are, and say what is on disk."""
+    say(f"infogoal: stopped; {request.advice}")
+    remove_temporaries()
+    with contextlib.suppress(OSError, ValueError, RuntimeError):
+        if sys.stdout.isatty():
+            os.write(1, b"\x1b[?25h")  # A progress bar hides the cursor.
+    os._exit(STATUS)
+
+
+def say(words: str) -> None:
+    """Write a line to stderr, also while another thread is writing there; nothing if nobody can read it."""
+    with contextlib.suppress(OSError):
+        os.write(2, f"\n{words}\n".encode())
+
+
+def forget_terminal() -> None:
+    """Let what is written to a terminal that was closed go nowhere, so that it is no error."""
+    with open(os.devnull, "w") as nowhere:
+        for stream in (1, 2):
+            with contextlib.suppress(OSError):
+                if stat.S_ISCHR(os.fstat(stream).st_mode):  # A closed terminal says that it is none.
+                    os.dup2(nowhere.fileno(), stream)
+
+
+@contextlib.contextmanager
+def temporary(path: Path) -> Iterator[None]:
+    """Inside, a file that must not stay is there; it is deleted at the end, if nobody renamed it."""
+    temporaries.add(path)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # What hinders the tidying up must not hide why it is needed.
+            path.unlink(missing_ok=True)
+        temporaries.discard(path)
+
+
+def remove_temporaries() -> None:
+    """Delete what `temporary` would, where a process ends without coming to that."""
+    for path in list(temporaries):
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)

@@ -1,0 +1,253 @@
+"""Settings and seeds of a search side by side: a lane of one compiled program each, with a checkpoint after each
+evaluation."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.config import Hyperparameters
+from infogoal_jax.hyperparameters import search_space, values_of, with_values
+from infogoal_jax.runs import checkpoint
+from infogoal_jax.runs.decoding import Place, decode
+from infogoal_jax.runs.description import from_values
+from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
+from infogoal_jax.runs.search import Drawn, Plan, read_plan, write_plan
+from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal
+from infogoal_jax.train import devices, host, memory
+from infogoal_jax.train.compilation import compiler_options
+from infogoal_jax.train.program import Train, TrainState
+from infogoal_jax.train.resuming import check_same
+from infogoal_jax.train.trials import Trial, TuneResult, Watch
+
+
+@flax.struct.dataclass
+class Lane:
+    """One seed of one trial."""
+
+    state: TrainState
+    hyper: Hyperparameters
+
+
+class Programs(NamedTuple):
+    """Training of all lanes. starts: their keys and hyperparameters; shape: of all lanes."""
+
+    initial: Callable
+    chunk: Callable
+    starts: Any
+    shared: Any
+    shape: Any
+    by_lane: jax.sharding.NamedSharding
+
+
+@dataclasses.dataclass(frozen=True)
+class Saved:
+    """What the header of a checkpoint says beside the description: evaluations so far, and what each trial came to."""
+
+    evaluations: int
+    trials: list[Trial]
+
+
+def batched_hyper(preset: Hyperparameters, values: list[dict[str, float]], seeds: int) -> Hyperparameters:
+    """Hyperparameters of every lane, float32 [trials * seeds], trial by trial."""
+    settings = [values_of(preset) | value for value in values]
+    return with_values(
+        preset,
+        {
+            name: jnp.repeat(jnp.asarray([setting[name] for setting in settings], jnp.float32), seeds)
+            for name in settings[0]
+        },
+    )
+
+
+def lane_programs(train: Train, group: str) -> tuple[Callable, Callable]:
+    """How a lane begins, ((key, hyper), env) -> lane, and goes on, (lane, numbers, env) -> (lane, {success, loss,
+    finite})."""
+
+    def initial(start, env):
+        return Lane(train.initial(*start, env), start[1])
+
+    def chunk(lane, numbers, env):
+        state, epochs, metrics = train.chunk(lane.state, numbers, lane.hyper, env)
+        finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
+        seen = {"success": metrics[f"{group}_goal/success_rate"], "loss": epochs["agent/loss"][-1], "finite": finite}
+        return Lane(state, lane.hyper), seen
+
+    return initial, chunk
+
+
+def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequence[int]) -> Programs:
+    """The programs of every lane, trial by trial. Raises `UserError` if the memory of the devices is too small."""
+    count = len(trials) * len(seeds)
+    mesh = devices.seed_mesh(count)
+    together = memory.at_once(train, count, mesh)
+    by_lane, everywhere = (
+        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
+    )
+    keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
+    starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
+    initial, chunk = lane_programs(train, group)
+    begin = devices.over_seeds(initial, count, together, mesh)
+    go_on = jax.jit(devices.chunk_over_seeds(chunk, count, together, mesh), donate_argnums=0)
+    start = jax.jit(begin, out_shardings=by_lane, compiler_options=compiler_options())
+    shared = jax.device_put(train.env, everywhere)
+    shape = jax.eval_shape(start, starts, shared)
+    return Programs(start, go_on, starts, shared, shape, by_lane)
+
+
+def side_by_side(
+    train: Train,
+    group: str,
+    trials: Sequence[Trial],
+    seeds: Sequence[int],
+    watch: Watch | None = None,
+    resume: bool = False,
+) -> TuneResult:
+    """Train each of these settings with each of these seeds, to the end or until a signal comes.
+
+    watch: what accompanies it; None leaves nothing on disk. resume: go on in its folder. Raises `UserError`, without a
+    change on the disk, for a folder that holds something else.
+    """
+    if watch is not None and not resume:
+        check_new(watch.folder, SEARCH)
+    with stop_on_signal() as stop:
+        programs = programs_of(train, group, trials, seeds)
+        about = host.describe(train.config, train.env, list(seeds))
+        fields = tuple(trials[0].values)
+        result = TuneResult(train.config, group, fields, list(seeds), [], list(trials), 0.0, 0.0, about)
+        if not resume:
+            check_fits(train, programs, len(trials) * len(seeds))
+        if watch is None:
+            return run_lanes(train, programs, result, None, stop)
+        with only_writer(watch.folder, new=() if resume else SEARCH):
+            lanes = None
+            if resume:
+                result, lanes = last_point(watch.folder, result, programs)
+                check_fits(train, programs, len(trials) * len(seeds))
+            else:
+                write_plan(watch.folder, about, plan_of(result))
+            return run_lanes(train, programs, result, lanes, stop, watch)
+
+
+def check_fits(train: Train, programs: Programs, count: int) -> None:
+    """Raise `UserError`, naming the field that is to blame, if all lanes need more memory than there is."""
+    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
+    traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
+    memory.check_program(traced, memory.bytes_of((programs.shape, train.env)), train, count, programs.by_lane.mesh)
+
+
+def plan_of(result: TuneResult) -> Plan:
+    """What a search is to run."""
+    space = search_space(result.config.hyper)
+    return Plan(
+        trials=len(result.trials),
+        space={field: search._asdict() for field, search in space.items() if field in result.fields},
+        drawn=[Drawn(trial.number, trial.values) for trial in result.trials],
+    )
+
+
+def run_lanes(
+    train: Train,
+    programs: Programs,
+    result: TuneResult,
+    lanes: Lane | None,
+    stop: StopRequest,
+    watch: Watch | None = None,
+) -> TuneResult:
+    """Train all lanes from where they are; with `watch`, keep a checkpoint of them after each evaluation."""
+    chunk, shape = train.config.epochs_per_evaluation, (len(result.trials), len(result.seeds))
+    stop.advice = how_to_go_on(watch, result)
+    stop.check()
+    if watch is not None:
+        watch.compiling()
+    started = time.perf_counter()
+    shared, numbers = programs.shared, jnp.arange(chunk, dtype=jnp.int32)
+    if lanes is None:
+        lanes = programs.initial(jax.device_put(programs.starts, programs.by_lane), shared)
+    else:
+        lanes = jax.device_put(lanes, programs.by_lane)
+    if not result.finished:
+        compiled = programs.chunk.lower(lanes, numbers, shared).compile(compiler_options())
+    result = dataclasses.replace(result, compile_seconds=time.perf_counter() - started)
+    if not result.epochs:
+        stop.check()
+    stop.finishing = "this chunk of epochs and its evaluation"
+    try:
+        while not result.finished and not stop.requested:
+            started, done = time.perf_counter(), len(result.epochs) * chunk
+            lanes, seen = compiled(lanes, numbers + done, shared)
+            seen = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape).tolist(), jax.device_get(seen))
+            result = dataclasses.replace(
+                result,
+                epochs=[*result.epochs, done + chunk],
+                run_seconds=result.run_seconds + time.perf_counter() - started,
+                trials=[
+                    continued(trial, result.seeds, *(seen[name][place] for name in ("success", "loss", "finite")))
+                    for place, trial in enumerate(result.trials)
+                ],
+            )
+            if watch is not None:
+                watch.evaluated(result)
+                save(watch.folder / "checkpoint", result, lanes)
+                stop.advice = how_to_go_on(watch, result)
+    finally:
+        stop.finishing = ""
+    return result
+
+
+def how_to_go_on(watch: Watch | None, result: TuneResult) -> str:
+    """What is on disk, in words, and the command that goes on with it."""
+    if watch is None:
+        return NOTHING
+    there = f"the scores until epoch {result.epochs[-1]}" if result.epochs else "no scores yet"
+    return f"{watch.folder} holds {there}; go on with: infogoal {watch.command} --resume {watch.folder}"
+
+
+def save(path: Path, result: TuneResult, lanes: Lane) -> None:
+    """Write what a search goes on from."""
+    saved = Saved(len(result.epochs), result.trials)
+    checkpoint.save(path, result.about.values() | dataclasses.asdict(saved), lanes)
+
+
+def last_point(folder: Path, start: TuneResult, programs: Programs) -> tuple[TuneResult, Lane | None]:
+    """Where the search in this folder goes on: its result and its lanes, or the start if it was stopped before the
+    first evaluation.
+
+    Raises `UserError`, and changes nothing, for another search, or a file that is not what was written.
+    """
+    about, plan = read_plan(folder)
+    check_same(folder / "config.json", about, start.about, longer=False)
+    path = folder / "checkpoint"
+    if plan != plan_of(start):
+        raise Place(folder / "config.json").refusal("its trials are others than those that are to go on")
+    if not path.exists():
+        return start, None
+    header, payload = checkpoint.read_header(path)
+    place = Place(path, remedy=checkpoint.REMEDY)
+    check_same(path, from_values(header, place), start.about, longer=False)
+    saved = decode(Saved, header, place)
+    alike = [(trial.number, trial.values) for trial in saved.trials] == [
+        (trial.number, trial.values) for trial in start.trials
+    ]
+    whole = all(len(trial.success) == len(trial.loss) == saved.evaluations for trial in saved.trials)
+    if not alike or not whole or not 0 < saved.evaluations <= start.config.num_evaluations:
+        raise place.refusal("its trials are not those of config.json")
+    chunk = start.config.epochs_per_evaluation
+    epochs = [chunk * number for number in range(1, saved.evaluations + 1)]
+    return dataclasses.replace(start, epochs=epochs, trials=saved.trials), checkpoint.arrays(
+        path, payload, programs.shape
+    )
+
+
+def continued(trial: Trial, seeds: list[int], success: list[float], loss: list[float], finite: list[bool]) -> Trial:
+    """The trial after another evaluation; each list has a number for each seed."""
+    lost = {seed for seed, good in zip(seeds, finite, strict=True) if not good}
+    return dataclasses.replace(
+        trial, success=[*trial.success, success], loss=[*trial.loss, loss], diverged=sorted(lost.union(trial.diverged))
+    )
