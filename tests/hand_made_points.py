@@ -27,6 +27,8 @@ SPEED = 0.05
 GRID, SPACING = 5, 0.075
 IMAGE_SIDE = 16
 INTERVAL, EPISODE_LENGTH = 3, 12
+LONG_INTERVAL = 5
+"""Steps between decisions with which an episode ends within an interval, at the goal or when time is up."""
 
 
 @flax.struct.dataclass

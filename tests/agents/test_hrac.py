@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hand_made_points import EPISODE_LENGTH
 
-from infogoal_jax import Hyperparameters, make_train, pairs, presets, replay
+from infogoal_jax import Hyperparameters, pairs, presets, replay
 from infogoal_jax.agents import hrac
 from infogoal_jax.agents.hrac import HRACConfig, adjacency_loss, adjacency_penalty
 from infogoal_jax.envs.cells import Cells
@@ -16,40 +16,11 @@ from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.sampling import with_rewards
 from infogoal_jax.train.update import agent_batch, returns
 
-K = 5
+K = hand_made_points.LONG_INTERVAL
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
-
-
-@pytest.fixture(scope="module")
-def train():
-    agent = HRACConfig(interval=K, hidden=(32,), adjacency_hidden=(32,))
-    return make_train(hand_made_points.config(agent=agent), hand_made_points.steered(interval=K))
-
-
-@pytest.fixture(scope="module")
-def params(train):
-    return hand_made_points.random_params(train)
-
-
-@pytest.fixture(scope="module")
-def rows(train):
-    """24 rows of 40 steps from fresh episodes, under subgoals that lead to the goal in half of the episodes and astray
-    in the others."""
-    env = train.env
-
-    def policy(observation, goal, key):
-        ahead = (env.unwrapped.positions[goal] - observation[:, :3]) / env.subgoal_scale
-        astray = jax.random.uniform(key, ahead.shape, minval=-1.0)
-        return jnp.clip(jnp.where((jnp.arange(24) % 2 == 0)[:, None], ahead, astray), -1.0, 1.0)
-
-    def run(key):
-        return collect(env, jax.vmap(env.reset)(jax.random.split(key, 24)), policy, key, 40)[1]
-
-    return jax.jit(run)(jax.random.key(0))
 
 
 def steps_of_episodes(rows):

@@ -2,50 +2,16 @@
 
 import dataclasses
 
-import hand_made_points
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import make_train, pairs, replay
+from infogoal_jax import pairs, replay
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.envs.cells import Cells
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import agent_batch
-
-K = 5
-"""Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
-
-
-@pytest.fixture(scope="module")
-def train():
-    agent = HRACConfig(interval=K, hidden=(32,), adjacency_hidden=(32,))
-    return make_train(hand_made_points.config(agent=agent), hand_made_points.steered(interval=K))
-
-
-@pytest.fixture(scope="module")
-def params(train):
-    return hand_made_points.random_params(train)
-
-
-@pytest.fixture(scope="module")
-def rows(train):
-    """24 rows of 40 steps from fresh episodes, under subgoals that lead to the goal in half of the episodes and astray
-    in the others."""
-    env = train.env
-
-    def policy(observation, goal, key):
-        ahead = (env.unwrapped.positions[goal] - observation[:, :3]) / env.subgoal_scale
-        astray = jax.random.uniform(key, ahead.shape, minval=-1.0)
-        return jnp.clip(jnp.where((jnp.arange(24) % 2 == 0)[:, None], ahead, astray), -1.0, 1.0)
-
-    def run(key):
-        return collect(env, jax.vmap(env.reset)(jax.random.split(key, 24)), policy, key, 40)[1]
-
-    return jax.jit(run)(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")

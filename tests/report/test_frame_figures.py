@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from reports import EVERY_TASKS_FIGURES
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
@@ -26,13 +27,6 @@ from infogoal_jax.report.summary import print_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 
-EVERY_TASKS_FIGURES = {
-    "learning_curves",
-    "beta_and_accuracy",
-    "representations",
-    "success_by_length",
-    "success_by_goal",
-}
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
 SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_reward"}
 
