@@ -25,6 +25,7 @@ START = (17, 4)
 QUESTION = "Where is nothing?"
 NOWHERE = "nothing"
 FAR_AWAY = 1e9
+NOT_TRIED = "it landed before the fault came, as a busy machine may make it"
 
 
 def write_policy(path: Path, values=(0.3, 0.4, 0.2, 0.1), objects=(NOWHERE,), size=(48, 64)) -> Path:
@@ -138,7 +139,8 @@ def disturb(act: str, process: subprocess.Popen, drone: Started, stop: threading
     wait_for(drone, lambda truth: truth["moves"] >= 2 or process.poll() is not None, 60)
     if act != "controller":
         for name in act.split():
-            os.killpg(process.pid, getattr(signal, name))
+            with contextlib.suppress(ProcessLookupError):  # It may have ended by itself.
+                os.killpg(process.pid, getattr(signal, name))
             time.sleep(0.1)
         return
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
@@ -166,13 +168,13 @@ def fly_with(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
         stop.set()
         disturbance.join()
     broken = []
-    if truth["moves"] < 1:
-        broken.append("it never flew, so that the fault was not tried")
     if truth["crashed"]:
         broken.append("the motors stopped in the air")
     far, (sideways, upwards) = ENVELOPE.centimetres(), (100 * one for one in truth["farthest"])
     if sideways > max(far["left"], far["right"]) or upwards > max(far["up"], far["down"]):
         broken.append(f"it was {sideways:.0f} and {upwards:.0f} cm away")
+    if not broken and truth["moves"] < max([2 if fault.act else 0, *(one["after"] for one in fault.simulated)]):
+        return [NOT_TRIED]
     events = log.read(folder / log.NAME)
     ends = log.events_of(events, "end")
     if fault.act == "SIGKILL":
