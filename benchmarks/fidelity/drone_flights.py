@@ -9,6 +9,7 @@ writes flights.json: success of both, and the time from an image to its command.
 import argparse
 import itertools
 import json
+import shutil
 import socket
 import subprocess
 import sys
@@ -44,10 +45,11 @@ def main() -> None:
     export(run, policy, run.seeds[0])
     episodes, inside, all_inside = test_episodes(run, options.flights)
     generator_seed = run.config.env.generator_seed
+    chunks = [range(worker, len(episodes), options.workers) for worker in range(options.workers)]
+    common = (episodes, policy, options.out, options.speed, generator_seed)
     with ThreadPoolExecutor(options.workers) as pool:
-        chunks = [range(worker, len(episodes), options.workers) for worker in range(options.workers)]
-        fly = lambda chunk: fly_all(chunk, episodes, policy, options.out, options.speed, generator_seed)  # noqa: E731
-        flown = dict(itertools.chain.from_iterable(pool.map(fly, chunks)))
+        found = pool.map(lambda chunk: fly_all(chunk, *common), chunks)
+        flown = dict(itertools.chain.from_iterable(found))
     flown = [flown[number] for number in range(len(episodes))]
     latency = 1000 * np.array([value for flight in flown for value in flight["latency"]])
     found = np.array([flight["found"] for flight in flown], float)
@@ -90,23 +92,9 @@ def fly_all(numbers, episodes, policy: Path, out: Path, speed: float, generator_
     drone, flown = simulated_tello.start(simulated_tello.SimulatedTello(shelf_seed=generator_seed)), []
     try:
         for number in numbers:
-            question, start = episodes[number]
-            ports = free_ports()
-            first = tuple((shelf.FIRST + shelf.STEP * np.array(start)).tolist())
-            settings = simulated_tello.SimulatedTello(
-                first, generator_seed, number, speed, state_port=ports[1], video_port=ports[2]
-            )
-            drone.restart(settings)
-            folder = out / f"flight_{number:03d}"
-            if (folder / log.NAME).exists():  # Of a comparison that was interrupted.
-                flown.append((number, read_flight(folder, question, start)))
-                continue
-            command = [
-                sys.executable, "-m", "infogoal_jax", "fly", str(policy), "--question", question, "--simulate",
-                "--simulated", str(drone.port), str(drone.truth_port), "--ports", *map(str, ports),
-                "--start", *map(str, start), "--speed", str(speed), "--seed", str(number), "--out", str(folder),
-            ]  # fmt: skip
-            subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=600, check=False)
+            (question, start), folder = episodes[number], out / f"flight_{number:03d}"
+            while not has_flown(folder):  # It has where the comparison was interrupted.
+                fly(folder, policy, question, start, number, drone, speed, generator_seed)
             flown.append((number, read_flight(folder, question, start)))
             print(number, flown[-1][1]["reason"], flown[-1][1]["steps"], file=sys.stderr, flush=True)
     finally:
@@ -114,11 +102,38 @@ def fly_all(numbers, episodes, policy: Path, out: Path, speed: float, generator_
     return flown
 
 
+def has_flown(folder: Path) -> bool:
+    """Whether a flight in this folder came to its end in the air. What was refused on the ground, as a busy machine may
+    be too slow for the checks, is cleared away."""
+    if not (folder / log.NAME).exists():
+        return False
+    ends = log.events_of(log.read(folder / log.NAME), "end")
+    if ends and not ends[0]["reason"].startswith("refused"):
+        return True
+    print(folder, ends, "is flown again", file=sys.stderr, flush=True)
+    shutil.rmtree(folder)
+    return False
+
+
+def fly(folder: Path, policy: Path, question: str, start: list[int], seed: int, drone, speed: float, shelf_seed: int):
+    """One flight of `infogoal fly` on this simulated drone."""
+    ports = free_ports()
+    first = tuple((shelf.FIRST + shelf.STEP * np.array(start)).tolist())
+    drone.restart(
+        simulated_tello.SimulatedTello(first, shelf_seed, seed, speed, state_port=ports[1], video_port=ports[2])
+    )
+    command = [
+        sys.executable, "-m", "infogoal_jax", "fly", str(policy), "--question", question, "--simulate",
+        "--simulated", str(drone.port), str(drone.truth_port), "--ports", *map(str, ports),
+        "--start", *map(str, start), "--speed", str(speed), "--seed", str(seed), "--out", str(folder),
+    ]  # fmt: skip
+    subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=600, check=False)
+
+
 def read_flight(folder: Path, question: str, start: list[int]) -> dict:
     """How the flight of this log ended, and its times from an image to the command, s."""
     events = log.read(folder / log.NAME)
     (end,) = log.events_of(events, "end")
-    assert not end["reason"].startswith("refused"), end
     latency = [step["latency"] for step in log.events_of(events, "step")]
     return {"question": question, "start": start, "latency": latency} | end
 

@@ -16,8 +16,8 @@ from jax.extend.core import Literal
 from infogoal_jax import policy_file, presets
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
-from infogoal_jax.report.runs import Run, read_params
-from infogoal_jax.train import files
+from infogoal_jax.report.runs import Run
+from infogoal_jax.runs import disk
 from infogoal_jax.train.program import Train
 
 FORMAT_VERSION = 1
@@ -30,8 +30,7 @@ def export(run: Run, out: Path, seed: int = 0, stablehlo: Path | None = None) ->
 
     Raises `UserError` for a run with continuous actions, a seed that the run does not have, or a disk that refuses.
     """
-    require(seed in run.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, run.seeds))}")
-    params = jax.tree.map(lambda leaf: jnp.asarray(leaf[run.seeds.index(seed)]), read_params(run, run.train))
+    params = run.params(seed)
     about = {"seed": seed, "data": run.data, "versions": run.versions}
     return export_params(run.train, params, out, about, stablehlo)
 
@@ -61,8 +60,8 @@ def export_params(
     members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
     if texts:
         members["goals"] = np.asarray(env.goals.inputs)
-    files.make_folder(out.parent)
-    files.write_atomically(out, lambda file: np.savez_compressed(file, **members))
+    disk.make_folder(out.parent)
+    disk.write_atomically(out, lambda file: np.savez_compressed(file, **members))
     if stablehlo is not None:
         write_stablehlo(stablehlo, values, examples)
     return policy_file.ExportedPolicy(out)
@@ -81,8 +80,8 @@ def write_stablehlo(path: Path, function, examples) -> None:
         raise UserError(
             f"stablehlo = {str(path)!r}: JAX needs flatbuffers to write it: pip install flatbuffers"
         ) from error
-    files.make_folder(path.parent)
-    files.write_atomically(path, lambda file: file.write(content))
+    disk.make_folder(path.parent)
+    disk.write_atomically(path, lambda file: file.write(content))
 
 
 def action_values(train: Train, params: Any):

@@ -15,9 +15,7 @@ from places import ROOT
 
 from infogoal_jax import make_train, policy_file
 from infogoal_jax.errors import UserError
-from infogoal_jax.learners.learner import encode_goals
 from infogoal_jax.report import export, runs
-from infogoal_jax.train import policies
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
@@ -83,8 +81,7 @@ def test_other_networks_too(name, tmp_path):
 def test_actions_are_those_of_the_evaluation(shelf, exported):
     """The greedy action among the legal ones, by the mean of the code."""
     (train, params), env = shelf, shelf.train.env
-    encode = encode_goals(train.parts.learner, params["goal"], env.goals, train.parts.config.batch_size)
-    policy = policies.tested_policy(train.parts, params, train.parts.config.hyper, env, encode, use_mean=True)
+    policy = train.policy(params, train.config.hyper, env, use_mean=True)
     images = jnp.arange(env.num_observations)
     goals = images % env.goals.num_goals
     expected, masks = np.asarray(policy(images, goals, jax.random.key(0))), np.asarray(env.action_mask(images))
@@ -128,7 +125,7 @@ def test_continuous_actions_are_refused():
 
 
 def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
-    run = runs.Run(tmp_path, shelf.train.config, [0, 1], "", {}, "")
+    run = runs.Run(config=shelf.train.config, seeds=[0, 1], data="", versions={}, device="", folder=tmp_path)
     with pytest.raises(UserError, match="seed = 7"):
         export.export(run, tmp_path / "policy.npz", 7)
 
