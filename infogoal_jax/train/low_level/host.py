@@ -24,6 +24,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import LOW_LEVEL, check_new, only_writer
 from infogoal_jax.stopping import StopRequest, stop_on_signal
+from infogoal_jax.threefry import written_out
 from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.host import check_seeds
 from infogoal_jax.train.low_level import file as low_level_file
@@ -103,7 +104,7 @@ def pretrain_in(
 ) -> Pretrained:
     """Train to the end or until a signal comes, and write the curve and the best low level."""
     hyper = jax.device_put(config.hyper)
-    trainer, keys = make_trainer(agent), jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+    trainer, keys = make_trainer(agent), written_out(jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32)))
 
     def keys_of(purpose: int, number: int) -> jax.Array:
         return jax.vmap(lambda key: agent.key(key, purpose, jnp.int32(number)))(keys)
