@@ -72,7 +72,7 @@ def test_garbage_is_collected_again_after_compiling_and_after_an_error():
 
 
 @pytest.mark.parametrize(
-    ("task", "most"), [("object_search", 4_000), ("fetch_reach", 14_500), ("fetch_pick_and_place", 18_000)]
+    ("task", "most"), [("object_search", 3_300), ("fetch_reach", 12_000), ("fetch_pick_and_place", 14_500)]
 )
 def test_training_programs_stay_small(task, most):
     """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had
