@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from infogoal_jax.config import Hyperparameters, TrainConfig
     from infogoal_jax.errors import UserError
     from infogoal_jax.report.runs import load_run
-    from infogoal_jax.train.compilation import compiler_options, use_compilation_cache
+    from infogoal_jax.train.compilation import compiled, compiler_options, jit, use_compilation_cache
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult, make_train
     from infogoal_jax.train.rollout import rollout
@@ -23,9 +23,11 @@ __all__ = [
     "TrainConfig",
     "TrainResult",
     "UserError",
+    "compiled",
     "compiler_options",
     "envs",
     "evaluate",
+    "jit",
     "load_run",
     "make_train",
     "presets",
@@ -36,7 +38,9 @@ MODULES = {
     "Hyperparameters": "config",
     "TrainConfig": "config",
     "UserError": "errors",
+    "compiled": "train.compilation",
     "compiler_options": "train.compilation",
+    "jit": "train.compilation",
     "use_compilation_cache": "train.compilation",
     "Train": "train.program",
     "TrainResult": "train.program",

@@ -22,6 +22,7 @@ LAYERS = (
         "networks",
         "replay",
         "angles",
+        "threefry",
     },
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},

@@ -28,7 +28,7 @@ import trial_numbers
 from trial_numbers import Row
 from tuning_study import tuning_house
 
-from infogoal_jax import compiler_options, presets, use_compilation_cache
+from infogoal_jax import compiled, jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
 from infogoal_jax.envs.object_manipulation import ObjectManipulation
@@ -391,14 +391,9 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     machine = describe_machine()
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
-    states = jax.jit(jax.vmap(train.initial, in_axes=(0, 0, None)), compiler_options=compiler_options())(
-        keys, hyper, env
-    )
-    chunk = (
-        jax.jit(jax.vmap(train.chunk, in_axes=(0, None, 0, None)), donate_argnums=0)
-        .lower(states, jnp.arange(config.epochs_per_evaluation), hyper, env)
-        .compile(compiler_options())
-    )
+    states = jit(jax.vmap(train.initial, in_axes=(0, 0, None)))(keys, hyper, env)
+    chunk, numbers = jax.vmap(train.chunk, in_axes=(0, None, 0, None)), jnp.arange(config.epochs_per_evaluation)
+    chunk = compiled(chunk, states, numbers, hyper, env, donate_argnums=0)
     errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
     print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
     path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}

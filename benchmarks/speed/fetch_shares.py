@@ -17,7 +17,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import make_train, presets, replay
+from infogoal_jax import compiled, make_train, presets, replay
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.experience import Experience
@@ -30,12 +30,12 @@ REPEATS = 3
 def seconds(function: Callable, *arguments) -> tuple[float, float]:
     """Seconds that one call takes, mean of `REPEATS`, and seconds of compiling."""
     started = time.perf_counter()
-    compiled = jax.jit(function).lower(*arguments).compile()
+    program = compiled(function, *arguments)
     compiling = time.perf_counter() - started
-    jax.block_until_ready(compiled(*arguments))
+    jax.block_until_ready(program(*arguments))
     started = time.perf_counter()
     for _ in range(REPEATS):
-        jax.block_until_ready(compiled(*arguments))
+        jax.block_until_ready(program(*arguments))
     return (time.perf_counter() - started) / REPEATS, compiling
 
 

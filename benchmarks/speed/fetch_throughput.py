@@ -19,7 +19,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import envs
+from infogoal_jax import compiled, envs
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.report.machine import describe_machine
@@ -35,7 +35,7 @@ PEER = {
 def timed(function, *arguments) -> tuple[float, float]:
     """Seconds to compile, and seconds of the better of two runs after a first one."""
     started = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
+    program = compiled(function, *arguments)
     compile_seconds = time.perf_counter() - started
     jax.block_until_ready(program(*arguments))
     runs = []

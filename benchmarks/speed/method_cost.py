@@ -15,7 +15,7 @@ from pathlib import Path
 
 import jax
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.update import updates
 
@@ -39,7 +39,7 @@ def measure(train, num_seeds: int, repeats: int) -> dict[str, float]:
         return updates(train.parts, env, hyper, experience, state, key, config.updates_per_epoch)[0].params
 
     started = time.perf_counter()
-    program = jax.jit(jax.vmap(epoch, in_axes=(0, 0, None, None))).lower(states, keys, config.hyper, env).compile()
+    program = compiled(jax.vmap(epoch, in_axes=(0, 0, None, None)), states, keys, config.hyper, env)
     compile_seconds, seconds = time.perf_counter() - started, []
     for _ in range(repeats + 1):
         started = time.perf_counter()

@@ -12,7 +12,7 @@ import time
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
@@ -25,10 +25,10 @@ def timed(function, *arguments):
     return result, time.perf_counter() - started
 
 
-def compiled(function, *arguments):
+def timed_compilation(function, *arguments):
     """The compiled function for these arguments, and the seconds that compiling took."""
     started = time.perf_counter()
-    return jax.jit(function).lower(*arguments).compile(), time.perf_counter() - started
+    return compiled(function, *arguments), time.perf_counter() - started
 
 
 def env_rate(config, env, num_seeds: int, repeats: int) -> tuple[float, float]:
@@ -43,7 +43,7 @@ def env_rate(config, env, num_seeds: int, repeats: int) -> tuple[float, float]:
         return jax.vmap(one)(keys)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    program, compile_seconds = compiled(rollout, keys, env)
+    program, compile_seconds = timed_compilation(rollout, keys, env)
     timed(program, keys, env)
     seconds = min(timed(program, keys, env)[1] for _ in range(repeats))
     return num_seeds * config.num_envs * config.rollout_steps / seconds, compile_seconds
@@ -58,7 +58,7 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
     def epochs(states, numbers, hyper, env):
         return jax.vmap(train.chunk, in_axes=(0, None, None, None))(states, numbers, hyper, env)[0]
 
-    program, compile_seconds = compiled(epochs, states, jnp.arange(1), config.hyper, train.env)
+    program, compile_seconds = timed_compilation(epochs, states, jnp.arange(1), config.hyper, train.env)
     states, _ = timed(program, states, jnp.arange(1), config.hyper, train.env)
     seconds = []
     for repeat in range(repeats):

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.machine import describe_machine
 
 MILLION = 1_000_000
@@ -52,7 +52,7 @@ def measure(train, num_seeds: int, epochs: int) -> dict:
         return jax.vmap(train.chunk, in_axes=(0, None, None, None))(states, numbers, hyper, env)[0]
 
     started = time.perf_counter()
-    program = jax.jit(epoch, donate_argnums=0).lower(states, jnp.arange(1), hyper, env).compile()
+    program = compiled(epoch, states, jnp.arange(1), hyper, env, donate_argnums=0)
     compile_seconds, seconds = time.perf_counter() - started, []
     for number in range(epochs + 1):
         started = time.perf_counter()

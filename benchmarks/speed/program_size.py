@@ -13,9 +13,10 @@ import time
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import compiler_options, make_train, presets
+from infogoal_jax import jit, make_train, presets
 from infogoal_jax.presets import TASKS
 from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.train.compilation import without_garbage_collection
 from infogoal_jax.train.program_size import operations
 
 
@@ -27,11 +28,12 @@ def measure(task: str, method: str, num_seeds: int) -> tuple[int, float, float, 
     states = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
     arguments = (states, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)
     started = time.perf_counter()
-    traced = jax.jit(jax.vmap(train.chunk, in_axes=(0, None, None, None)), donate_argnums=0).trace(*arguments)
-    after_trace = time.perf_counter()
-    lowered = traced.lower()
-    after_lower = time.perf_counter()
-    lowered.compile(compiler_options=compiler_options())
+    with without_garbage_collection():
+        traced = jit(jax.vmap(train.chunk, in_axes=(0, None, None, None)), donate_argnums=0).trace(*arguments)
+        after_trace = time.perf_counter()
+        lowered = traced.lower()
+        after_lower = time.perf_counter()
+        lowered.compile()
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)
     return operations(traced.jaxpr), *seconds
 

@@ -74,8 +74,8 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
         starts, key = draw_starts(env, goals, 1, seed), jax.random.key(seed + 1)
         watched = Watched(env) if is_fetch(env) else env
         acting = watched.policy(policy) if is_fetch(env) else policy
-        found = run_side_by_side(watched, [(acting, view) for view in views], starts, key)
-        return jax.tree.map(lambda leaf: leaf[:, 0], found)
+        found = run_side_by_side(watched, acting, views, starts, key)
+        return [jax.tree.map(lambda leaf, view=view: leaf[view, :, 0], found) for view in range(len(views))]
 
     return jax.device_get(run(subject.params, subject.train.env))
 

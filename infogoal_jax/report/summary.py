@@ -18,6 +18,7 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runs import checkpoint, results
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.train import host, memory
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.program import make_train
 from infogoal_jax.train.settings import has_image_goals
 
@@ -195,7 +196,7 @@ def evaluate_run(
         hyper = run.config.hyper.replace(test_epsilon=epsilon)
         return train.evaluate(params, hyper, env, starts, weight, start_seed)
 
-    program = jax.jit(jax.vmap(evaluate_seed, in_axes=(0, None))).trace(params, train.env)
+    program = jit(jax.vmap(evaluate_seed, in_axes=(0, None))).trace(params, train.env)
     needed, room = memory.peak_bytes(program.jaxpr), memory.device_memory(jax.devices()[0])
     needed += memory.episode_bytes(train, starts) * len(run.seeds)
     require(

@@ -34,8 +34,8 @@ def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
         view = clean_view(subject.train.parts, params, env, env.goals.evaluated)
         policy = subject.train.policy(params, run.config.hyper, env)
         starts, key = draw_starts(env, env.goals.evaluated, num_starts), jax.random.key(EVALUATION_SEED + 1)
-        (found,) = run_side_by_side(env, [(policy, view)], starts, key)
-        return found, jax.vmap(jax.vmap(env.shortest_path))(starts)
+        found = run_side_by_side(env, policy, [view], starts, key)
+        return jax.tree.map(lambda leaf: leaf[0], found), jax.vmap(jax.vmap(env.shortest_path))(starts)
 
     found, shortest = jax.device_get(episodes(subject.params, env))
     return {

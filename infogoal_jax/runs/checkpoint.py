@@ -15,6 +15,7 @@ import jax
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs.decoding import Place, decode, parse, read_bytes
 from infogoal_jax.runs.disk import write_atomically
+from infogoal_jax.threefry import written_out
 
 FORMAT = "infogoal-jax checkpoint 2"
 EARLIER = "infogoal-jax checkpoint 1"
@@ -32,6 +33,12 @@ class Seal:
 def is_key(leaf: Any) -> bool:
     """Whether a leaf is an array of typed PRNG keys."""
     return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def keys_like(like: Any, data: jax.Array) -> jax.Array:
+    """The typed keys that were saved as these numbers, of the generator that `like` has."""
+    keys = jax.random.wrap_key_data(data)
+    return keys if keys.dtype == like.dtype else written_out(keys)
 
 
 def checksum(header: dict[str, Any], payload: bytes) -> str:
@@ -100,4 +107,4 @@ def arrays(path: Path, payload: bytes, template: Any) -> Any:
     for expected, found in zip(jax.tree.leaves(plain_template), jax.tree.leaves(plain), strict=True):
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise other
-    return jax.tree.map(lambda like, leaf: jax.random.wrap_key_data(leaf) if is_key(like) else leaf, template, plain)
+    return jax.tree.map(lambda like, leaf: keys_like(like, leaf) if is_key(like) else leaf, template, plain)

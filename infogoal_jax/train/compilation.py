@@ -1,8 +1,12 @@
 """How programs are compiled: options that save time on each kind of device, and a folder in which compiled programs
 outlive their process."""
 
+import contextlib
+import gc
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 
@@ -16,6 +20,30 @@ def compiler_options() -> dict[str, int]:
     name."""
     flags = os.environ.get("XLA_FLAGS", "")
     return {name: value for name, value in OPTIONS.get(jax.default_backend(), {}).items() if name not in flags}
+
+
+def jit(function: Callable, **options: Any) -> Callable:
+    """`jax.jit` with the compiler options of the devices in use; other options are those of `jax.jit`."""
+    return jax.jit(function, compiler_options=compiler_options(), **options)
+
+
+def compiled(function: Callable, *arguments: Any, **options: Any) -> Callable:
+    """The function, compiled by `jit` for arguments of these shapes: `jax.stages.Compiled`."""
+    with without_garbage_collection():
+        return jit(function, **options).lower(*arguments).compile()
+
+
+@contextlib.contextmanager
+def without_garbage_collection() -> Iterator[None]:
+    """Tracing makes millions of objects that stay: looking through them for garbage would take a quarter of its
+    time."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def use_compilation_cache(folder: str | Path | None = None) -> Path | None:

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.threefry import written_out
 from infogoal_jax.train.rollout import Episodes, Policy, run_episodes
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
@@ -54,7 +55,7 @@ class Scores:
 def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:
     """Draw start states for each goal: goals int32 [M] to states [M, num_starts]."""
     desired = jnp.repeat(goals, num_starts)
-    states = jax.vmap(env.reset_to)(jax.random.split(jax.random.key(seed), desired.shape[0]), desired)
+    states = jax.vmap(env.reset_to)(jax.random.split(written_out(jax.random.key(seed)), desired.shape[0]), desired)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, num_starts, *leaf.shape[1:]), states)
 
 
@@ -67,37 +68,31 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     """
     desired = goals.goals if isinstance(goals, GoalView) else jnp.asarray(goals, jnp.int32)
     states = draw_starts(env, desired, starts, seed) if isinstance(starts, int) else starts
-    (episodes,) = run_side_by_side(env, [(policy, goals)], states, jax.random.key(seed + 1))
-    return score(env, states, episodes)
+    episodes = run_side_by_side(env, policy, [goals], states, written_out(jax.random.key(seed + 1)))
+    return score(env, states, jax.tree.map(lambda leaf: leaf[0], episodes))
 
 
 def run_side_by_side(
-    env, policies: Sequence[tuple[Policy, jax.Array | GoalView]], starts: Any, key: jax.Array
-) -> list[Episodes]:
-    """Episodes [M, S] of each policy, on goals as it is shown them, from the same start states [M, S]; all in one
-    rollout, so that the environment is compiled and stepped once."""
+    env, policy: Policy, views: Sequence[jax.Array | GoalView], starts: Any, key: jax.Array
+) -> Episodes:
+    """Episodes [V, M, S] of the policy for each of V views of the goals, from the same start states [M, S] and with
+    the same noise; all in one rollout, so that policy and environment are compiled once. What the views show has one
+    structure."""
     shape = starts.goal.shape
-    starts, count = jax.tree.map(flat, starts), shape[0] * shape[1]
+    starts, blocks = jax.tree.map(flat, starts), (len(views), shape[0] * shape[1])
 
     def shown_to_all(goals):
         if not isinstance(goals, GoalView):
             return starts.goal
         return jax.tree.map(lambda leaf: flat(jnp.broadcast_to(leaf, (*shape, *leaf.shape[2:]))), goals.shown)
 
-    def block_of(tree, block):
-        return jax.tree.map(lambda leaf: leaf[block * count : (block + 1) * count], tree)
-
     def act(observation, goal, key):
-        return jnp.concatenate(
-            [policy(block_of(observation, block), seen, key) for block, (policy, seen) in enumerate(shown)]
-        )
+        by_view = jax.tree.map(lambda leaf: leaf.reshape(*blocks, *leaf.shape[1:]), observation)
+        return flat(jax.vmap(policy, in_axes=(0, 0, None))(by_view, shown, key))
 
-    shown = [(policy, shown_to_all(goals)) for policy, goals in policies]
-    together = run_episodes(env, jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(policies)), starts), act, key)
-    return [
-        jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), block_of(together, block))
-        for block in range(len(policies))
-    ]
+    shown = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(shown_to_all(goals) for goals in views))
+    together = run_episodes(env, jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(views)), starts), act, key)
+    return jax.tree.map(lambda leaf: leaf.reshape(len(views), *shape, *leaf.shape[1:]), together)
 
 
 def flat(leaf: jax.Array) -> jax.Array:
@@ -106,7 +101,7 @@ def flat(leaf: jax.Array) -> jax.Array:
 
 
 def score(env, starts: Any, episodes: Episodes) -> Scores:
-    """The scores of episodes [M, S] from these start states [M, S]."""
+    """The scores of episodes [..., M, S] from these start states [M, S]."""
     if not env.has_shortest_path:
         return Scores(episodes.success, episodes.steps, spl=None)
     shortest = jax.vmap(jax.vmap(env.shortest_path))(starts)
@@ -115,14 +110,13 @@ def score(env, starts: Any, episodes: Episodes) -> Scores:
 
 
 def group_means(scores: Scores, goals: GoalSet) -> dict[str, dict[str, jax.Array]]:
-    """The mean of each score over the goals of each group, {"train", "validation" or "test": {score: []}}, of scores
-    [M, S] of all evaluated goals."""
-    by_goal = {name: value.mean(1) for name, value in scores.by_name().items()}
-    masks = {group: getattr(goals, f"{group}_mask")[goals.evaluated] for group in goals.groups}
-    return {
-        group: {name: (value * mask).sum() / mask.sum() for name, value in by_goal.items()}
-        for group, mask in masks.items()
+    """The mean of each score over the goals of each group, {"train", "validation" or "test": {score: [...]}}, of scores
+    [..., M, S] of all evaluated goals."""
+    masks = jnp.stack([getattr(goals, f"{group}_mask") for group in goals.groups])[:, goals.evaluated]
+    means = {
+        name: (value.mean(-1)[..., None, :] * masks).sum(-1) / masks.sum(-1) for name, value in scores.by_name().items()
     }
+    return {group: {name: mean[..., place] for name, mean in means.items()} for place, group in enumerate(goals.groups)}
 
 
 def random_policy(env) -> Policy:

@@ -20,7 +20,7 @@ from infogoal_jax.runs.description import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.results import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
-from infogoal_jax.train.compilation import compiler_options
+from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.devices import chunk_over_seeds, over_seeds, seed_mesh
 from infogoal_jax.train.memory import at_once as seeds_at_once
 from infogoal_jax.train.memory import bytes_of, check_program
@@ -172,14 +172,8 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
         jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
     )
     together = seeds_at_once(train, len(seeds), mesh)
-    initial = jax.jit(
-        over_seeds(train.initial, len(seeds), together, mesh),
-        out_shardings=by_seed,
-        compiler_options=compiler_options(),
-    )
-    chunk = jax.jit(
-        chunk_over_seeds(train.chunk, len(seeds), together, mesh), donate_argnums=0, compiler_options=compiler_options()
-    )
+    initial = jit(over_seeds(train.initial, len(seeds), together, mesh), out_shardings=by_seed)
+    chunk = jit(chunk_over_seeds(train.chunk, len(seeds), together, mesh), donate_argnums=0)
     shared = jax.device_put((train.config.hyper, train.env), everywhere)
     states_shape = jax.eval_shape(initial, jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype), *shared)
     return Programs(initial, chunk, shared, states_shape, by_seed, len(seeds))
@@ -189,7 +183,8 @@ def check_fits(train: Train, programs: Programs) -> None:
     """Raise `UserError`, naming the field that is to blame, if the traced program of all seeds needs more memory than
     there is. Lowering it does not trace it again: the types are the same."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
+    with without_garbage_collection():
+        traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
     check_program(traced, bytes_of((programs.states_shape, train.env)), train, programs.count, programs.by_seed.mesh)
 
 
@@ -213,7 +208,8 @@ def train_on(
         states = jax.device_put(states, programs.by_seed)
     numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        compiled = programs.chunk.lower(states, numbers, *shared).compile()
+        with without_garbage_collection():
+            compiled = programs.chunk.lower(states, numbers, *shared).compile()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())
     if done == 0:

@@ -21,7 +21,7 @@ from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
 from infogoal_jax.runs.search import Drawn, Plan, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal
 from infogoal_jax.train import devices, host, memory
-from infogoal_jax.train.compilation import compiler_options
+from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.program import Train, TrainState
 from infogoal_jax.train.resuming import check_same
 from infogoal_jax.train.trials import Trial, TuneResult, Watch
@@ -94,8 +94,8 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
     initial, chunk = lane_programs(train, group)
     begin = devices.over_seeds(initial, count, together, mesh)
-    go_on = jax.jit(devices.chunk_over_seeds(chunk, count, together, mesh), donate_argnums=0)
-    start = jax.jit(begin, out_shardings=by_lane, compiler_options=compiler_options())
+    go_on = jit(devices.chunk_over_seeds(chunk, count, together, mesh), donate_argnums=0)
+    start = jit(begin, out_shardings=by_lane)
     shared = jax.device_put(train.env, everywhere)
     shape = jax.eval_shape(start, starts, shared)
     return Programs(start, go_on, starts, shared, shape, by_lane)
@@ -138,7 +138,8 @@ def side_by_side(
 def check_fits(train: Train, programs: Programs, count: int) -> None:
     """Raise `UserError`, naming the field that is to blame, if all lanes need more memory than there is."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
+    with without_garbage_collection():
+        traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
     memory.check_program(traced, memory.bytes_of((programs.shape, train.env)), train, count, programs.by_lane.mesh)
 
 
@@ -173,7 +174,8 @@ def run_lanes(
     else:
         lanes = jax.device_put(lanes, programs.by_lane)
     if not result.finished:
-        compiled = programs.chunk.lower(lanes, numbers, shared).compile(compiler_options())
+        with without_garbage_collection():
+            compiled = programs.chunk.lower(lanes, numbers, shared).compile()
     result = dataclasses.replace(result, compile_seconds=time.perf_counter() - started)
     if not result.epochs:
         stop.check()

@@ -1,6 +1,7 @@
 """Policies: how parameters act on observations and goals, while collecting and when they are evaluated."""
 
 import jax
+import jax.numpy as jnp
 
 from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.learners.learner import Encode, GoalCode, conditioned, encode_commanded, encode_goals
@@ -8,16 +9,16 @@ from infogoal_jax.train.encoding import encode_states, training_view
 from infogoal_jax.train.rollout import Policy
 
 
-def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mean=False) -> Policy:
+def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mean: bool | jax.Array = False) -> Policy:
     """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. IV), or its mean
-    is used."""
+    is used: in all episodes or, bool [E], in some."""
     see = encode_states(parts, params, env, parts.config.num_envs * parts.config.rollout_steps)
 
     def act(observation, goal, key):
         sample_key, act_key = jax.random.split(key)
         features = see(observation)
         code = conditioned(parts.learner, params["goal"], encode(goal), features)
-        code = code.mean if use_mean else code.sample(sample_key)
+        code = jnp.where(jnp.expand_dims(use_mean, -1), code.mean, code.sample(sample_key))
         return parts.agent.act(params["agent"], features, code, env.action_mask(observation), act_key, exploration)
 
     return act
@@ -37,7 +38,7 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
 
-def trained_policy(parts, params, hyper, env, use_mean: bool = False) -> Policy:
+def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False) -> Policy:
     """The policy that training is for: greedy but for `test_epsilon`. It takes goals int32 [E], or their codes
     `GoalCode` [E], which may be those of other inputs. use_mean: of the code, not a sample."""
 
@@ -46,4 +47,4 @@ def trained_policy(parts, params, hyper, env, use_mean: bool = False) -> Policy:
 
     encode_index = encode_goals(parts.learner, params["goal"], env.goals, parts.config.batch_size)
     exploration = Exploration(hyper.test_epsilon, 0.0)
-    return policy(parts, params, exploration, env, encode, use_mean or parts.learner.mean_at_test)
+    return policy(parts, params, exploration, env, encode, use_mean | parts.learner.mean_at_test)

@@ -23,6 +23,7 @@ from infogoal_jax import pairs, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import InputSpec, conditioned
+from infogoal_jax.threefry import written_out
 from infogoal_jax.train.collection import collect_epoch, update_statistics
 from infogoal_jax.train.encoding import encode_states
 from infogoal_jax.train.experience import Experience, experience_of
@@ -85,7 +86,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
-        keys = jax.random.split(jax.random.fold_in(key, INITIAL), 4)
+        keys = jax.random.split(jax.random.fold_in(written_out(key), INITIAL), 4)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None

@@ -108,10 +108,8 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
     records = replay.sample_within_window(
         keys[0], experience.buffer, experience.achieved, experience.achieved_count, spec.num_pairs, spec.window
     )
-    anchor, positive = (
-        goal_pairs.choose_goal(k, usable_goals(env, record, experience.usable))
-        for k, record in zip(keys[1:3], records, strict=True)
-    )
+    records = jax.tree.map(lambda *both: jnp.stack(both), *records)
+    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(env, records, experience.usable))
     # Else the draw has nothing to choose from, and returned a row not written yet.
     any_achieved = experience.achieved_count[-1] > 0
     positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.threefry import written_out
 from infogoal_jax.train.evaluation import EVALUATION_SEED, GoalView, draw_starts, group_means, run_side_by_side, score
 from infogoal_jax.train.policies import trained_policy
 
@@ -21,7 +22,9 @@ def corrupted_images(
     """Images of the goals [M] under test backgrounds, uint8 [M, num_starts, H, W, C]: each start has a background of
     its own."""
     images = jnp.repeat(env.goals.inputs_of(goals)[:, None], num_starts, axis=1)
-    backgrounds = draw_backgrounds(jax.random.key(seed + 2), env.test_backgrounds, (len(goals) * num_starts,))
+    backgrounds = draw_backgrounds(
+        written_out(jax.random.key(seed + 2)), env.test_backgrounds, (len(goals) * num_starts,)
+    )
     return corrupt(images, backgrounds.reshape(images.shape), weight)
 
 
@@ -71,14 +74,20 @@ def evaluate_settings(
         views[True] = corrupted_view(parts, params, env, goals, num_starts, weight, seed)
     settings = [Setting(corrupted, mean_code) for mean_code in (False, True) for corrupted in views]
     starts = draw_starts(env, goals, num_starts, seed)
-    policies = [
-        (trained_policy(parts, params, hyper, env, setting.mean_code), views[setting.corrupted]) for setting in settings
-    ]
-    found = [
-        score(env, starts, episodes) for episodes in run_side_by_side(env, policies, starts, jax.random.key(seed + 1))
-    ]
-    metrics = {"first_reached": found[0].first_reached(env.episode_length)}
-    for setting, scores in zip(settings, found, strict=True):
-        for group, means in group_means(scores, env.goals).items():
-            metrics |= {setting.metric(group, name): value for name, value in means.items()}
+
+    def shown_in(setting: Setting) -> GoalView:
+        view = views[setting.corrupted]
+        return view.replace(shown=(view.shown, jnp.full((1, 1), setting.mean_code)))
+
+    def policy(observation, shown, key):
+        codes, use_mean = shown
+        return trained_policy(parts, params, hyper, env, use_mean)(observation, codes, key)
+
+    key = written_out(jax.random.key(seed + 1))
+    shown = [shown_in(setting) for setting in settings]
+    scores = score(env, starts, run_side_by_side(env, policy, shown, starts, key))
+    metrics = {"first_reached": scores.first_reached(env.episode_length)[0]}
+    for group, means in group_means(scores, env.goals).items():
+        for name, values in means.items():
+            metrics |= {setting.metric(group, name): value for setting, value in zip(settings, values, strict=True)}
     return metrics

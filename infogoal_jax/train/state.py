@@ -6,6 +6,7 @@ import flax.struct
 import jax
 
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.threefry import written_out
 
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
@@ -13,7 +14,7 @@ INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
 def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
     """A seed's key for a purpose and a number, such as that of the epoch; neither is batched."""
-    return jax.random.fold_in(jax.random.fold_in(key, purpose), number)
+    return jax.random.fold_in(jax.random.fold_in(written_out(key), purpose), number)
 
 
 @flax.struct.dataclass

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from places import FIXTURES
 
-from infogoal_jax import compiler_options, make_train, presets
+from infogoal_jax import jit, make_train, presets
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.train.combinations import reasons_against
 
@@ -40,7 +40,7 @@ def small_config(task: str, method: str):
 def numbers(task: str, method: str) -> dict[str, list[float]]:
     """The metrics of both epochs and of the evaluation."""
     train = make_train(small_config(task, method))
-    result = jax.jit(train, compiler_options=compiler_options())(jax.random.key(0), None, train.env)
+    result = jit(train)(jax.random.key(0), None, train.env)
     values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
     return {
         name: np.ravel(np.asarray(value, np.float64)).tolist()

@@ -136,7 +136,7 @@ def face(box: Box, scores: Vector) -> tuple[Vector, list[Vector], jax.Array, lis
 
 def chosen(condition: jax.Array, first, second):
     """Select the first tree where the condition [P] holds, else the second."""
-    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), first, second)
+    return jax.tree.map(lambda *choice: jax.lax.select(*jnp.broadcast_arrays(condition, *choice)), first, second)
 
 
 def absolute(vector: Vector) -> Vector:

@@ -137,11 +137,13 @@ class Fetch(Environment):
         motion = self.physics.start()
         if self.task.object_height is not None:
             motion = self.physics.place_object(motion, self.sample_object(key))
-        return self.begin(motion, goal)
+        return self._first(motion, self.physics.start_pose(motion), goal)
 
     def begin(self, motion: Motion, goal: jax.Array) -> FetchState:
         """An episode that starts from this motion."""
-        pose = self.physics.pose(motion, 0.0)
+        return self._first(motion, self.physics.pose(motion, 0.0), goal)
+
+    def _first(self, motion: Motion, pose: Pose, goal: jax.Array) -> FetchState:
         false = jnp.zeros((), bool)
         return FetchState(
             motion=motion,

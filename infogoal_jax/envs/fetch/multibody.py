@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from infogoal_jax.envs.fetch.contacts import Box
 from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined, once, vectors
 
 GRAVITY = 9.81
@@ -29,6 +30,13 @@ class Frames:
     quaternion: Quaternion
     rotation: Rotation
     position: Vector
+
+    def __getitem__(self, index) -> "Frames":
+        return Frames(self.quaternion[index], self.rotation[index], self.position[index])
+
+    def point(self, place: Vector) -> Vector:
+        """Where points are that lie at these places on the bodies (m)."""
+        return self.position + self.rotation @ place
 
 
 @flax.struct.dataclass
@@ -120,9 +128,9 @@ class Multibody:
         axis = frames.rotation @ self.axis
         return Axes(axis * self.hinge, axis.cross(self.origin - frames.position) * self.hinge + axis * (1 - self.hinge))
 
-    def thing_axes(self, thing) -> Axes:
-        """How the object (with `center` and `rotation`, of arrays [1]) moves with each of its six degrees of freedom:
-        along the world's axes, and about its own."""
+    def thing_axes(self, thing: Box) -> Axes:
+        """How the object, one of P = 1, moves with each of its six degrees of freedom: along the world's axes, and
+        about its own."""
         turns = Vector.of(thing.rotation.array[0].T)
         return Axes(joined(NONE, turns), joined(STRAIGHT, turns.cross(self.origin - thing.center)))
 
@@ -180,11 +188,11 @@ class Multibody:
         return torque.dot(turn) + thrust.dot(move)
 
     def dynamics(
-        self, frames: Frames, thing, position: jax.Array, velocity: jax.Array
+        self, frames: Frames, thing: Box | None, position: jax.Array, velocity: jax.Array
     ) -> tuple[Axes, jax.Array, jax.Array]:
         """Axes, inertia matrix [nv, nv], and passive less bias forces [nv], at this position [nq] and velocity [nv].
 
-        thing: the object, with `center` and `rotation` of arrays [1], or None.
+        thing: the object, as one of P = 1, or None.
         """
         n = self.joints
         axes, bodies = once((self.axes(frames), self.inertia(frames)))

@@ -66,7 +66,7 @@ class Physics:
         self.wrist = self.joint_of("wrist_roll")
         self.gripper_place, self.grip_place = (vectors(mj.site(name).pos) for name in ("gripper", "grip"))
         self.damping = np.float32(setting.timestep * mj.dof_damping)
-        self.start_frames = self.frames_by_mujoco()
+        self.start_frames, self.start_hand = self.start_by_mujoco()
         self.place_geoms()
         self.make_constraints()
 
@@ -154,17 +154,23 @@ class Physics:
         self.pyramids = FrictionPyramids(boxes * 4 + rounded)
         self.row_kinds = RowKinds(*self.weld.kinds, *self.limits.kinds, *self.pyramids.kinds)
 
-    def frames_by_mujoco(self) -> Frames:
-        """Where the robot's bodies are at the start of every episode, as constants."""
-        data = mujoco.MjData(self.mujoco_model)
-        data.qpos[:] = self.start_position()
-        mujoco.mj_kinematics(self.mujoco_model, data)
-        bodies = self.mujoco_model.jnt_bodyid[: self.joints]
-        return Frames(
+    def start_by_mujoco(self) -> tuple[Frames, tuple[np.ndarray, ...]]:
+        """Where the robot's bodies are at the start of every episode, and the gripper's and the grip's part of its
+        `Pose`: constants."""
+        mj, data = self.mujoco_model, mujoco.MjData(self.mujoco_model)
+        data.qpos[:], data.qvel[: self.joints] = self.start_position(), self.robot_start()[1]
+        mujoco.mj_kinematics(mj, data)
+        mujoco.mj_comPos(mj, data)
+        bodies, moves = mj.jnt_bodyid[: self.joints], np.zeros((3, mj.nv))
+        mujoco.mj_jacSite(mj, data, moves, None, mj.site("grip").id)
+        frames = Frames(
             Quaternion.of(np.float32(data.xquat[bodies])),
             Rotation.of(np.float32(data.xmat[bodies].reshape(-1, 3, 3))),
             vectors(data.xpos[bodies]),
         )
+        gripper, grip = (data.site(name).xpos for name in ("gripper", "grip"))
+        hand = gripper, data.xquat[bodies[self.wrist]], grip, moves @ data.qvel
+        return frames, tuple(np.float32(part) for part in hand)
 
     def robot_start(self) -> np.ndarray:
         """Positions and velocities of the robot's joints at the start of every episode, [2, joints]."""
@@ -209,11 +215,11 @@ class Physics:
         It is worked out from where the bodies are now, their velocities and accelerations: within a micrometre for an
         age of 2 ms.
         """
-        body = motion.frames
-        turning, moving, turn_rate, move_rate = self.multibody.body_rates(body, motion.velocity, self.wrist)
+        turning, moving, turn_rate, move_rate = self.multibody.body_rates(motion.frames, motion.velocity, self.wrist)
+        hand = motion.frames[self.wrist]
 
         def point(place: Vector) -> tuple[Vector, Vector]:
-            now = body.position[self.wrist] + body.rotation[self.wrist] @ place
+            now = hand.point(place)
             lever = now - self.multibody.origin
             velocity = moving + turning.cross(lever)
             acceleration = move_rate + turn_rate.cross(lever) + turning.cross(velocity)
@@ -221,24 +227,29 @@ class Physics:
 
         gripper, _ = point(self.gripper_place)
         grip, grip_velocity = point(self.grip_place)
-        quaternion = body.quaternion[self.wrist]
-        quaternion = (
-            (quaternion.array - 0.5 * age * (Quaternion(0.0, turning) * quaternion).array) if age else quaternion.array
-        )
-        zero = jnp.zeros(3)
-        thing = (zero, jnp.eye(3), zero, zero)
-        if self.has_object:
-            velocity = motion.velocity[self.joints :]
-            place = integrate(motion.position[self.joints :], velocity, -age) if age else motion.position[self.joints :]
-            rotation = Quaternion.of(place[3:]).rotation()
-            thing = (place[:3], rotation.array, velocity[:3], (rotation @ Vector.of(velocity[3:])).array)
-        return Pose(gripper.array, quaternion, grip.array, grip_velocity.array, *thing)
+        quaternion = hand.quaternion.array
+        if age:
+            quaternion -= 0.5 * age * (Quaternion(0.0, turning) * hand.quaternion).array
+        return Pose(gripper.array, quaternion, grip.array, grip_velocity.array, *self.thing_pose(motion, age))
+
+    def start_pose(self, motion: Motion) -> Pose:
+        """The pose of a motion in which the robot is where every episode starts."""
+        return Pose(*map(jnp.asarray, self.start_hand), *self.thing_pose(motion, 0.0))
+
+    def thing_pose(self, motion: Motion, age: float) -> tuple[jax.Array, ...]:
+        """The object's part of `Pose`, `age` seconds ago."""
+        if not self.has_object:
+            zero = jnp.zeros(3)
+            return zero, jnp.eye(3), zero, zero
+        velocity = motion.velocity[self.joints :]
+        place = integrate(motion.position[self.joints :], velocity, -age) if age else motion.position[self.joints :]
+        rotation = Quaternion.of(place[3:]).rotation()
+        return place[:3], rotation.array, velocity[:3], (rotation @ Vector.of(velocity[3:])).array
 
     def contacts(self, frames: Frames, thing: Box) -> Contacts:
         """All contact points, in the order of `pyramids`. thing: the object, or None."""
-        at_wrist = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.palm_place
-        rotation = frames.rotation[self.hands]
-        fingers = Box(frames.position[self.hands] + rotation @ self.hand_place, rotation, self.hand_half)
+        at_wrist, hands = frames[self.wrist].point(self.palm_place), frames[self.hands]
+        fingers = Box(hands.point(self.hand_place), hands.rotation, self.hand_half)
         pairs = [(*contacts.table_under(self.table, fingers), fingers)]
         rounded = [contacts.sphere_on_box(self.table, at_wrist[None], self.palm_radius)]
         if self.has_object:
@@ -264,8 +275,8 @@ class Physics:
             np.array([joint for joint, _ in capsules]),
             jax.tree.map(lambda *leaves: np.stack(leaves), *[shape for _, shape in capsules]),
         )
-        rotation = frames.rotation[joints]
-        return Capsule(frames.position[joints] + rotation @ shapes.center, rotation @ shapes.half, shapes.radius)
+        bodies = frames[joints]
+        return Capsule(bodies.point(shapes.center), bodies.rotation @ shapes.half, shapes.radius)
 
     def thing_at(self, position: jax.Array) -> Box | None:
         """The object at this position [nq], as one of P = 1: a cube, or the box whose lower corners are the points that
@@ -286,13 +297,10 @@ class Physics:
         self, motion: Motion, axes: Axes, thing: Box | None, target: jax.Array, target_quaternion: jax.Array
     ) -> solver.ConstraintRows:
         """All constraint rows at this position and velocity."""
-        frames, origin = motion.frames, self.multibody.origin
-        gripper = frames.position[self.wrist] + frames.rotation[self.wrist] @ self.gripper_place
+        frames, origin, hand = motion.frames, self.multibody.origin, motion.frames[self.wrist]
+        gripper = hand.point(self.gripper_place)
         weld, off = self.weld.wrench_and_violation(
-            gripper - origin,
-            frames.quaternion[self.wrist],
-            Vector.of(target) - gripper,
-            Quaternion.of(target_quaternion),
+            gripper - origin, hand.quaternion, Vector.of(target) - gripper, Quaternion.of(target_quaternion)
         )
         limits, beyond = self.limits.jacobian_and_violation(motion.position)
         touch, depth = self.pyramids.wrench_and_violation(origin, self.contacts(frames, thing))

@@ -24,7 +24,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import LOW_LEVEL, check_new, only_writer
 from infogoal_jax.stopping import StopRequest, stop_on_signal
-from infogoal_jax.train.compilation import compiler_options
+from infogoal_jax.threefry import written_out
+from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.host import check_seeds
 from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level.presets import make_agent
@@ -56,11 +57,10 @@ class Pretrained:
 def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
     """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in
     training and evaluation."""
-    options, explores, number = compiler_options(), jnp.bool(True), jnp.int32(0)
-    initial = jax.jit(jax.vmap(trainer.initial, in_axes=(0, None)), compiler_options=options)
-    policy = jax.jit(jax.vmap(trainer.policy), compiler_options=options)
-    run = jax.jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)), compiler_options=options)
-    learn = jax.jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), donate_argnums=0, compiler_options=options)
+    explores, number = jnp.bool(True), jnp.int32(0)
+    initial, policy = jit(jax.vmap(trainer.initial, in_axes=(0, None))), jit(jax.vmap(trainer.policy))
+    run = jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)))
+    learn = jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), donate_argnums=0)
     states = jax.eval_shape(initial, keys, hyper)
     low_levels = jax.eval_shape(policy, states)
     rows = jax.eval_shape(run, low_levels, keys, explores, hyper)[0]
@@ -70,7 +70,7 @@ def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
         (run, (low_levels, keys, explores, hyper)),
         (learn, (states, rows, number, hyper)),
     )
-    with ThreadPoolExecutor() as pool:
+    with without_garbage_collection(), ThreadPoolExecutor() as pool:
         return list(pool.map(lambda call: call[0].lower(*call[1]).compile(), calls))
 
 
@@ -104,7 +104,7 @@ def pretrain_in(
 ) -> Pretrained:
     """Train to the end or until a signal comes, and write the curve and the best low level."""
     hyper = jax.device_put(config.hyper)
-    trainer, keys = make_trainer(agent), jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+    trainer, keys = make_trainer(agent), written_out(jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32)))
 
     def keys_of(purpose: int, number: int) -> jax.Array:
         return jax.vmap(lambda key: agent.key(key, purpose, jnp.int32(number)))(keys)

@@ -89,6 +89,11 @@ def test_the_start_needs_no_kinematics_and_is_what_kinematics_gives(task):
         jax.tree.leaves(ours.start_frames), jax.tree.leaves(ours.multibody.frames(ours.start().position)), strict=True
     ):
         np.testing.assert_allclose(constant, worked_out, atol=1e-6)
+    start = ours.start()
+    for constant, worked_out in zip(
+        jax.tree.leaves(ours.start_pose(start)), jax.tree.leaves(ours.pose(start, 0.0)), strict=True
+    ):
+        np.testing.assert_allclose(constant, worked_out, atol=1e-6)
 
 
 def test_a_late_pose_is_the_pose_of_the_time_before():
