@@ -70,7 +70,7 @@ def test_what_cannot_be_trained_is_refused_before_compiling(tmp_path, capsys):
     assert main(["pretrain", "fetch_reach", "--out", str(tmp_path)]) == 2
     assert "give another folder" in capsys.readouterr().err
     assert (tmp_path / "low_level").read_bytes() == b"precious" and not (tmp_path / "new").exists()
-    with pytest.raises(UserError, match="hyper.moving_share = 2: give a number in"):
+    with pytest.raises(UserError, match=r"hyper.moving_share = 2\.0: give a number in"):
         preset("fetch_push", hyper=dataclasses.replace(preset("fetch_push").hyper, moving_share=2))
     with pytest.raises(UserError, match="hyper.discount = 1"):
         preset("object_manipulation", hyper=dataclasses.replace(preset("object_manipulation").hyper, discount=1.0))

@@ -92,7 +92,8 @@ def load_joint_level(
 
 
 def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple[dict[str, Any], Any]:
-    """The header and the low level of a task, whose shapes are those of `empty(header)`."""
+    """The header, with the checksum of the file in it, and the low level of a task, whose shapes are those of
+    `empty(header)`."""
     file = file / "low_level" if file.is_dir() else file
     if not file.exists():
         raise UserError(
@@ -114,7 +115,8 @@ def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple
         )
     template = empty(about)
     try:
-        return header, jax.tree.map(jnp.asarray, checkpoint.arrays(file, payload, template))
+        content = checkpoint.checksum({"format": checkpoint.FORMAT, **header}, payload)
+        return header | {"sha256": content}, jax.tree.map(jnp.asarray, checkpoint.arrays(file, payload, template))
     except UserError as error:
         raise UserError(
             f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal "
