@@ -78,15 +78,15 @@ FAULTS = (
     Fault("out of range", ("out of range",), ({"kind": "refuse", "after": 2, "answers": ["out of range"] * 9},)),
     Fault("battery at the floor", ("battery",), ({"kind": "battery", "after": 2, "percent": 24.0},)),
     Fault("program killed", (), act="SIGKILL"),
-    Fault("Ctrl-C", ("interrupted by SIGINT",), act="SIGINT"),
+    Fault("Ctrl-C", ("interrupted",), act="SIGINT"),
     Fault("two controllers", ("another controller", "were refused"), act="controller"),
 )
 MORE_FAULTS = (
     Fault("torn video", ("video torn", *LATE), ({"kind": "torn", "after": 2, "seconds": FAR_AWAY},)),
     Fault("no more video", ("video stale",), ({"kind": "stopped", "after": 2, "seconds": FAR_AWAY},)),
-    Fault("end of the terminal", ("interrupted by SIGHUP",), act="SIGHUP"),
-    Fault("polite kill", ("interrupted by SIGTERM",), act="SIGTERM"),
-    Fault("Ctrl-C three times", ("interrupted by SIGINT",), act="SIGINT SIGINT SIGINT"),
+    Fault("end of the terminal", ("interrupted",), act="SIGHUP"),
+    Fault("polite kill", ("interrupted",), act="SIGTERM"),
+    Fault("Ctrl-C three times", ("interrupted",), act="SIGINT SIGINT SIGINT"),
 )
 """Beyond those that were asked for."""
 
