@@ -66,7 +66,7 @@ class Fault(NamedTuple):
 STEPS_USED_UP = "steps are used up"
 LATE = ("video stale", "video waiting")
 """On a machine that is too busy for the pace of the simulation the video stops before anything else does."""
-LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", *LATE)
+LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", "its own landing", *LATE)
 FAULTS = (
     Fault("a tenth of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.1},)),
     Fault("half of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.5},)),

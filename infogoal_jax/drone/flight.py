@@ -233,13 +233,12 @@ class Flight:
             raise Landing(f"battery at {state['bat']} %, the floor is {self.limits.battery_floor} %")
         if self.rest_since and self.quiet():
             speed = max(abs(state.get(name, 0)) for name in ("vgx", "vgy", "vgz"))
+            who = "another controller, or its own landing"
             if speed >= FOREIGN_SPEED:
-                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: another controller?")
+                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: {who}")
             low, high = (self.hover_height + STEP * row for row in (self.place.low[1], self.place.high[1]))
             if not low - HEIGHT_OFF <= state["h"] <= high + HEIGHT_OFF:
-                raise Landing(
-                    f"its height is {state['h']} cm, and {low} to {high} cm by the moves: another controller?"
-                )
+                raise Landing(f"its height is {state['h']} cm, and {low} to {high} cm by the moves: {who}")
 
     def quiet(self) -> bool:
         """Whether the last state packet is from when the drone had to hover: one from during a move, after which the
