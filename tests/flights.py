@@ -66,7 +66,7 @@ class Fault(NamedTuple):
 STEPS_USED_UP = "steps are used up"
 LATE = ("video stale", "video waiting")
 """On a machine that is too busy for the pace of the simulation the video stops before anything else does."""
-LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", *LATE)
+LOST = ("never answered", "no longer answers", "link lost", "video torn", "video frozen", "its own landing", *LATE)
 FAULTS = (
     Fault("a tenth of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.1},)),
     Fault("half of the packets lost", (STEPS_USED_UP, *LOST), ({"kind": "loss", "after": 1, "share": 0.5},)),
@@ -78,15 +78,15 @@ FAULTS = (
     Fault("out of range", ("out of range",), ({"kind": "refuse", "after": 2, "answers": ["out of range"] * 9},)),
     Fault("battery at the floor", ("battery",), ({"kind": "battery", "after": 2, "percent": 24.0},)),
     Fault("program killed", (), act="SIGKILL"),
-    Fault("Ctrl-C", ("interrupted by SIGINT",), act="SIGINT"),
+    Fault("Ctrl-C", ("interrupted",), act="SIGINT"),
     Fault("two controllers", ("another controller", "were refused"), act="controller"),
 )
 MORE_FAULTS = (
     Fault("torn video", ("video torn", *LATE), ({"kind": "torn", "after": 2, "seconds": FAR_AWAY},)),
     Fault("no more video", ("video stale",), ({"kind": "stopped", "after": 2, "seconds": FAR_AWAY},)),
-    Fault("end of the terminal", ("interrupted by SIGHUP",), act="SIGHUP"),
-    Fault("polite kill", ("interrupted by SIGTERM",), act="SIGTERM"),
-    Fault("Ctrl-C three times", ("interrupted by SIGINT",), act="SIGINT SIGINT SIGINT"),
+    Fault("end of the terminal", ("interrupted",), act="SIGHUP"),
+    Fault("polite kill", ("interrupted",), act="SIGTERM"),
+    Fault("Ctrl-C three times", ("interrupted",), act="SIGINT SIGINT SIGINT"),
 )
 """Beyond those that were asked for."""
 

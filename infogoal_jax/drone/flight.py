@@ -93,17 +93,13 @@ class Flight:
             try:
                 self.check_on_ground()
             except Interrupted as end:
-                self.end(f"interrupted by {end} on the ground", True)
+                self.end("interrupted on the ground", True)
                 raise KeyboardInterrupt from end
             except UserError as refusal:
                 self.end(f"refused on the ground: {refusal}", True)
                 raise
-            try:
-                reason, error = self.until_landing()
-                self.signals.landing = True
-            except Interrupted as end:
-                # It came while the reason was noted. Another one is not raised any more.
-                reason, error = f"interrupted by {end}", None
+            reason, error = self.until_landing()
+            self.signals.landing = True
             landed = self.land(reason)
         self.end(reason, landed)
         if error is not None:
@@ -117,18 +113,20 @@ class Flight:
             self.run_steps()
         except Landing as end:
             return str(end), None
-        except Interrupted as end:
-            return f"interrupted by {end}", None
+        except Interrupted:
+            return "interrupted", None
         except BaseException as raised:
             return f"error: {type(raised).__name__}: {raised}", raised
 
     def end(self, reason: str, landed: bool) -> None:
         """The last line of the log."""
-        self.log.write("end", reason=reason, found=self.found, landed=landed, steps=self.steps)
+        counts = {"steps": self.steps, "signals": self.signals.count}
+        self.log.write("end", reason=reason, found=self.found, landed=landed, **counts)
 
     def check_on_ground(self) -> None:
         """Raise `UserError` unless battery, state and video allow a take-off."""
-        self.link.connect()
+        self.link.connect(self.signals.asked)
+        self.signals.check()
         self.wait(lambda: self.link.state()[0] != {}, 3.0)
         state, age = self.link.state()
         require(bool(state) and age < LINK_SECONDS, "drone", "no state", "let the firewall pass the state packets")
@@ -139,7 +137,8 @@ class Flight:
 
     def take_off(self) -> None:
         """Take off and come to rest."""
-        answer = self.link.send("takeoff", TAKEOFF_SECONDS)
+        answer = self.link.send("takeoff", TAKEOFF_SECONDS, self.signals.asked)
+        self.signals.check()
         if answer.outcome != "made":
             raise Landing(f"takeoff was {answer.outcome}: {answer.text}")
         self.rest(answer)
@@ -168,13 +167,14 @@ class Flight:
     def make(self, move: str, picture: Picture) -> None:
         """Send one move and wait for what comes of it; the next is not sent before."""
         self.steps += 1
-        answer = self.link.send(f"{move} {STEP}", MOVE_SECONDS)
+        answer = self.link.send(f"{move} {STEP}", MOVE_SECONDS, self.signals.asked)
         latency = answer.sent - picture.time
         self.place = self.place.after(move, answer.outcome)
         self.log.write(
             "step", number=self.steps, move=move, outcome=answer.outcome, low=self.place.low, high=self.place.high,
             image=round(picture.time - self.log.began, 4), latency=round(latency, 4),
         )  # fmt: skip
+        self.signals.check()
         self.before_move = picture.small if answer.outcome == "made" else None
         self.refused = self.refused | {move} if answer.outcome == "refused" else set()
         self.refused_in_row = self.refused_in_row + 1 if answer.outcome == "refused" else 0
@@ -216,6 +216,7 @@ class Flight:
     def check_link(self) -> None:
         """Wait while state packets are late; raise `Landing` where they stay away, and where nothing is logged any
         more."""
+        self.signals.check()
         if self.log.failed is not None:
             raise Landing(f"the log cannot be written: {self.log.failed}")
         age = self.link.state()[1]
@@ -232,13 +233,12 @@ class Flight:
             raise Landing(f"battery at {state['bat']} %, the floor is {self.limits.battery_floor} %")
         if self.rest_since and self.quiet():
             speed = max(abs(state.get(name, 0)) for name in ("vgx", "vgy", "vgz"))
+            who = "another controller, or its own landing"
             if speed >= FOREIGN_SPEED:
-                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: another controller?")
+                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: {who}")
             low, high = (self.hover_height + STEP * row for row in (self.place.low[1], self.place.high[1]))
             if not low - HEIGHT_OFF <= state["h"] <= high + HEIGHT_OFF:
-                raise Landing(
-                    f"its height is {state['h']} cm, and {low} to {high} cm by the moves: another controller?"
-                )
+                raise Landing(f"its height is {state['h']} cm, and {low} to {high} cm by the moves: {who}")
 
     def quiet(self) -> bool:
         """Whether the last state packet is from when the drone had to hover: one from during a move, after which the
@@ -262,9 +262,6 @@ class Flight:
         while True:
             self.link.send("land", LAND_SECONDS)
             landed = self.wait(self.link.on_ground, 3.0)
-            for name in self.signals.names:
-                self.log.write("signal", name=name)
-            self.signals.names.clear()
             if landed:
                 return True
             if self.link.state()[1] > SILENT_SECONDS:
@@ -281,6 +278,7 @@ class Flight:
         """Wait until the condition holds. Returns whether it does within so many seconds of the drone."""
         end = self.clock() + seconds
         while not condition():
+            self.signals.check()
             if self.clock() > end:
                 return False
             time.sleep(pictures_pause(self.link.speed))

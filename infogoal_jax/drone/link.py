@@ -10,6 +10,7 @@ import socket
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from infogoal_jax.drone.log import Log
@@ -23,8 +24,8 @@ KEPT_SECONDS = 4.0
 """How long pictures are kept."""
 NO_IMAGE_YET = (300, 400)
 """Height and width of what djitellopy gives before the first image of the video, which has another size."""
-NO_ANSWER = ("Aborting command", "response decode error")
-"""How djitellopy's texts begin where the drone did not answer."""
+SPACING_SECONDS = 0.1
+"""Between an answer and the next command, as djitellopy has it: a Tello may not hear what comes at once."""
 
 
 class Address(NamedTuple):
@@ -80,8 +81,9 @@ class Link:
         self.state_time, self.state_count, self.running = -math.inf, 0, False
         self.motor_time, self.motor_since = -1, math.inf
         self.tello = self.reader = self.watcher = None
+        self.last_answer = 0.0
 
-    def connect(self) -> None:
+    def connect(self, give_up: Callable[[], bool] = lambda: False) -> None:
         """Enter the SDK mode, turn the video on and begin to watch. Raises `UserError` where the drone does not
         answer."""
         tello_class = import_djitellopy()
@@ -91,9 +93,9 @@ class Link:
         self.tello = tello_class(host=self.address.host, retry_count=1, vs_udp=video_port)
         self.tello.address = (self.address.host, self.address.port)
         for command in ("command", "streamon"):  # Either may be sent again: nothing moves.
-            answers = [self.send(command, 2.0)]
-            while answers[-1].outcome != "made" and len(answers) < 5:
-                answers.append(self.send(command, 2.0))
+            answers = [self.send(command, 2.0, give_up)]
+            while answers[-1].outcome != "made" and len(answers) < 5 and not give_up():
+                answers.append(self.send(command, 2.0, give_up))
             if answers[-1].outcome != "made":
                 raise UserError(
                     f"drone = {self.address.host}: {command!r} was not answered with ok ({answers[-1].text}): turn it "
@@ -133,23 +135,27 @@ class Link:
                     self.recent.popleft()
             time.sleep(POLL_SECONDS)
 
-    def send(self, command: str, seconds: float) -> Answer:
+    def send(self, command: str, seconds: float, give_up: Callable[[], bool] = lambda: False) -> Answer:
         """Send a command once and wait for its answer, `seconds` of the drone at most and at least one of this
         machine."""
         waiting = self.tello.get_own_udp_object()["responses"]
         while waiting:
             self.log.write("stray answer", text=waiting.pop(0).decode("utf-8", "replace"))
+        time.sleep(max(0.0, self.last_answer + SPACING_SECONDS / self.speed - time.monotonic()))
         sent = time.monotonic()
         self.log.write("command", sent, command=command)
         try:
-            text = self.tello.send_command_with_return(command, timeout=max(1, math.ceil(seconds / self.speed)))
+            self.tello.send_command_without_return(command)
+            end = sent + max(1.0, seconds / self.speed)
+            while not waiting and time.monotonic() < end and not give_up():
+                time.sleep(POLL_SECONDS)
+            text = waiting.pop(0).decode("utf-8", "replace").strip() if waiting else ""
         except OSError as error:  # The network is gone, which is one way not to be answered.
-            text = f"{NO_ANSWER[0]}: {error}"
-        received = time.monotonic()
-        if text.startswith(NO_ANSWER):
-            outcome = "unanswered"
-        else:
-            outcome = "made" if text.lower() == "ok" or command.endswith("?") else "refused"
+            self.log.write("note", text=f"{command} could not be sent: {error}")
+            text = ""
+        received = self.last_answer = time.monotonic()
+        answered = "made" if text.lower() == "ok" or command.endswith("?") else "refused"
+        outcome = answered if text else "unanswered"
         self.log.write("answer", received, command=command, outcome=outcome, text=text)
         return Answer(outcome, text, sent, received)
 

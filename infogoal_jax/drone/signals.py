@@ -1,36 +1,42 @@
 """Signals that end a flight: Ctrl-C, the end of the terminal, a polite kill."""
 
-import signal
-import threading
+import contextlib
+
+from infogoal_jax import stopping
 
 
 class Interrupted(Exception):  # noqa: N818, it is no error
-    """A signal asks the program to end; its text is the signal's name."""
+    """A signal asks the program to land."""
 
 
 class Signals:
-    """Ctrl-C, the end of the terminal and a polite kill. The first raises `Interrupted`; once it lands they are only
-    noted.
-
-    A handler may run within any line of the program, so that it neither prints nor writes.
-    """
+    """Within, every signal that asks the command to stop is noted and does nothing else: not even the second one may
+    end a program whose drone is in the air. The flight looks at `count` wherever it waits."""
 
     def __init__(self):
-        self.landing, self.names = False, []
+        self.count, self.landing = 0, False
 
     def __enter__(self) -> "Signals":
-        numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-        in_main = threading.current_thread() is threading.main_thread()  # Others get no signals.
-        self.before = {number: signal.signal(number, self.receive) for number in numbers if in_main}
+        self.stack = contextlib.ExitStack()
+        self.request = self.stack.enter_context(stopping.stop_on_signal(at_once=self.note))
+        self.before = self.request.at_once, self.request.finishing
+        self.request.at_once, self.request.finishing = self.note, ""
         return self
 
     def __exit__(self, *raised) -> None:
-        for number, handler in self.before.items():
-            signal.signal(number, handler)
+        self.request.at_once, self.request.finishing = self.before
+        self.stack.close()
 
-    def receive(self, number: int, frame) -> None:
-        """Note a signal, and raise it if it is the first and nothing else ended the flight before."""
-        self.names.append(signal.Signals(number).name)
-        if not self.landing:
-            self.landing = True
-            raise Interrupted(self.names[-1])
+    def note(self, request: stopping.StopRequest) -> None:
+        """Count a signal."""
+        self.count += 1
+        stopping.say("Landing. The propellers still turn.")
+
+    def asked(self) -> bool:
+        """Whether a signal came and the landing has not begun: what is waited for is not worth it any more."""
+        return self.count > 0 and not self.landing
+
+    def check(self) -> None:
+        """Raise `Interrupted` if a signal came and the landing has not begun."""
+        if self.asked():
+            raise Interrupted

@@ -35,10 +35,10 @@ class ScriptedLink:
         self.packet = {"bat": 80, "h": 80, "tof": 170, "vgx": 0, "vgy": 0, "vgz": 0}
         self.age, self.height = 0.0, 80
 
-    def connect(self):
+    def connect(self, give_up):
         pass
 
-    def send(self, command, seconds):
+    def send(self, command, seconds, give_up=None):
         self.sent.append(command)
         answers = self.script.get(command.split()[0])
         text = answers.pop(0) if answers else "ok"
@@ -149,11 +149,16 @@ def test_signals_land(tmp_path, name):
         os.kill(os.getpid(), getattr(signal, name))
         return "ok"
 
-    flight, drone = make_flight(tmp_path, {"right": [interrupt], "land": [interrupt, interrupt]})
+    def interrupt_and_fail():
+        interrupt()
+        return "error"
+
+    flight, drone = make_flight(tmp_path, {"right": [interrupt], "land": [interrupt_and_fail, interrupt]})
     outcome = flight.fly()
-    assert outcome.landed and outcome.reason == f"interrupted by {name}"
+    assert outcome.landed and outcome.reason == "interrupted"
     assert moves_of(drone) == ["right"]
-    assert len(events_of(read(tmp_path / NAME), "signal")) == 2
+    (end,) = events_of(read(tmp_path / NAME), "end")
+    assert end["signals"] == 3
     assert signal.getsignal(signal.SIGINT) is before
 
 
