@@ -92,9 +92,10 @@ def check(record: Any) -> None:
     for name, value, number in floats(record):
         if isinstance(value, jax.core.Tracer):
             continue
-        array = np.asarray(value)
-        numeric = array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16
-        require(numeric, f"hyper.{name}", value, "give a number, or an array of them")
+        number_or_array = isinstance(value, int | float | np.ndarray | jax.Array) and not isinstance(value, bool)
+        array = np.asarray(value) if number_or_array else np.zeros(0, bool)
+        numeric = array.size and (array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16)
+        require(bool(numeric), f"hyper.{name}", value, "give a number, or an array of them")
         for one in np.unique(array.astype(float)):
             one = float(one)
             require(abs(one) <= LARGEST_FLOAT, f"hyper.{name}", one, "give a finite number that float32 holds")
