@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from infogoal_jax import presets
+from infogoal_jax.cli import fly
 from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.envs.fetch import goal_rendering
@@ -178,7 +179,7 @@ def no_work(monkeypatch):
     work = [(host, "run"), (tune, "tune"), (tune, "final"), (low_level, "pretrain"), (summary, "make_train")]
     work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
     work += [(photographs, "build_backgrounds"), (goal_rendering, "build"), (backgrounds, "download_cifar10")]
-    work += [(sentence_encoder, "embed_file")]
+    work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]
     for module, name in work:
         monkeypatch.setattr(module, name, accept)
     monkeypatch.setattr("infogoal_jax.stand_ins.house.build_house", accept)
