@@ -92,19 +92,29 @@ def check(record: Any) -> None:
     for name, value, number in floats(record):
         if isinstance(value, jax.core.Tracer):
             continue
-        array = np.asarray(value)
-        numeric = array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16
-        require(numeric, f"hyper.{name}", value, "give a number, or an array of them")
+        number_or_array = isinstance(value, int | float | np.ndarray | jax.Array) and not isinstance(value, bool)
+        array = np.asarray(value) if number_or_array else np.zeros(0, bool)
+        numeric = array.size and (array.dtype.kind in "fiu" or array.dtype == jax.numpy.bfloat16)
+        require(bool(numeric), f"hyper.{name}", value, "give a number, or an array of them")
         for one in np.unique(array.astype(float)):
             one = float(one)
             require(abs(one) <= LARGEST_FLOAT, f"hyper.{name}", one, "give a finite number that float32 holds")
             require(number.allows(one), f"hyper.{name}", one, f"give a number in {number.interval}")
 
 
+def check_record(record: Any, name: str) -> None:
+    """Raise `UserError` for what is no record of floats, or has something else in it where another record belongs."""
+    of_floats = dataclasses.is_dataclass(record) and not isinstance(record, type)
+    require(of_floats, name, record, "give a record of hyperparameters, see presets.default_hyperparameters")
+    for field in dataclasses.fields(record):
+        if field.name not in numbers_of(type(record)):
+            check_record(getattr(record, field.name), f"{name}.{field.name}")
+
+
 def checked(record: Any) -> Any:
     """A record with numbers of numpy as those of Python. Raises `UserError` as `check` does, and for what is no record
     of floats."""
-    require(dataclasses.is_dataclass(record) and not isinstance(record, type), "hyper", record, "give Hyperparameters")
+    check_record(record, "hyper")
     record = with_values(record, {name: plain(value) for name, value, _ in floats(record)})
     check(record)
     return record

@@ -2,25 +2,29 @@
 A run that is there goes on."""
 
 import contextlib
+import dataclasses
 import multiprocessing
 import os
 import sys
 from pathlib import Path
 
+import flax.struct
 import hand_made
+import jax
+import jax.numpy as jnp
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import tuning
-from infogoal_jax.report.figures import draw_figures
+from infogoal_jax.report.canvas import empty_figure, save
+from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
+from infogoal_jax.train.program import make_train
 from infogoal_jax.train.trials import Trial
 
 REFUSED = 2
 STOPPED = 130
-FOREVER = 10_000
-"""Seconds that a test would wait."""
 
 
 def chunk_config(**changes):
@@ -29,16 +33,60 @@ def chunk_config(**changes):
 
 
 def search_config():
-    """A method without many hyperparameters, in three chunks."""
-    return hand_made.config("none", num_epochs=6, epochs_per_evaluation=2, updates_per_epoch=5)
+    """A method without many hyperparameters, in fifteen chunks."""
+    return hand_made.config("none", num_epochs=30, epochs_per_evaluation=2, updates_per_epoch=5)
+
+
+@flax.struct.dataclass
+class SmallState:
+    """What the small program carries: a megabyte, so that writing it takes its time."""
+
+    params: dict
+    env_steps: jax.Array
+    key: jax.Array
+
+
+def small_train(config, env=None):
+    """Training whose program compiles in a moment: its numbers depend on every epoch, seed and hyperparameter before.
+
+    Nothing is learned by it; what is killed here is the loop around the program. `tests/train/test_resume.py` kills the
+    real one.
+    """
+
+    def initial(key, hyper, env):
+        return SmallState({"weight": jax.random.normal(key, (250_000,))}, jnp.int32(0), key)
+
+    def chunk(state, numbers, hyper, env):
+        def epoch(state, number):
+            noise = jax.random.normal(jax.random.fold_in(state.key, number), (250_000,))
+            weight = hyper.discount * state.params["weight"] + hyper.learning_rate * noise
+            state = state.replace(params={"weight": weight}, env_steps=state.env_steps + 10)
+            seen = {"agent/loss": jnp.square(weight).mean(), "agent/gradient_norm": jnp.abs(weight).max()}
+            return state, seen | {"env_steps": state.env_steps}
+
+        state, seen = jax.lax.scan(epoch, state, numbers)
+        rate = jax.nn.sigmoid(state.params["weight"].sum())
+        scores = {f"{group}_goal/success_rate": rate for group in ("train", "test")}
+        return state, seen, scores | {"env_steps": state.env_steps}
+
+    return dataclasses.replace(make_train(config, env), initial=initial, chunk=chunk)
 
 
 def train(folder: Path) -> bool:
-    """A run of two seeds, with its figures. Returns whether it finished."""
-    env = hand_made.environment()
-    sweep = host.run(chunk_config(), [0, 1], folder, resume=(folder / "config.json").exists(), env=env)
+    """A run of two seeds, with a figure. Returns whether it finished."""
+    sweep = host.run(
+        chunk_config(num_epochs=60),
+        [0, 1],
+        folder,
+        resume=(folder / "config.json").exists(),
+        env=hand_made.environment(),
+    )
     if not sweep.stopped:
-        draw_figures(folder, env)
+        remove_abandoned(folder)
+        for number in range(3):
+            figure = empty_figure("a figure", (), (6, 4))
+            figure.add_subplot().plot(range(number + 2))
+            save(figure, folder / "figures" / f"{number}.png")
     return not sweep.stopped
 
 
@@ -50,8 +98,7 @@ def tune(folder: Path) -> bool:
     with tuning.watching(config, 2, 2, folder) as watch:
         if resume:
             return search.final(config, trials, [1000, 1001], env, watch, resume=True).finished
-        key = host.jax.random.key(0)
-        return search.tune(config, 2, [1000, 1001], key, ("discount",), env, watch).finished
+        return search.tune(config, 2, [1000, 1001], jax.random.key(0), ("discount",), env, watch).finished
 
 
 def final(folder: Path) -> bool:
@@ -73,6 +120,7 @@ def short(folder: Path) -> bool:
 def child(kind: str, folder: str) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+        host.make_train = search.make_train = small_train
         try:
             finished = globals()[kind](Path(folder))
         except UserError:

@@ -11,10 +11,13 @@ import pytest
 
 import infogoal_jax
 from infogoal_jax.cli.main import main
+from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
-from infogoal_jax.runs import tables
+from infogoal_jax.runs import description, tables
 from infogoal_jax.runs.configuration import from_dict, to_json
+from infogoal_jax.runs.description import Description
 from infogoal_jax.stand_ins.house import build_house
+from infogoal_jax.train import host
 
 
 @pytest.fixture(autouse=True)
@@ -108,6 +111,35 @@ def test_an_unknown_flag_is_refused(capsys):
         main(["train", "object_search", "--learner.windw", "3"])
     assert stopped.value.code == 2
     assert "windw" in capsys.readouterr().err
+
+
+def test_the_task_is_the_subcommand_and_no_flag(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "object_search", "--task", "fetch_push"])
+    assert stopped.value.code == 2
+    assert "--task" in capsys.readouterr().err
+
+
+def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeypatch, capsys):
+    """Of this configuration and these seeds, or that in --out."""
+    asked = []
+
+    def run(config, seeds, folder, resume, *listeners, compiling):
+        asked.append((str(folder), resume, list(seeds)))
+        raise UserError("that is enough")
+
+    monkeypatch.setattr(host, "run", run)
+    started = Description(load("object_search", num_epochs=200), [0, 1], "a house", {}, "cpu")
+    assert main("train object_search --seeds 2 --resume auto".split()) == 2
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    description.write(tmp_path / "runs" / "first", started)
+    assert main("train object_search --seeds 2 --resume auto".split()) == 2
+    assert main("train object_search --seeds 2 --resume auto --batch-size 32".split()) == 2
+    assert main("train object_search --seeds 2 --resume auto --out runs/mine".split()) == 2
+    assert main("train object_search --seeds 2 --resume auto --out runs/first".split()) == 2
+    new, continued, other, mine, first = asked
+    assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
+    assert continued == first == ("runs/first", True, [0, 1]) and mine == ("runs/mine", False, [0, 1])
 
 
 def spoil_annotations(house):

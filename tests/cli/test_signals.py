@@ -93,6 +93,34 @@ def test_a_loop_finishes_its_chunk_first(number):
     assert status == 130 and printed == "files are whole\n" and "Stopping after this chunk, with a checkpoint" in errors
 
 
+@pytest.mark.parametrize("command", ["fly", "record"])
+def test_a_command_that_flies_has_its_signals_to_itself(command):
+    """A drone lands first: its own handlers work in the main thread alone."""
+    code = f"""
+import sys, types
+from infogoal_jax.cli import entry
+from infogoal_jax.drone.signals import Interrupted, Signals
+
+def command():
+    signals = Signals()
+    try:
+        with signals:
+            print("ready", flush=True)
+            import time
+            time.sleep(60)
+    except Interrupted as end:
+        print("lands after", end, flush=True)
+        return 130
+
+sys.argv = ["infogoal", {command!r}]
+sys.modules["infogoal_jax.cli.main"] = types.SimpleNamespace(main=command)
+sys.exit(entry.main())
+"""
+    process = started(code)
+    process.send_signal(signal.SIGINT)
+    assert ended(process)[:2] == (130, "lands after SIGINT\n")
+
+
 def test_a_second_signal_stops_at_once():
     process = started(COMMAND.format(finishing="this chunk", wait=IN_A_LIBRARY))
     process.send_signal(signal.SIGINT)

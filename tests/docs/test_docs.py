@@ -25,7 +25,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 CHANGELOG = ROOT / "CHANGELOG.md"
 LONGEST_README = 150
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
-OTHERS_FLAGS = {"--help", "--no-deps"}  # Of argparse and tyro; of pip.
+OTHERS_FLAGS = {"--help", "--no-deps", "--requeue", "--signal"}  # Of argparse and tyro; of pip; of Slurm.
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 

@@ -1,6 +1,10 @@
 """Runs, searches and finals that are killed or stopped at random moments, while they compile, train, write or draw,
 end with the same bits as those that were left alone, and leave no stale file; of two that want one folder one is
-refused."""
+refused.
+
+Their program is a small one (`killed_run.small_train`), so that hundreds of processes start, compile and are killed in
+minutes; test_resume.py kills the real one.
+"""
 
 import os
 import random

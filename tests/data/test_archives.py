@@ -1,0 +1,36 @@
+"""What is no file, or unpacks to gigabytes, is refused at once."""
+
+import os
+import zipfile
+
+import numpy as np
+import pytest
+
+from infogoal_jax.data import archives, frames
+from infogoal_jax.data.splits import load_split
+from infogoal_jax.data.text import load
+from infogoal_jax.errors import UserError
+
+
+@pytest.mark.parametrize("read", [frames.load, load, load_split])
+def test_a_pipe_in_the_place_of_a_dataset_is_refused(read, tmp_path):
+    """Reading it would wait for a writer for ever."""
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(UserError, match="pipe.npz.*not a regular file"):
+        read(str(tmp_path / "pipe.npz"))
+    with pytest.raises(UserError, match="/dev/zero"):
+        read("/dev/zero")
+
+
+def test_an_archive_of_kilobytes_that_unpacks_to_far_more_is_refused_unread(tmp_path, monkeypatch):
+    """By the sizes that stand in it; a gigabyte is allowed, here a megabyte."""
+    monkeypatch.setattr(archives, "MOST_UNPACKED", 2**20)
+    monkeypatch.setattr(archives, "member", lambda *arguments: pytest.fail("unpacked"))
+    archives.write(tmp_path / "bomb.npz", {"frames": np.zeros(10**7, np.uint8)}, zipfile.ZIP_DEFLATED)
+    with pytest.raises(UserError, match="bytes that unpack to 10,000,"):
+        frames.load(str(tmp_path / "bomb.npz"))
+
+
+def test_an_archive_that_packs_well_is_read(tmp_path):
+    archives.write(tmp_path / "zeros.npz", {"frames": np.zeros(10**6, np.uint8)}, zipfile.ZIP_DEFLATED)
+    assert archives.read(tmp_path / "zeros.npz", "").sizes["frames"] > 10**6

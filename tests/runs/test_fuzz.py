@@ -1,0 +1,206 @@
+"""Whatever a configuration, a file of a run or a command line holds: it works, or one `UserError` says why not, within
+30 seconds and without a change of any file."""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import shutil
+from datetime import timedelta
+from pathlib import Path
+
+import hand_made
+import numpy as np
+import pytest
+from fuzzing import command_lines, configurations, damaged, replaced
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from infogoal_jax import presets
+from infogoal_jax.cli import fly
+from infogoal_jax.cli import main as command_line
+from infogoal_jax.data import backgrounds, sentence_encoder
+from infogoal_jax.envs.fetch import goal_rendering
+from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.report import figures, runs, summary, tuning
+from infogoal_jax.runs import checkpoint, description, results, search, tables
+from infogoal_jax.runs.configuration import from_dict, to_json
+from infogoal_jax.runs.description import Description
+from infogoal_jax.runs.results import Timing
+from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
+from infogoal_jax.stand_ins import cube, photographs, shelf
+from infogoal_jax.train import host, resuming, tune
+from infogoal_jax.train.low_level import host as low_level
+
+SHORT, LONG = 100, 2000
+SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}
+TREE = {"weight": np.arange(4.0)}
+
+
+def examples(what: str, count: int) -> settings:
+    """Settings of hypothesis for this part of so many inputs; short ones are the same each time."""
+    return settings(
+        max_examples=round(SHARES[what] * count),
+        deadline=timedelta(seconds=30),
+        derandomize=count == SHORT,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+each_count = pytest.mark.parametrize("count", [SHORT, pytest.param(LONG, marks=pytest.mark.long)])
+
+
+@each_count
+def test_a_configuration_is_one_or_is_refused(count):
+    @examples("configurations", count)
+    @given(configurations())
+    def check(given_config):
+        config, changes = given_config
+        try:
+            for path, value in changes:
+                config = replaced(config, path, value)
+        except UserError:
+            return
+        arrays = any(isinstance(value, np.ndarray) for value in values_of(config.hyper).values())
+        if config.task in presets.TASKS and not arrays:  # Such runs can be kept.
+            assert from_dict(json.loads(to_json(config))) == config
+
+    check()
+
+
+def write_run(folder: Path) -> None:
+    """A folder with a file of every kind: of a run, and of a search."""
+    config = hand_made.config(num_epochs=2, epochs_per_evaluation=1)
+    about = Description(config, [1000, 1001], "rooms", {"jax": "1"}, "cpu")
+    rows = [
+        {"seed": seed, "epoch": epoch, "loss": 0.5, "agent/loss": 1.0, "agent/gradient_norm": 1.0, "steps": [1, 2]}
+        for epoch in (1, 2)
+        for seed in (1000, 1001)
+    ]
+    folder.mkdir()
+    values = {"discount": 0.9}
+    search.write_plan(folder, about, Plan(1, {"discount": {"low": 0.5}}, [Drawn(0, values)]))
+    line = TrialLine(0, True, values, [1000, 1001], "train", [1, 2], [[0.0, 1.0]] * 2, [[0.1, 0.2]] * 2, 0.5, [])
+    best = Best(0, 0.5, 0.5, "train", 2, True, values, config.task, [], "", 1.0, 1.0)
+    search.write_scores(folder, [line], best)
+    for table in tables.TABLES:
+        tables.append_rows(folder, table, rows)
+    results.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))
+    checkpoint.save(folder / "checkpoint", {"epoch": 2, **about.values()}, TREE)
+    checkpoint.save(folder / "policy", {"epoch": 2, **about.values()}, TREE)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fuzz") / "a_run"
+    write_run(folder)
+    return folder
+
+
+def digest(folder: Path) -> str:
+    """What tells a folder, with all that is in it, from another."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        found.update(f"{path.relative_to(folder)} {path.is_file()}".encode())
+        found.update(path.read_bytes() if path.is_file() else b"")
+    return found.hexdigest()
+
+
+def go_on(folder: Path) -> None:
+    """Read all that a run goes on from."""
+    resuming.last_point(folder, description.read(folder), TREE)
+
+
+READERS = (
+    description.read,
+    go_on,
+    tuning.read,
+    tuning.read_drawn,
+    results.read_timing,
+    lambda folder: checkpoint.load(folder / "policy", TREE),
+    lambda folder: tables.read_table(folder, "evaluations"),
+)
+FILES = ("config.json", "epochs.jsonl", "evaluations.jsonl", "checkpoint", "policy", "timing.json", "trials.jsonl")
+
+
+@each_count
+def test_a_file_is_read_or_refused_and_nothing_is_changed(count, run, tmp_path):
+    @examples("files", count)
+    @given(st.data())
+    def check(data):
+        folder = tmp_path / "damaged"
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(run, folder)
+        for name in data.draw(st.lists(st.sampled_from(FILES), min_size=1, max_size=2, unique=True)):
+            (folder / name).write_bytes(data.draw(damaged((run / name).read_bytes())))
+        before = digest(folder)
+        for read in READERS:
+            with contextlib.suppress(UserError):
+                read(folder)
+        assert digest(folder) == before
+
+    check()
+
+
+@each_count
+def test_a_header_with_a_right_checksum_is_read_or_refused(count, run, tmp_path):
+    header, _ = checkpoint.read_header(run / "checkpoint")
+    names = [*header, *(f"config.{field.name}" for field in dataclasses.fields(hand_made.config()))]
+
+    @examples("command lines", count)
+    @given(st.sampled_from(names), st.none() | st.booleans() | st.integers() | st.text() | st.lists(st.integers()))
+    def check(name, value):
+        shutil.copytree(run, tmp_path / "run", dirs_exist_ok=True)
+        changed = dict(header)
+        if name.startswith("config."):
+            changed["config"] = header["config"] | {name.removeprefix("config."): value}
+        else:
+            changed[name] = value
+        checkpoint.save(tmp_path / "run" / "checkpoint", changed, TREE)
+        with contextlib.suppress(UserError):
+            go_on(tmp_path / "run")
+
+    check()
+
+
+class WorkBegins(BaseException):
+    """The command would begin its work now."""
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Commands stop where they would load data, compile, draw, download or build."""
+
+    def accept(*arguments, **named):
+        raise WorkBegins
+
+    work = [(host, "run"), (tune, "tune"), (tune, "final"), (low_level, "pretrain"), (summary, "make_train")]
+    work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
+    work += [(photographs, "build_backgrounds"), (goal_rendering, "build"), (backgrounds, "download_cifar10")]
+    work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]
+    for module, name in work:
+        monkeypatch.setattr(module, name, accept)
+    monkeypatch.setattr("infogoal_jax.stand_ins.house.build_house", accept)
+    monkeypatch.setattr("infogoal_jax.report.video.episode_video", accept)
+
+
+@each_count
+def test_a_command_line_is_accepted_or_refused_and_nothing_is_changed(
+    count, run, tmp_path, monkeypatch, no_work, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(run, tmp_path / "a_run")
+    (tmp_path / "a_file").write_text("kept")
+    before = digest(tmp_path)
+
+    @examples("command lines", count)
+    @given(command_lines())
+    def check(line):
+        with contextlib.suppress(WorkBegins, SystemExit):
+            assert command_line.main(line) in (0, 1, 2)
+        capsys.readouterr()
+        assert digest(tmp_path) == before
+
+    check()
