@@ -6,14 +6,14 @@ the actor pays a penalty for subgoals beyond.
 """
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, Literal
 
 import flax.struct
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks, pairs
-from infogoal_jax.agents import td3
+from infogoal_jax.agents import all_goals, td3
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
@@ -43,6 +43,13 @@ class HRACConfig:
     """Size of the adjacency network's code."""
     cell: float = 0.05
     """Side of the cells of the adjacency matrix, in m or radians."""
+    head: Literal["concatenated", "product"] = "concatenated"
+    """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
+    head (docs/all_goals.md)."""
+    head_size: int = 128
+    """Size of the vectors whose product is a value, for `product` alone."""
+    bounded: bool = False
+    """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
     low_level: str = ""
     """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
 
@@ -73,7 +80,8 @@ class HRACConfig:
                 getattr(self, name),
                 "give widths greater than 0",
             )
-        for name in ("num_decisions", "adjacency_size"):
+        require(self.head in ("concatenated", "product"), "agent.head", self.head, "give concatenated or product")
+        for name in ("num_decisions", "adjacency_size", "head_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 
 
@@ -104,14 +112,16 @@ def length(vectors: jax.Array) -> jax.Array:
 
 
 def traits(config: HRACConfig) -> AgentTraits:
-    """Its actions are target states."""
-    return AgentTraits("target_states")
+    """Its actions are target states; the product head learns from all goals at once."""
+    return AgentTraits("target_states", all_goals=config.head == "product")
 
 
 def make(config: HRACConfig, env) -> Agent:
     """HRAC's high level over the target states of this environment (`train.hierarchy.SubgoalEnv`)."""
     space = env.space
-    actor, critic = td3.Actor(config.hidden, space.size), td3.TwinCritic(config.hidden)
+    actor, several = td3.Actor(config.hidden, space.size), config.head == "product"
+    product = td3.TwinProductCritic(config.hidden, config.head_size, config.bounded)
+    concatenated = td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)
     require(
@@ -120,6 +130,10 @@ def make(config: HRACConfig, env) -> Agent:
         config.cell,
         f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones",
     )
+
+    def critic_of(features):
+        """The critics of features [..., F] joined with a code."""
+        return td3.OfInputs(product, features.shape[-1]) if several else concatenated
 
     def embed(params, states):
         """psi_adj of the components of target states [..., S] (grip and object), each with its own network:
@@ -133,7 +147,9 @@ def make(config: HRACConfig, env) -> Agent:
         seen = space.network_input(space.parts(jnp.zeros(space.size)), config.subgoal_scale)
         params = {
             "actor": actor.init(keys[0], inputs),
-            "critic": critic.init(keys[1], inputs, action),
+            "critic": product.init(keys[1], features, action, code)
+            if several
+            else concatenated.init(keys[1], inputs, action),
             "adjacency": [adjacency.init(own, part) for own, part in zip(keys[2:], seen, strict=True)],
         }
         return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
@@ -146,7 +162,7 @@ def make(config: HRACConfig, env) -> Agent:
     def value(params, features, code, action_mask):
         """The lower of both critics' values of the actor's subgoal."""
         inputs = jnp.concatenate([features, code], axis=-1)
-        return critic.apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
+        return critic_of(features).apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
 
     def observe(apart, rows):
         """Remove pairs of cells visited within k steps of each other from the matrix bool [components, C, C]."""
@@ -173,23 +189,28 @@ def make(config: HRACConfig, env) -> Agent:
 
     def loss(params, target_params, batch: AgentBatch, apart, hyper, key):
         """TD3 over k steps (with the discounts of the batch), the adjacency loss, and the actor's penalty for subgoals
-        out of reach."""
-        frozen = jax.lax.stop_gradient(params)
+        out of reach. Under all goals the critics learn from all of them, the actor from the batch's own."""
+        frozen, critic = jax.lax.stop_gradient(params), critic_of(batch.features)
         inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
         target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)
         following = td3.next_value(key, actor, critic, target_params, target_inputs, hyper.target_noise)
         learned = td3.losses(
             actor, critic, params, inputs, batch.action, batch.reward + batch.discount * following, huber=True
         )
+        critic_loss, critic_metrics = learned.critic, learned.metrics
+        if batch.all_goals is not None:
+            critic_loss, critic_metrics = all_goals.critic_loss(
+                actor, product, params, target_params, batch, hyper.target_noise, jax.random.fold_in(key, 1)
+            )
         asked = space.from_subgoal(batch.observation, learned.actions, config.subgoal_scale)
         distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
         penalty = adjacency_penalty(distance).mean()
         adjacency_error = learn_adjacency(params, batch, apart)
-        metrics = learned.metrics | {
+        metrics = critic_metrics | {
             "adjacency_loss": adjacency_error,
             "adjacency_penalty": penalty,
             "subgoal_size": jnp.abs(learned.actions).mean(),
         }
-        return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
+        return critic_loss + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
     return Agent(init, act, value, loss, observe, config.interval * config.num_decisions)

@@ -39,6 +39,52 @@ class TwinCritic(nn.Module):
         return twin(self.hidden, 1)(together)[..., 0]
 
 
+class TwinProductCritic(nn.Module):
+    """Q1 and Q2 as products f(features, action) . h(code), so that one action is valued under all goals at once."""
+
+    hidden: tuple[int, ...]
+    size: int
+    bounded: bool
+    """A sigmoid keeps values between 0 and 1."""
+
+    def setup(self):
+        twin = nn.vmap(
+            networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
+        )
+        self.states, self.goals = twin(self.hidden, self.size), twin(self.hidden[-1:], self.size)
+
+    def __call__(self, features, action, code):
+        """Features [..., F] and action [..., A], each under its own goal [..., d]: [2, ...]."""
+        return self.product("n...d,n...d->n...", features, action, code)
+
+    def of_all(self, features, action, codes):
+        """One action [B, A] in each state, under all goals [G, d]: [2, B, G]."""
+        return self.product("nbd,ngd->nbg", features, action, codes)
+
+    def of_each(self, features, actions, codes):
+        """In each state an action of its own for each goal, [B, G, A], under that goal [G, d]: [2, B, G]."""
+        several = jnp.broadcast_to(features[:, None], (*actions.shape[:-1], features.shape[-1]))
+        return self.product("nbgd,ngd->nbg", several, actions, codes)
+
+    def product(self, axes, features, action, codes):
+        """The products over these axes."""
+        states = self.states(jnp.concatenate([features, action], axis=-1)) / self.size**0.5
+        values = jnp.einsum(axes, states, self.goals(codes))
+        return nn.sigmoid(values) if self.bounded else values
+
+
+class OfInputs(NamedTuple):
+    """A product critic that takes features and code as one vector, as `TwinCritic` does."""
+
+    critic: TwinProductCritic
+    num_features: int
+
+    def apply(self, params: dict, inputs: jax.Array, action: jax.Array) -> jax.Array:
+        """Q1 and Q2 [2, B] of inputs [B, F + d] and actions [B, A]."""
+        features, code = jnp.split(inputs, [self.num_features], axis=-1)
+        return self.critic.apply(params, features, action, code)
+
+
 def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
     """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is
     uniform in [-1, 1] instead."""
@@ -87,7 +133,13 @@ class Losses(NamedTuple):
 
 
 def losses(
-    actor: Actor, critic: TwinCritic, params: dict, inputs: jax.Array, action: jax.Array, target: jax.Array, huber: bool
+    actor: Actor,
+    critic: TwinCritic | OfInputs,
+    params: dict,
+    inputs: jax.Array,
+    action: jax.Array,
+    target: jax.Array,
+    huber: bool,
 ) -> Losses:
     """The losses of `params` {"actor", "critic", ...} for transitions that start at inputs [B, D] by action [B, A] and
     are worth target [B].

@@ -4,6 +4,7 @@ subset drawn for each update (docs/all_goals.md)."""
 import dataclasses
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs
@@ -34,11 +35,16 @@ class AllGoalsConfig:
 
 
 def make(config: AllGoalsConfig) -> Relabelling:
-    """The relabelling. What looks at one goal a transition, as a learner's loss does, sees any known goal."""
+    """The relabelling. What looks at one goal a transition, as a learner's loss and HRAC's actor do, sees the desired
+    goal, or as often any known one."""
+
+    def relabel(key, known, row, step, goal):
+        known_key, choose_key = jax.random.split(key)
+        anything = jnp.where(known.any(), pairs.choose_from_mask(known_key, known, goal.shape), goal)
+        return jnp.where(jax.random.bernoulli(choose_key, 0.5, goal.shape), anything, goal)
+
     return Relabelling(
         prepare=lambda context: context.achievements.known,
-        relabel=lambda key, known, row, step, goal: jnp.where(
-            known.any(), pairs.choose_from_mask(key, known, goal.shape), goal
-        ),
+        relabel=relabel,
         all_goals=AllGoalsSpec(config.num_goals, config.achieved_share, config.code == "mean"),
     )

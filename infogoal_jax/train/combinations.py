@@ -135,7 +135,9 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
     if relabelling.registry.name_of(config.relabelling) != "all_goals":
         return
     if not traits_of(config.agent).all_goals:
-        yield Refusal("relabelling", "all_goals", f"agent {agent} values one goal at a time", "give dqn or cql, or her")
+        yield Refusal(
+            "relabelling", "all_goals", f"agent {agent} values one goal at a time", "give --agent.head product, or her"
+        )
     if learner.condition is not None:
         yield Refusal(
             "learner",
