@@ -32,7 +32,8 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         agent="hrac",  # [P]
         env={"goals": "images"},
         learner={"standardise_images": True},  # For corrupted goals (docs/hrac.md).
-        relabellings={"ghrl": {"share": 0.8}},
+        # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
+        relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
         training=training,
         hyper=HYPER,
         methods={

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from places import FIXTURES
 
-from infogoal_jax.agents import all_goals, value_heads
+from infogoal_jax.agents import all_goals, td3, value_heads
 from infogoal_jax.agents.agent import AgentBatch, AllGoals
 
 B, F, A, D, G = 5, 6, 3, 4, 7
@@ -115,3 +115,45 @@ def test_goals_without_weight_teach_nothing():
         predicted
     )
     assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()
+
+
+def critic_of_vectors():
+    """TD3's product critics and actor with random parameters, features [B, F], actions [B, A] and codes [G, D]."""
+    critic, actor = td3.TwinProductCritic((8,), 5, bounded=True), td3.Actor((8,), A)
+    keys = jax.random.split(jax.random.key(1), 5)
+    features, actions = jax.random.normal(keys[0], (B, F)), jax.random.normal(keys[1], (B, A))
+    codes = jax.random.normal(keys[2], (G, D))
+    params = {
+        "critic": critic.init(keys[3], features[0], actions[0], codes[0]),
+        "actor": actor.init(keys[4], jnp.concatenate([features[0], codes[0]])),
+    }
+    return critic, actor, params, features, actions, codes
+
+
+def test_product_critics_value_all_goals_as_each_alone():
+    critic, _, params, features, actions, codes = critic_of_vectors()
+    alone = jnp.stack([critic.apply(params["critic"], features, actions, jnp.tile(code, (B, 1))) for code in codes], -1)
+    every = critic.apply(params["critic"], features, actions, codes, method="of_all")
+    np.testing.assert_allclose(every, alone, atol=1e-6)
+    repeated = jnp.repeat(actions[:, None], G, axis=1)
+    each = critic.apply(params["critic"], features, repeated, codes, method="of_each")
+    np.testing.assert_allclose(each, alone, atol=1e-6)
+
+
+def test_td3_under_all_goals_is_td3_under_each():
+    """Without noise, the loss is the mean over goals of TD3's own critic loss; a goal without weight is left out."""
+    critic, actor, params, features, actions, codes = critic_of_vectors()
+    keys = jax.random.split(jax.random.key(2), 2)
+    reward = jax.random.bernoulli(keys[0], 0.3, (B, G)).astype(jnp.float32)
+    under = AllGoals(jnp.ones(G).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
+    batch = batch_of(features, features + 1.0, actions, under, None)
+    found, _ = all_goals.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
+    joined, losses = td3.OfInputs(critic, F), []
+    for goal in (0, 1, 3, 4, 5, 6):
+        code = jnp.tile(codes[goal], (B, 1))
+        arrived = jnp.concatenate([features + 1.0, code], axis=-1)
+        following = td3.next_value(keys[1], actor, joined, params, arrived, 0.0)
+        target = reward[:, goal] + under.discount[:, goal] * following
+        inputs = jnp.concatenate([features, code], axis=-1)
+        losses.append(td3.losses(actor, joined, params, inputs, actions, target, huber=True).critic)
+    np.testing.assert_allclose(found, np.mean(losses), rtol=1e-5)

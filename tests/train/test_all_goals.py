@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, make_train, presets
+from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
@@ -104,7 +105,7 @@ def test_goals_of_the_hand_made_rooms_are_learned(method):
 def test_what_does_not_go_together_is_refused():
     env = hand_made.environment()
     for changes, blame in (
-        ({"relabelling": "all_goals", "agent": "hrac"}, "hrac"),
+        ({"relabelling": "all_goals", "agent": HRACConfig()}, "agent hrac values one goal at a time"),
         ({"relabelling": "all_goals", "learner": InfoBotConfig(state_conditioned=True)}, "depends on the state"),
         ({"relabelling": "all_goals", "explorer": "sse_db"}, "sse_db"),
         ({"learner": "index", "agent": presets.load("object_search").agent}, "go together only"),
