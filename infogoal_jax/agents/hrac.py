@@ -43,10 +43,10 @@ class HRACConfig:
     """Size of the adjacency network's code."""
     cell: float = 0.05
     """Side of the cells of the adjacency matrix, in m or radians."""
-    head: Literal["concatenated", "product"] = "concatenated"
+    critic: Literal["concatenated", "product"] = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
     head (docs/all_goals.md)."""
-    head_size: int = 128
+    critic_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
@@ -80,8 +80,8 @@ class HRACConfig:
                 getattr(self, name),
                 "give widths greater than 0",
             )
-        require(self.head in ("concatenated", "product"), "agent.head", self.head, "give concatenated or product")
-        for name in ("num_decisions", "adjacency_size", "head_size"):
+        require(self.critic in ("concatenated", "product"), "agent.critic", self.critic, "give concatenated or product")
+        for name in ("num_decisions", "adjacency_size", "critic_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 
 
@@ -112,15 +112,15 @@ def length(vectors: jax.Array) -> jax.Array:
 
 
 def traits(config: HRACConfig) -> AgentTraits:
-    """Its actions are target states; the product head learns from all goals at once."""
-    return AgentTraits("target_states", all_goals=config.head == "product")
+    """Its actions are target states; product critics learn from all goals at once."""
+    return AgentTraits("target_states", all_goals=config.critic == "product")
 
 
 def make(config: HRACConfig, env) -> Agent:
     """HRAC's high level over the target states of this environment (`train.hierarchy.SubgoalEnv`)."""
     space = env.space
-    actor, several = td3.Actor(config.hidden, space.size), config.head == "product"
-    product = td3.TwinProductCritic(config.hidden, config.head_size, config.bounded)
+    actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
+    product = td3.TwinProductCritic(config.hidden, config.critic_size, config.bounded)
     concatenated = td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)

@@ -23,7 +23,10 @@ METHODS = (
 """What can be asked for by one name. Learners, relabellings and explorers can be combined by their own names too."""
 del METHODS["index"]
 
-AGENT_FIELDS = {"all_goals": {"head": "product", "bounded": True, "num_steps": 1}, "index": {"head": "index"}}
+AGENT_FIELDS = {
+    "all_goals": {"head": "product", "critic": "product", "bounded": True, "num_steps": 1},
+    "index": {"head": "index"},
+}
 """What a relabelling, and then a learner, changes in the configuration of an agent that has such fields."""
 
 

@@ -136,7 +136,10 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
         return
     if not traits_of(config.agent).all_goals:
         yield Refusal(
-            "relabelling", "all_goals", f"agent {agent} values one goal at a time", "give --agent.head product, or her"
+            "relabelling",
+            "all_goals",
+            f"agent {agent} values one goal at a time",
+            "give dqn or cql, hrac with --agent.critic product, or her",
         )
     if learner.condition is not None:
         yield Refusal(

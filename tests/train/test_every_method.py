@@ -42,7 +42,8 @@ def train_of(task: str, method: str):
     preset = presets.load(task, method)
     changes = {name: getattr(preset, name) for name in ("relabelling", "explorer")}
     config = make_config(parts.learner, **SHORT, **changes)
-    head = {name: getattr(preset.agent, name) for name in ("head", "bounded")}
+    names = [name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name)]
+    head = {name: getattr(preset.agent, name) for name in names}
     return make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, **head)), make_environment())
 
 
