@@ -67,7 +67,7 @@ def end_at_random(kind: str, whole, folder: Path, number: int, times: int) -> di
     other, seconds = whole(kind)
     counts = {"stopped": 0, "finished": 0}
     while counts["stopped"] < times or counts["finished"] == 0:
-        process = killed_run.start(kind, folder / str(counts["finished"]))
+        process, started = killed_run.start(kind, folder / str(counts["finished"])), time.monotonic()
         last = counts["stopped"] >= times
         process.join(LONGEST if last else random.uniform(0.0, 1.1) * seconds)
         if process.is_alive():
@@ -81,6 +81,7 @@ def end_at_random(kind: str, whole, folder: Path, number: int, times: int) -> di
         if process.exitcode == 0:
             check_same(kind, folder / str(counts["finished"]), other)
             counts["finished"] += 1
+            seconds = min(seconds, time.monotonic() - started)  # The machine may be less busy than before.
         else:
             assert process.exitcode != killed_run.REFUSED
     print(f"{kind}: {counts}")
