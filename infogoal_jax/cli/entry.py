@@ -11,8 +11,6 @@ import threading
 
 from infogoal_jax import stopping
 
-WITH_OWN_SIGNALS = ("fly", "record")
-"""Commands that must not end before a drone has landed: they run in the main thread and take the signals themselves."""
 STACK = 64 * 2**20
 """Bytes; a thread's own default is too small for deep programs on some platforms."""
 
@@ -29,9 +27,6 @@ def main() -> int:
         except SystemExit as stopped:  # After a help, and for a flag that is none.
             status.append(stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None))
 
-    if sys.argv[1:2] and sys.argv[1] in WITH_OWN_SIGNALS:
-        command()
-        return status[0]
     with stopping.stop_on_signal(at_once=stopping.leave):
         threading.stack_size(STACK)
         thread = threading.Thread(target=command, name="command")

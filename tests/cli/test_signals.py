@@ -93,32 +93,22 @@ def test_a_loop_finishes_its_chunk_first(number):
     assert status == 130 and printed == "files are whole\n" and "Stopping after this chunk, with a checkpoint" in errors
 
 
-@pytest.mark.parametrize("command", ["fly", "record"])
-def test_a_command_that_flies_has_its_signals_to_itself(command):
-    """A drone lands first: its own handlers work in the main thread alone."""
-    code = f"""
-import sys, types
-from infogoal_jax.cli import entry
-from infogoal_jax.drone.signals import Interrupted, Signals
-
-def command():
-    signals = Signals()
-    try:
-        with signals:
-            print("ready", flush=True)
-            import time
-            time.sleep(60)
-    except Interrupted as end:
-        print("lands after", end, flush=True)
-        return 130
-
-sys.argv = ["infogoal", {command!r}]
-sys.modules["infogoal_jax.cli.main"] = types.SimpleNamespace(main=command)
-sys.exit(entry.main())
+def test_no_signal_ends_a_flight_before_the_landing():
+    """Not even the second one: signals are noted, and the flight lands."""
+    wait = """
+        from infogoal_jax.drone.signals import Signals
+        with Signals() as signals:
+            print("in the air", flush=True)
+            [time.sleep(0.01) for _ in iter(lambda: signals.count == 2, True)]
+            print("landed", flush=True)
 """
-    process = started(code)
+    process = started(COMMAND.format(finishing="", wait=wait))
+    assert process.stdout.readline() == "in the air\n"
     process.send_signal(signal.SIGINT)
-    assert ended(process)[:2] == (130, "lands after SIGINT\n")
+    time.sleep(0.2)
+    process.send_signal(signal.SIGTERM)
+    status, printed, _ = ended(process)
+    assert (status, printed) == (130, "landed\nfiles are whole\n")
 
 
 def test_a_second_signal_stops_at_once():
