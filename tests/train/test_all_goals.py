@@ -14,6 +14,7 @@ from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.all_goals import draw_goals, under_all_goals
+from infogoal_jax.train.combinations import check_combination
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
 
@@ -105,13 +106,14 @@ def test_goals_of_the_hand_made_rooms_are_learned(method):
 def test_what_does_not_go_together_is_refused():
     env = hand_made.environment()
     for changes, blame in (
-        ({"relabelling": "all_goals", "agent": HRACConfig()}, "agent hrac values one goal at a time"),
         ({"relabelling": "all_goals", "learner": InfoBotConfig(state_conditioned=True)}, "depends on the state"),
         ({"relabelling": "all_goals", "explorer": "sse_db"}, "sse_db"),
         ({"learner": "index", "agent": presets.load("object_search").agent}, "go together only"),
     ):
         with pytest.raises(UserError, match=blame):
             make_train(hand_made.config("none", **changes), env)
+    with pytest.raises(UserError, match="agent hrac values one goal at a time"):
+        check_combination(presets.load("fetch_reach", "none", agent=HRACConfig(), relabelling="all_goals"))
     config = hand_made.config("none")
     with pytest.raises(UserError, match="agent.head = 'index'"):
         make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, head="index")), env)

@@ -42,7 +42,9 @@ def train_of(task: str, method: str):
     preset = presets.load(task, method)
     changes = {name: getattr(preset, name) for name in ("relabelling", "explorer")}
     config = make_config(parts.learner, **SHORT, **changes)
-    names = [name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name)]
+    names = [
+        name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name) and hasattr(config.agent, name)
+    ]
     head = {name: getattr(preset.agent, name) for name in names}
     return make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, **head)), make_environment())
 
