@@ -4,6 +4,7 @@ order of the files."""
 import gc
 import os
 import shutil
+import signal
 import tempfile
 from pathlib import Path
 
@@ -82,6 +83,14 @@ def pytest_collection_modifyitems(items):
     """Files in the order of `LONGEST_FIRST`, the others after them as they were."""
     rank = {f"test_{name}.py": number for number, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def as_from_a_terminal():
+    """Let Ctrl-C reach the tests and what they start: a shell begins its background jobs with SIGINT ignored, and
+    processes inherit that."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True, scope="module")
