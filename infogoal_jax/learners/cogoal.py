@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.learners import none
-from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, check_pairs
 from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
 from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec, encode_each
 
@@ -34,16 +34,7 @@ class CoGoalConfig(GoalEncoderConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        for name in ("num_pairs", "num_negatives"):
-            require(
-                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
-            )
-        require(
-            0 <= self.window <= config.env.episode_length,
-            "learner.window",
-            self.window,
-            f"must lie between 0 and the episode length, {config.env.episode_length}",
-        )
+        check_pairs(self, config)
         require(self.norm_penalty >= 0, "learner.norm_penalty", self.norm_penalty, "give 0 or more, for example 1e-5")
 
 

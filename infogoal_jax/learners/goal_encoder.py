@@ -26,3 +26,16 @@ class GoalEncoderConfig:
             self.hidden,
             "give widths greater than 0, for example 128 128 128",
         )
+
+
+def check_pairs(learner, config) -> None:
+    """Raise `UserError` for numbers of goal pairs, and a window to pair goals within, that are out of range."""
+    for name in ("num_pairs", "num_negatives"):
+        value = getattr(learner, name)
+        require(value > 0, f"learner.{name}", value, "give a whole number greater than 0")
+    require(
+        0 <= learner.window <= config.env.episode_length,
+        "learner.window",
+        learner.window,
+        f"must lie between 0 and the episode length, {config.env.episode_length}",
+    )

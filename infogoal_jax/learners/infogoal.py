@@ -16,7 +16,7 @@ from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import information
-from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, check_pairs
 from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, SampleSpec, Visited, encode_each
 
@@ -50,16 +50,7 @@ class InfoGoalConfig(GoalEncoderConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        for name in ("num_pairs", "num_negatives"):
-            require(
-                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
-            )
-        require(
-            0 <= self.window <= config.env.episode_length,
-            "learner.window",
-            self.window,
-            f"must lie between 0 and the episode length, {config.env.episode_length}",
-        )
+        check_pairs(self, config)
         require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")
         require(self.score in ("distance", "bilinear"), "learner.score", self.score, "give distance or bilinear")
         require(

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
 from infogoal_jax.report.runs import Run
@@ -51,6 +52,21 @@ class Subject:
 def room_colour(region: int) -> str:
     """The colour of a room."""
     return ROOM_COLOURS[region % len(ROOM_COLOURS)]
+
+
+def write_room(axes: Axes, positions: np.ndarray, region: int, name: str, zorder: float) -> None:
+    """Write the name of a room in its colour, in the middle of these positions [M, 2]."""
+    axes.text(
+        *np.median(positions, axis=0),
+        name,
+        color=room_colour(region),
+        fontsize=8,
+        weight="bold",
+        ha="center",
+        va="center",
+        zorder=zorder,
+        path_effects=[withStroke(linewidth=3, foreground="white")],
+    )
 
 
 def in_words(name: str, longest: int = 44) -> str:

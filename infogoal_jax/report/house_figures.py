@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, write_room
 from infogoal_jax.report.walks import (
     Walk,
     from_farthest,
@@ -97,17 +97,7 @@ def draw_plan(axes: Axes, env, plan: Plan, part: int) -> None:
     for region, name in enumerate(env.goals.region_names):
         seeing = shown & in_view[:, regions == region].any(1)
         if seeing.any():
-            axes.text(
-                *np.median(plan.position[seeing, :2], axis=0),
-                name,
-                color=room_colour(region),
-                fontsize=8,
-                weight="bold",
-                ha="center",
-                va="center",
-                zorder=7,
-                path_effects=[withStroke(linewidth=3, foreground="white")],
-            )
+            write_room(axes, plan.position[seeing, :2], region, name, zorder=7)
     low, high = plan.position[shown, :2].min(0) - plan.spacing, plan.position[shown, :2].max(0) + plan.spacing
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from infogoal_jax.envs.embodied_qa import EmbodiedQA
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour, write_room
 from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
 from infogoal_jax.report.walks import (
     Walk,
@@ -103,17 +103,7 @@ def draw_shelf(axes: Axes, env, shelf: Shelf) -> None:
     for region, name in enumerate(env.goals.region_names):
         seeing = places_in_view(env, shelf, regions == region)
         if len(seeing):
-            axes.text(
-                *np.median(shelf.places[seeing], axis=0),
-                name,
-                color=room_colour(region),
-                fontsize=8,
-                weight="bold",
-                ha="center",
-                va="center",
-                zorder=5.5,
-                path_effects=[withStroke(linewidth=3, foreground="white")],
-            )
+            write_room(axes, shelf.places[seeing], region, name, zorder=5.5)
     low, high = shelf.places.min(0) - 0.75 * shelf.side, shelf.places.max(0) + 0.75 * shelf.side
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

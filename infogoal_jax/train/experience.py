@@ -55,6 +55,12 @@ def usable_mask(config, env) -> jax.Array:
     )
 
 
+def goals_to_learn(experience: Experience, env) -> jax.Array:
+    """Goals that something may be learned of: known ones, and training goals, which are desired from the start; bool
+    [N]."""
+    return experience.known | env.goals.train_mask
+
+
 def usable_goals(env, record, usable: jax.Array) -> jax.Array:
     """Goals achieved in these records that may enter representation learning: int32 [..., K], padded with -1."""
     goals = env.goals_of(record)

@@ -10,7 +10,7 @@ from infogoal_jax import replay
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train import all_goals
-from infogoal_jax.train.experience import Experience, usable_goals
+from infogoal_jax.train.experience import Experience, goals_to_learn, usable_goals
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
@@ -73,10 +73,10 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(pairs=sample_pairs(spec, env, experience, pair_key))
     if spec.num_goals:
         drawn = drawn.replace(
-            goals=goal_pairs.choose_from_mask(goals_key, experience.known | env.goals.train_mask, (spec.num_goals,))
+            goals=goal_pairs.choose_from_mask(goals_key, goals_to_learn(experience, env), (spec.num_goals,))
         )
     if all_goals.spec_of(parts) is not None:
-        known, goals_key = experience.known | env.goals.train_mask, jax.random.fold_in(key, 5)
+        known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
         drawn = drawn.replace(
             all_goals=all_goals.draw_goals(all_goals.spec_of(parts), known, drawn.achieved, goals_key)
         )
@@ -121,8 +121,8 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
         negative, negative_weight = goal_pairs.sample_negatives(
             keys[4], experience.dissimilarity, experience.known, contrast
         )
-    # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
     else:
+        # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
         negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
         negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)

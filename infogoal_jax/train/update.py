@@ -16,7 +16,7 @@ from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.all_goals import spec_of, under_all_goals
 from infogoal_jax.train.encoding import encode_states, training_view
-from infogoal_jax.train.experience import Experience
+from infogoal_jax.train.experience import Experience, goals_to_learn
 from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
 
 
@@ -156,7 +156,7 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         )
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
         if spec_of(parts) is not None:
-            known, noise_key = experience.known | env.goals.train_mask, jax.random.fold_in(key, 5)
+            known, noise_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
             codes = codes.replace(
                 all_goals=under_all_goals(
                     parts, env, hyper, params, targets, batch, drawn.all_goals, known, view_key, noise_key

@@ -1,10 +1,9 @@
 """The synthetic house: the same seed gives the same house, moves can be undone, and the task is not too easy."""
 
-import json
-
 import numpy as np
 import pytest
 import scipy.io
+from hand_made_house import TINY
 
 from infogoal_jax import envs
 from infogoal_jax.data import archives, scene_images
@@ -14,20 +13,6 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.stand_ins import house, house_layout
 
 SEEDS = (0, 1, 2, 100, 101)
-TINY = {"node_spacing": 1.2, "image_width": 64}
-
-
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
-    """Folder of a tiny house: 64 x 36 pixels, nodes 1.2 m apart."""
-    root = tmp_path_factory.mktemp("tiny_house")
-    house.build_house(root, seed=3, **TINY)
-    return root
-
-
-@pytest.fixture(scope="module")
-def annotations(tiny):
-    return json.loads((tiny / "Home_101_1" / "annotations.json").read_text())
 
 
 @pytest.fixture(scope="module", params=SEEDS)

@@ -1,27 +1,10 @@
 """Boxes of objects in pictures of the synthetic house: where the pinhole camera has them, cut by what hides them."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
 
 from infogoal_jax.stand_ins import house, house_render
-
-TINY = {"node_spacing": 1.2, "image_width": 64}
-
-
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
-    """Folder of a tiny house: 64 x 36 pixels, nodes 1.2 m apart."""
-    root = tmp_path_factory.mktemp("tiny_house")
-    house.build_house(root, seed=3, **TINY)
-    return root
-
-
-@pytest.fixture(scope="module")
-def annotations(tiny):
-    return json.loads((tiny / "Home_101_1" / "annotations.json").read_text())
 
 
 def scene_of(*blocks):

@@ -6,6 +6,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from goal_banks import NAMES, differing_pixels
 
 from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
@@ -13,21 +14,9 @@ from infogoal_jax.envs.fetch import goal_choice, goal_rendering
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 
-NAMES = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 SHAPES = {"fetch_reach": (13, 13, 13), "fetch_push": (13, 13, 1), "fetch_pick_and_place": (13, 13, 19)}
 
 each_task = pytest.mark.parametrize("name", NAMES)
-
-
-@pytest.fixture(scope="module")
-def banks():
-    return {name: goal_images.load(goal_images.shipped(name), name) for name in NAMES}
-
-
-def differing_pixels(images: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """In how many pixels images differ by more than 16 of 255 in some colour."""
-    difference = np.maximum(images, others) - np.minimum(images, others)  # Of bytes, without going below 0.
-    return (difference.max(-1) > 16).sum((-1, -2))
 
 
 @each_task

@@ -5,25 +5,12 @@ import sys
 
 import numpy as np
 import pytest
+from goal_banks import NAMES, differing_pixels
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN
 from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.errors import UserError
-
-NAMES = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
-
-
-@pytest.fixture(scope="module")
-def banks():
-    return {name: goal_images.load(goal_images.shipped(name), name) for name in NAMES}
-
-
-def differing_pixels(images: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """In how many pixels images differ by more than 16 of 255 in some colour."""
-    difference = np.maximum(images, others) - np.minimum(images, others)  # Of bytes, without going below 0.
-    return (difference.max(-1) > 16).sum((-1, -2))
 
 
 def test_without_gymnasium_robotics_the_builder_says_what_to_install(monkeypatch, tmp_path, capsys):
