@@ -165,8 +165,8 @@ QUEUE = {
     "reach_infogoal_corruption": Trial(
         "fetch_reach", "infogoal", None, FETCH | {"training_corruption": 0.4}, THRESHOLDS, seeds=3
     ),
-    # On PickAndPlace it takes HER and corrupted training goals together. On Reach each was tried alone. And what do both
-    # give without InfoGoal?
+    # On PickAndPlace it takes HER and corrupted training goals together. On Reach each was tried alone. And what do
+    # both give without InfoGoal?
     **{
         f"reach_{name}{ending}": Trial("fetch_reach", method, relabelling, FETCH | corruption | changed, lanes, seeds=3)
         for ending, corruption in (("", {}), ("_corruption", {"training_corruption": 0.4}))
