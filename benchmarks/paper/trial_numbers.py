@@ -5,7 +5,7 @@ the tables made of it.
     known_goals                      the protocol; empty in older rows, which were all under `visited`
     KIND/success_rate                of each kind of goals
     learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them
-    train_goal/, test_goal/code_error  resolution of the code: degrees on the cube, metres on Fetch
+    KIND/code_error, readout_error   what the code says of the goal (probe.py): degrees on the cube, metres on Fetch
     machine                          device, versions and date
 
 A cell is empty where a trial has no such number.
@@ -34,6 +34,13 @@ SUCCESS = (
     "corrupted_test_goal",
     "test_goal_mean_code",
 )
+
+PROBED = {
+    f"{kind}/{error}": f"{words}, {said}"
+    for error, said in {"code_error": "nearest code", "readout_error": "read out"}.items()
+    for kind, words in {"test_goal": "test", "corrupted_test_goal": "corrupted test"}.items()
+}
+"""Columns of the probe's table."""
 
 Row = dict[str, str]
 
@@ -126,6 +133,25 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
     return markdown(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+
+
+def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
+    """A line for every lane that the probe looked at, at its last evaluations. units: the unit of the errors of each
+    trial, with its decimals."""
+    lines, machines = [], {}
+    for trial, (unit, decimals) in units.items():
+        own = [row for row in rows if row["trial"] == trial and row.get("test_goal/readout_error")]
+        last = sorted({int(row["updates"]) for row in own})[-LAST:]
+        for lane in dict.fromkeys(row["lane"] for row in own):
+            shown = [row for row in own if row["lane"] == lane and int(row["updates"]) in last]
+            errors = [show(seed_means(shown, column), decimals) for column in PROBED]
+            success = [
+                show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in ("test_goal", "corrupted_test_goal")
+            ]
+            lines.append([f"`{trial}`", lane, f"{last[0]:,} to {last[-1]:,}", unit, *errors, *success])
+            machines |= dict.fromkeys(row["machine"] for row in shown)
+    columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
+    return markdown(columns, lines) + f"\n\n{'; '.join(machines)}."
 
 
 def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:

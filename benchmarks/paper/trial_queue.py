@@ -57,6 +57,7 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""
 
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
+FINER_THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.98, 0.99, 0.995, 0.998)}
 MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.0005, 0.002, 0.005, 0.02)}
 RELATIVE = {"learner.beta_rule": "relative"}
 UNCOMPRESSED = {"no compression": {"learner.beta_step": 0.0, "learner.beta_start": 0.0}}
@@ -176,6 +177,19 @@ QUEUE = {
             ("infogoal_her_window_1", "infogoal", "her", {"learner.window": 1}, THRESHOLDS),
         )
     },
+    # A window of 1 lets a code be compressed on Reach: without HER too, as the paper has it, and on PickAndPlace?
+    **{
+        f"{name}_infogoal_window_1": Trial(
+            f"fetch_{name}", "infogoal", None, FETCH | {"learner.window": 1}, FINER_THRESHOLDS, seeds=3
+        )
+        for name in ("reach", "pick_and_place")
+    },
+    "reach_infogoal_her_window_1_relative": Trial(
+        "fetch_reach", "infogoal", "her", FETCH | RELATIVE | {"learner.window": 1}, MARGINS, seeds=3
+    ),
+    "reach_infogoal_her_window_1_thresholds": Trial(
+        "fetch_reach", "infogoal", "her", FETCH | {"learner.window": 1}, FINER_THRESHOLDS, seeds=3
+    ),
     # GCB's loss was tuned to 0.0015 of the agent's on Reach, which is the agent alone.
     "reach_gcb": Trial("fetch_reach", "gcb", None, FETCH, LEARNER_SHARES, seeds=3),
     "house_gcb": Trial("object_search", "gcb", None, HOUSE, LEARNER_SHARES, seeds=3),

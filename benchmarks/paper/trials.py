@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trial_numbers
+from probe import code_errors
 from trial_numbers import Row
 from trial_queue import ALL_GOALS_TABLES, COMPARISONS, QUEUE, TABLES, Trial
 from tuning_study import tuning_house
@@ -31,9 +32,7 @@ from tuning_study import tuning_house
 from infogoal_jax import compiled, jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
-from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
@@ -77,23 +76,6 @@ def commanded_by_name(env):
     return env.replace(goals=env.goals.replace(inputs=heard))
 
 
-def code_errors(train, params, goals: jax.Array) -> jax.Array:
-    """How far each of these goals [M] lies from the one whose mean code is nearest to a code drawn for it, in degrees
-    or metres.
-
-    That is the resolution of the code, to be held beside the tolerance of success: 10 degrees, 5 cm.
-    """
-    env, learner = train.env, train.parts.learner
-    table = encode_all(learner, params["goal"], env.goals).mean
-    drawn = learner.encode(params["goal"], env.goals.inputs_of(goals)).sample(jax.random.key(0))
-    nearest = jax.lax.map(lambda code: jnp.abs(table - code).mean(-1).argmin(), drawn)
-    if not isinstance(env.unwrapped, ObjectManipulation):
-        return jnp.linalg.norm(env.goal_positions[goals] - env.goal_positions[nearest], axis=-1)
-    pose = env.unwrapped.goal_quaternion
-    cosine_of_half = jnp.abs((pose[goals] * pose[nearest]).sum(-1))
-    return jnp.degrees(2 * jnp.arccos(jnp.minimum(cosine_of_half, 1.0)))
-
-
 def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     """Train every lane and seed of a trial, one row for each evaluation of each."""
     config = configuration(trial, folder)
@@ -130,7 +112,9 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
             }
             seconds = time.time() - before
             for group, goals in posed.items():
-                metrics[f"{group}/code_error"] = np.asarray(errors(states.params, goals)).mean(1)
+                for error, values in errors(states.params, goals).items():
+                    prefix = "corrupted_" if error.startswith("corrupted_") else ""
+                    metrics[f"{prefix}{group}/{error.removeprefix(prefix)}"] = np.asarray(values).mean(1)
             for lane, (label, seed) in enumerate(lanes):
                 row = {
                     "trial": name,
@@ -178,6 +162,10 @@ def tables(rows: list[Row]) -> dict[str, str]:
     for name, (trials, error) in grouped.items():
         if run := [trial for trial in trials if trial in done]:
             shown[name] = trial_numbers.table(rows, run, error)
+    probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
+    units = {trial: error for trials, error in grouped.values() for trial in trials if error and trial in probed}
+    if units:
+        shown["probe"] = trial_numbers.probe_table(rows, units)
     for name, pairs in COMPARISONS.items():
         if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
             shown[name] = trial_numbers.differences(rows, compared)
