@@ -86,7 +86,7 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     """The programs of every lane, trial by trial. Raises `UserError` if the memory of the devices is too small."""
     count = len(trials) * len(seeds)
     mesh = devices.seed_mesh(count)
-    together = memory.at_once(train, count, mesh)
+    together = lanes_at_once(train, count)
     by_lane, everywhere = (
         jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
     )
@@ -99,6 +99,11 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     shared = jax.device_put(train.env, everywhere)
     shape = jax.eval_shape(start, starts, shared)
     return Programs(start, go_on, starts, shared, shape, by_lane)
+
+
+def lanes_at_once(train: Train, count: int) -> int:
+    """How many of a device's lanes run beside each other. Raises `UserError` if not even one does."""
+    return memory.at_once(train, count, devices.seed_mesh(count), "trials x seeds")
 
 
 def side_by_side(
@@ -140,7 +145,8 @@ def check_fits(train: Train, programs: Programs, count: int) -> None:
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
     with without_garbage_collection():
         traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
-    memory.check_program(traced, memory.bytes_of((programs.shape, train.env)), train, count, programs.by_lane.mesh)
+    held = memory.bytes_of((programs.shape, train.env))
+    memory.check_program(traced, held, train, count, programs.by_lane.mesh, "trials x seeds")
 
 
 def plan_of(result: TuneResult) -> Plan:

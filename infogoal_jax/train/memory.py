@@ -8,15 +8,14 @@ holds at once at least, whatever the sizes are that ask for it.
 import dataclasses
 import math
 import os
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
 from infogoal_jax import presets
-from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs.checkpoint import is_key
 from infogoal_jax.train.program import Train, make_train
@@ -85,23 +84,30 @@ def episode_bytes(train: Train, starts: int) -> int:
 
 
 def seeds_at_once(
-    state_bytes: int, extra_bytes: int, env_bytes: int, num_seeds: int, memory: int, devices: int = 1
+    state_bytes: int,
+    extra_bytes: int,
+    env_bytes: int,
+    num_seeds: int,
+    memory: int,
+    devices: int = 1,
+    name: str = "seeds",
 ) -> int:
     """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that
     divides their number.
 
     Raises `UserError` if not even their states fit and one of them. state_bytes: carried for each of the `num_seeds` of
     the device, and once more for those that run in a slice; extra_bytes: `working_bytes` of each that runs; env_bytes:
-    held once; devices: how many there are, for the message.
+    held once; devices: how many there are, for the message; name: of their number, for it too.
     """
     room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
     if num_seeds * (state_bytes + running) <= room:
         return num_seeds
     fitting = int((room - num_seeds * state_bytes) // (state_bytes + running))
-    most = devices * max(0, int((room - state_bytes - running) // state_bytes))
+    alone = int(state_bytes + running <= room)
+    most = devices * max(alone, int((room - state_bytes - running) // state_bytes))
     require(
         fitting > 0,
-        "seeds",
+        name,
         num_seeds * devices,
         f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, a device has "
         f"{memory / GIB:.1f} GiB: give at most {most}",
@@ -118,8 +124,8 @@ def divisors(number: int) -> Iterator[int]:
 
 
 def peak_bytes(program: Jaxpr | ClosedJaxpr) -> int:
-    """Bytes that a traced program holds at once at least, beside its arguments: results of `WRITTEN_OUT` operations
-    from where they are made to where they are used last."""
+    """Bytes that a traced program holds at once at least, beside its arguments: results of `WRITTEN_OUT` operations and
+    what scans read step by step, from where they are made to where they are used last."""
     jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
     last_use = {
         variable: number
@@ -128,12 +134,13 @@ def peak_bytes(program: Jaxpr | ClosedJaxpr) -> int:
         if not isinstance(variable, Literal)
     }
     last_use |= {variable: len(jaxpr.eqns) for variable in jaxpr.outvars if not isinstance(variable, Literal)}
+    scanned = {variable for equation in jaxpr.eqns for variable in scanned_by(equation)}
     held, most, ends = 0, 0, {}
     for number, equation in enumerate(jaxpr.eqns):
         inside = [peak_bytes(inner) for value in equation.params.values() for inner in inner_programs(value)]
         made = 0
-        if equation.primitive.name in WRITTEN_OUT:
-            for variable in equation.outvars:
+        for variable in equation.outvars:
+            if equation.primitive.name in WRITTEN_OUT or variable in scanned:
                 size = array_bytes(variable.aval)
                 made += size
                 end = last_use.get(variable, number)
@@ -141,6 +148,14 @@ def peak_bytes(program: Jaxpr | ClosedJaxpr) -> int:
         most = max(most, held + max(made, *inside, 0))
         held += made - ends.pop(number, 0)
     return most
+
+
+def scanned_by(equation: JaxprEqn) -> list[Var]:
+    """The variables that a scan reads an element of at each step; none of another operation."""
+    if equation.primitive.name != "scan":
+        return []
+    first = equation.params["num_consts"] + equation.params["num_carry"]
+    return [variable for variable in equation.invars[first:] if not isinstance(variable, Literal)]
 
 
 def needed_bytes(train: Train, num_seeds: int) -> float:
@@ -154,38 +169,57 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
     return num_seeds * carried + running + bytes_of(train.env)
 
 
-def check_program(traced: Any, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh) -> None:
+def check_program(
+    traced: Any, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
+) -> None:
     """Raise `UserError`, naming the field that is to blame, if a traced program of all seeds cannot run.
 
-    held: bytes of its arguments on all devices of the mesh together.
+    held: bytes of its arguments on all devices of the mesh together; name: of the number of seeds.
     """
     needed, memory = (held + peak_bytes(traced.jaxpr)) / mesh.size, mesh_memory(mesh)
     if needed > memory:
-        raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least")
+        raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)
 
 
-def to_blame(train: Train, num_seeds: int, memory: int, needs: str) -> UserError:
-    """The refusal that names the field which takes most: the one whose value in the task's preset, or 1 for seeds,
-    would leave the least to be needed."""
-    fields = {"seeds": (num_seeds, 1, lambda: needed_bytes(train, 1))} if num_seeds > 1 else {}
+def to_blame(train: Train, num_seeds: int, memory: int, needs: str, name: str) -> UserError:
+    """The refusal of training that names the field which takes most. name: of the number of seeds."""
     preset = presets.load(train.config.task, **presets.names_of(train.config))
-    for name, value, usual in larger_fields(train.config, preset):
-        fields[name] = value, usual, lambda name=name, usual=usual: with_usual(train, name, usual, num_seeds)
+    fields = [
+        Larger(field, value, usual, lambda field=field, usual=usual: with_usual(train, field, usual, num_seeds))
+        for field, value, usual in larger_fields(train.config, preset)
+    ]
+    if num_seeds > 1 and needed_bytes(train, 1) <= MEMORY_SHARE * memory:  # Otherwise no number of seeds would do.
+        fields.insert(0, Larger(name, num_seeds, 1, lambda: needed_bytes(train, 1)))
+    return refusal(fields, train.config.task, memory, needs)
+
+
+class Larger(NamedTuple):
+    """A field that has a larger value than usual. needed: () -> bytes that would be needed with the usual one."""
+
+    name: str
+    value: Any
+    usual: Any
+    needed: Callable[[], float]
+
+
+def refusal(fields: list[Larger], task: str, memory: int, needs: str) -> UserError:
+    """The refusal that names the field whose usual value would leave the least to be needed. needs: what takes more
+    than `memory` bytes, in words."""
     room = f"a device has {memory / GIB:.1f} GiB"
     if not fields:
-        return UserError(f"task = {train.config.task!r}: {needs}, {room}: give smaller sizes, or take a larger device")
-    name = min(fields, key=lambda name: fields[name][2]()) if len(fields) > 1 else next(iter(fields))
-    value, usual, _ = fields[name]
-    return UserError(f"{name} = {value!r}: {needs}, {room}: give a smaller value, such as {usual!r}")
+        return UserError(f"task = {task!r}: {needs}, {room}: give smaller sizes, or take a larger device")
+    blamed = min(fields, key=lambda field: field.needed()) if len(fields) > 1 else fields[0]
+    remedy = f"give a smaller value, such as {blamed.usual!r}"
+    return UserError(f"{blamed.name} = {blamed.value!r}: {needs}, {room}: {remedy}")
 
 
 def larger_fields(config: Any, preset: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
     """(dotted name, value, the preset's) of every whole number, and every list of them, that is larger than the
-    preset's. Those of the environment are left out: it is loaded."""
+    preset's."""
     for field in dataclasses.fields(config):
         value, usual = getattr(config, field.name), getattr(preset, field.name)
         if dataclasses.is_dataclass(value):
-            if field.name not in ("env", "hyper") and type(value) is type(usual):
+            if field.name != "hyper" and type(value) is type(usual):
                 yield from larger_fields(value, usual, f"{prefix}{field.name}.")
         elif size(value) is not None and size(value) > size(usual):
             yield f"{prefix}{field.name}", value, usual
@@ -200,23 +234,27 @@ def size(value: Any) -> float | None:
 
 def with_usual(train: Train, name: str, usual: Any, num_seeds: int) -> float:
     """Bytes that would be needed with another value of a field; none could be more where that makes no program."""
-    part, _, field = name.rpartition(".")
-    config: TrainConfig = train.config
-    changed = dataclasses.replace(getattr(config, part), **{field: usual}) if part else usual
     try:
-        other = make_train(dataclasses.replace(config, **{part or name: changed}), train.env)
+        other = make_train(with_field(train.config, name, usual), None if name.startswith("env.") else train.env)
     except UserError:
         return math.inf
     return needed_bytes(other, num_seeds)
 
 
-def at_once(train: Train, count: int, mesh: jax.sharding.Mesh) -> int:
+def with_field(config: Any, name: str, value: Any) -> Any:
+    """A configuration with another value of the field of this dotted name."""
+    part, _, field = name.rpartition(".")
+    changed = dataclasses.replace(getattr(config, part), **{field: value}) if part else value
+    return dataclasses.replace(config, **{part or name: changed})
+
+
+def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seeds") -> int:
     """How many of a device's seeds (or lanes) run beside each other. Raises `UserError`, naming the field that is to
-    blame, if not even one does."""
+    blame, if not even one does. name: of their number."""
     memory = mesh_memory(mesh)
     sizes = state_bytes(train), working_bytes(train), bytes_of(train.env)
     try:
-        return seeds_at_once(*sizes, count // mesh.size, memory, mesh.size)
+        return seeds_at_once(*sizes, count // mesh.size, memory, mesh.size, name)
     except UserError as error:
-        blamed = to_blame(train, count, memory, "training needs more")
-        raise (error if str(blamed).startswith("seeds") else blamed) from error
+        blamed = to_blame(train, count, memory, "training needs more", name)
+        raise (error if str(blamed).startswith(name) else blamed) from error

@@ -23,8 +23,9 @@ from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import nearest, require
 from infogoal_jax.hyperparameters import Search, search_space, values_of
+from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
-from infogoal_jax.train.lanes import side_by_side
+from infogoal_jax.train.lanes import lanes_at_once, side_by_side
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.trials import Trial, TuneResult, Watch
 
@@ -52,15 +53,14 @@ def check_fields(fields: Sequence[str], space: dict[str, Search]) -> None:
 def check_seeds(seeds: Sequence[int], trials: int) -> None:
     """Raise `UserError` for seeds that reported runs have, or for nothing to run."""
     require(trials > 0, "trials", trials, "give at least 1")
-    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
-    require(len(set(seeds)) == len(seeds), "seeds", list(seeds), "give different seeds")
+    host.check_seeds(seeds)
+    first = seeds[0] if isinstance(seeds, range) else min(seeds)
     require(
-        min(seeds) >= FIRST_SEED,
+        first >= FIRST_SEED,
         "first_seed",
-        min(seeds),
+        first,
         f"reported runs have the seeds 0, 1, 2, ...: give {FIRST_SEED} or more",
     )
-    require(max(seeds) < 2**32, "first_seed", max(seeds), "give seeds below 2^32")
 
 
 def scored_goals_only(env) -> tuple[Any, str]:
@@ -169,4 +169,6 @@ def scored_training(config: TrainConfig, trials: int, seeds: Sequence[int], env:
     check_seeds(seeds, trials)
     check_combination(config, env)
     env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
-    return make_train(config, env), group
+    train = make_train(config, env)
+    lanes_at_once(train, trials * len(seeds))
+    return train, group

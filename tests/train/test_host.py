@@ -15,8 +15,7 @@ import scipy.stats
 from places import TESTS
 
 from infogoal_jax import make_train
-from infogoal_jax.errors import UserError
-from infogoal_jax.train import host, memory
+from infogoal_jax.train import host
 
 ON_TWO_DEVICES = """
 import sys
@@ -76,17 +75,6 @@ def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, 
     losses = read_losses(tmp_path / "run")
     np.testing.assert_allclose(losses[:4], one_device, rtol=1e-3)
     assert len(losses) == 8 and losses[:4] != losses[4:]
-
-
-def test_slices_follow_from_the_memory_of_the_devices():
-    """Each of 10 seeds carries 100 bytes, takes 2 x 100 + 50 while it runs, and 100 more in a slice, which divides 10;
-    the environment takes 30."""
-    for bytes_that_may_be_filled, at_once in ((30 + 3520, 10), (30 + 3480, 5), (30 + 2420, 2), (30 + 1360, 1)):
-        assert memory.seeds_at_once(100, 50, 30, 10, round(bytes_that_may_be_filled / memory.MEMORY_SHARE)) == at_once
-    with pytest.raises(UserError, match="seeds = 10"):
-        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_SHARE))
-    with pytest.raises(UserError, match="seeds = 20.*give at most 18"):
-        memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_SHARE), 2)
 
 
 @pytest.mark.long

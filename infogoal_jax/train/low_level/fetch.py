@@ -19,6 +19,7 @@ from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.targets import TargetReaching, TargetSpace
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import nearest, require
+from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.hyperparameters import Number
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
@@ -91,6 +92,12 @@ class FetchPretrainConfig(PretrainConfig):
             f"no low level can be trained for it.{nearest(self.task, list(PRESETS))} Known: {', '.join(PRESETS)}",
         )
         require(self.num_envs >= 8, "num_envs", self.num_envs, "give at least 8: an eighth of them measure success")
+        require(
+            self.num_envs * self.buffer_epochs * self.episode_length <= LARGEST_WHOLE,
+            "num_envs * buffer_epochs * episode_length",
+            self.num_envs * self.buffer_epochs * self.episode_length,
+            f"the replay buffer holds so many transitions; give at most {LARGEST_WHOLE} together",
+        )
 
 
 @flax.struct.dataclass

@@ -28,6 +28,7 @@ from infogoal_jax.threefry import written_out
 from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.host import check_seeds
 from infogoal_jax.train.low_level import file as low_level_file
+from infogoal_jax.train.low_level.memory import check_fits
 from infogoal_jax.train.low_level.presets import make_agent
 from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
 from infogoal_jax.train.progress import ProgressLine, progress_line
@@ -79,13 +80,14 @@ def pretrain(
 ) -> Pretrained:
     """Train the low level of a task with these seeds in one program, and leave the best one in `folder`.
 
-    Raises `UserError` before any compilation for a folder that holds one already or is being written, or seeds that
-    cannot be used.
+    Raises `UserError` before any compilation for a folder that holds one already or is being written, for seeds that
+    cannot be used, and for sizes that need more memory than there is.
     """
     check_seeds(seeds)
     require(evaluation_episodes > 0, "evaluation_episodes", evaluation_episodes, "give a whole number greater than 0")
     check_new(folder, LOW_LEVEL)
     agent, words = make_agent(config), f"{config.task} low level x {len(seeds)}"
+    check_fits(agent, len(seeds))
     with stop_on_signal() as stop, only_writer(folder, new=LOW_LEVEL), progress_line(words, config.num_epochs) as line:
         stop.advice = f"{folder} holds no low level; start again"
         line.compiling()
@@ -136,11 +138,11 @@ def pretrain_in(
     run_seconds, stopped = time.perf_counter() - started, done < config.num_epochs
 
     low_levels = policy(states)
-    rounds = 1 if stopped else -(-evaluation_episodes // agent.num_measured)
-    measured = [
-        jax.device_get(run(low_levels, keys_of(EVALUATE, number), jnp.bool(False), hyper)[1])
-        for number in range(rounds)
-    ]
+    stop.finishing = "this round of episodes, with what was learned"
+    measured: list[dict[str, np.ndarray]] = []
+    while not measured or (not stop.requested and len(measured) * agent.num_measured < evaluation_episodes):
+        _, found = run(low_levels, keys_of(EVALUATE, len(measured)), jnp.bool(False), hyper)
+        measured.append(jax.device_get(found))
     reports = [
         {"seed": seed}
         | {name: round(float(np.mean([each[name][i] for each in measured])), 5) for name in agent.measured}
@@ -157,7 +159,7 @@ def pretrain_in(
         "kept": seeds[best],
         "chosen_by": CHOICE,
         "seeds": reports,
-        "evaluation_episodes": rounds * agent.num_measured,
+        "evaluation_episodes": len(measured) * agent.num_measured,
         "compile_seconds": round(compile_seconds, 1),
         "run_seconds": round(run_seconds, 1),
         "versions": versions(),

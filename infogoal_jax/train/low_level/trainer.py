@@ -15,6 +15,7 @@ import optax
 from infogoal_jax import hyperparameters
 from infogoal_jax.agents.low_level import LowLevelConfig
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import LARGEST_WHOLE
 
 INITIAL, COLLECT, UPDATE, EVALUATE = range(4)
 """Purposes for which keys are folded from the seed's key."""
@@ -44,6 +45,12 @@ class PretrainConfig:
             value = getattr(self, field.name)
             if isinstance(value, int) and not isinstance(value, bool):
                 require(value > 0, field.name, value, "give a whole number greater than 0")
+        require(
+            self.num_epochs * self.updates_per_epoch <= LARGEST_WHOLE,
+            "num_epochs * updates_per_epoch",
+            self.num_epochs * self.updates_per_epoch,
+            f"updates are numbered; give at most {LARGEST_WHOLE} together",
+        )
         require(
             len(self.network.hidden) > 0 and all(width > 0 for width in self.network.hidden),
             "network.hidden",
