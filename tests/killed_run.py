@@ -1,11 +1,13 @@
 """Runs of the hand-made task in processes of their own, to be killed: `python killed_run.py FOLDER`, or `start` below.
-A run that is there goes on."""
+A run that is there goes on, and says what it is doing at each moment."""
 
 import contextlib
 import dataclasses
+import functools
 import multiprocessing
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import flax.struct
@@ -13,10 +15,12 @@ import hand_made
 import jax
 import jax.numpy as jnp
 
+from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import tuning
 from infogoal_jax.report.canvas import empty_figure, save
+from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
@@ -25,6 +29,33 @@ from infogoal_jax.train.trials import Trial
 
 REFUSED = 2
 STOPPED = 130
+STARTING, COMPILING, TRAINING, WRITING, DRAWING = MOMENTS = ("starting", "compiling", "training", "writing", "drawing")
+moment = multiprocessing.get_context("forkserver").Value("i", 0, lock=False)
+"""What this process is doing, as a place in `MOMENTS`; that of a child is the one that `start` returns."""
+
+
+@contextlib.contextmanager
+def doing(what: str, afterwards: str | None = None):
+    """Inside, the process says that it does this, unless it draws; then what it did before, or `afterwards`."""
+    before = moment.value
+    if before != MOMENTS.index(DRAWING):
+        moment.value = MOMENTS.index(what)
+    try:
+        yield
+    finally:
+        moment.value = before if afterwards is None else MOMENTS.index(afterwards)
+
+
+def watched(module, name: str, what: str, afterwards: str | None = None) -> None:
+    """Let a function of a module say that it does this."""
+    function = getattr(module, name)
+
+    @functools.wraps(function)
+    def call(*arguments, **named):
+        with doing(what, afterwards):
+            return function(*arguments, **named)
+
+    setattr(module, name, call)
 
 
 def chunk_config(**changes):
@@ -83,10 +114,11 @@ def train(folder: Path) -> bool:
     )
     if not sweep.stopped:
         remove_abandoned(folder)
-        for number in range(3):
-            figure = empty_figure("a figure", (), (6, 4))
-            figure.add_subplot().plot(range(number + 2))
-            save(figure, folder / "figures" / f"{number}.png")
+        with doing(DRAWING):
+            for number in range(3):
+                figure = empty_figure("a figure", (), (6, 4))
+                figure.add_subplot().plot(range(number + 2))
+                save(figure, folder / "figures" / f"{number}.png")
     return not sweep.stopped
 
 
@@ -117,8 +149,14 @@ def short(folder: Path) -> bool:
     return not host.run(config, [0], folder, env=hand_made.environment()).stopped
 
 
-def child(kind: str, folder: str) -> None:
+def child(kind: str, folder: str, shared) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
+    global moment
+    moment = shared
+    jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
+    watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
+    watched(tables, "append_rows", WRITING)
+    watched(archives, "replace_file", WRITING)
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
         host.make_train = search.make_train = small_train
         try:
@@ -130,14 +168,15 @@ def child(kind: str, folder: str) -> None:
         os._exit(0 if finished else STOPPED)
 
 
-def start(kind: str, folder: Path) -> multiprocessing.Process:
-    """A process that runs `train`, `tune`, `final` or `short` in this folder; one that has everything imported forks
-    it, which saves seconds."""
+def start(kind: str, folder: Path) -> tuple[multiprocessing.Process, Callable[[], str]]:
+    """A process that runs `train`, `tune`, `final` or `short` in this folder, and what tells which of `MOMENTS` it is
+    at; one that has everything imported forks it, which saves seconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["killed_run"])
-    process = context.Process(target=child, args=(kind, str(folder)))
+    shared = context.Value("i", 0, lock=False)
+    process = context.Process(target=child, args=(kind, str(folder), shared))
     process.start()
-    return process
+    return process, lambda: MOMENTS[shared.value]
 
 
 if __name__ == "__main__":
