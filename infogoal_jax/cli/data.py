@@ -63,6 +63,8 @@ def import_images(
     with progress_bar("reading the images") as bar:
         dataset = import_folder(images, table, out, size, wrap, name, bar)
     print_size(out, dataset)
+    if dataset.detected is None:
+        print("No row names an object: embodied question answering needs a column `objects` that does.")
     print(f"Next: infogoal data check {shlex.quote(out)}")
     return 0
 

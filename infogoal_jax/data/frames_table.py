@@ -166,13 +166,8 @@ def read_poses(table: Path, rows: Rows, joints: tuple[str, ...]) -> dict:
         fields["joint_names"] = tuple(joint.removeprefix("joint_") for joint in joints)
     if "objects" in columns:
         seen = [{name.strip() for name in cells["objects"].split(";")} - {""} for _, cells in rows]
-        fields["objects"] = tuple(sorted(set().union(*seen)))
-        if not fields["objects"]:
-            raise UserError(
-                f"{table}: objects: no row names an object; remove the column, or name what is detected, separated by "
-                "semicolons"
-            )
-        fields["detected"] = np.array([[name in found for name in fields["objects"]] for found in seen])
+        if names := tuple(sorted(set().union(*seen))):  # A column that names none says no more than no column.
+            fields |= {"objects": names, "detected": np.array([[name in found for name in names] for found in seen])}
     return fields
 
 

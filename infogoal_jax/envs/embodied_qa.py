@@ -120,7 +120,12 @@ def lay_out(
     """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object
     that cannot be found."""
     given = config.dataset or data.about["name"]
-    require(data.detected is not None, "env.dataset", given, "tells no detections: import it with a column `objects`")
+    require(
+        data.detected is not None,
+        "env.dataset",
+        given,
+        "tells no detections: import it with a column `objects` that names what is in view",
+    )
     require(len(data.time) > 0, "env.dataset", given, "holds no recorded moves to learn from")
     goals_asked = asked.goals()
     unknown = sorted({goal.object for goal in goals_asked} - set(data.objects))

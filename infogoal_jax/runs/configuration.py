@@ -6,13 +6,23 @@ from pathlib import Path
 from typing import Any
 
 from infogoal_jax import presets
+from infogoal_jax.agents.dqn import DQNConfig
+from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
-from infogoal_jax.runs.decoding import Place, built, decode, decode_value
+from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
+from infogoal_jax.runs.decoding import Place, Record, built, decode, decode_value
 
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
+ADDED: dict[type, dict[str, Any]] = {
+    DQNConfig: {"head": "concatenated", "head_size": 128, "bounded": False},
+    HRACConfig: {"critic": "concatenated", "critic_size": 128, "bounded": False},
+    InfoGoalHyperparameters: {"beta_margin": 0.005},
+}
+"""Fields that a record of this format did not have from the beginning, each with the value that says what was done
+before. It stays when a default changes. Any other field that a file lacks is refused."""
 NOT_READ = Place(Path("a configuration"))
 
 
@@ -40,7 +50,7 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
             f"{place.path}: {place.prefix}format = {found!r}: this version of infogoal-jax reads runs of format "
             f"{FORMAT}; use the version that wrote the run"
         )
-    hints = hints_of(TrainConfig)
+    hints, values = hints_of(TrainConfig), with_added(TrainConfig, values)
     unknown = sorted(values.keys() - hints.keys() - {"format"})
     if unknown:
         raise place.wrong(unknown[0], values[unknown[0]], f"no such field. Known: {', '.join(hints)}")
@@ -50,7 +60,7 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
     names = {kind: name_of_part(values[kind], kind, place) for kind in presets.REGISTRIES}
     base = built(place, lambda: presets.load(decode_value(str, values["task"], "task", place), **names))
     records = {
-        name: decode(type(getattr(base, name)), without_name(values[name]), place.within(name), all_fields=True)
+        name: decode_record(type(getattr(base, name)), without_name(values[name]), place.within(name))
         for name in (*presets.REGISTRIES, "env", "state_encoder")
     }
     records["hyper"] = hyper_of(values["hyper"], base.hyper, place.within("hyper"))
@@ -70,13 +80,26 @@ def without_name(values: Any) -> Any:
     return {name: value for name, value in values.items() if name != "name"} if isinstance(values, dict) else values
 
 
+def decode_record(record: type[Record], values: Any, place: Place) -> Record:
+    """The record of a part, from a file with all its fields, or all but those that were added since."""
+    return decode(record, with_added(record, values), place, all_fields=True)
+
+
+def with_added(record: type, values: Any) -> Any:
+    """The values with the fields of a record, and of those that it extends, that were added since."""
+    if isinstance(values, dict):
+        for kind in record.__mro__:
+            values = ADDED.get(kind, {}) | values
+    return values
+
+
 def hyper_of(values: Any, base: Hyperparameters, place: Place) -> Hyperparameters:
     """The float hyperparameters, with those of the same parts as `base` has."""
     if not isinstance(values, dict):
         raise place.refusal("config.hyper should be an object")
     inner = {
-        kind: decode(type(getattr(base, kind)), values.get(kind), place.within(kind), all_fields=True)
+        kind: decode_record(type(getattr(base, kind)), values.get(kind), place.within(kind))
         for kind in ("learner", "agent")
     }
-    own = decode(Hyperparameters, values | dict.fromkeys(inner), place, all_fields=True)
+    own = decode_record(Hyperparameters, values | dict.fromkeys(inner), place)
     return own.replace(**inner)
