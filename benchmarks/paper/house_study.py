@@ -25,7 +25,7 @@ from paper_numbers import reported
 from study_numbers import Study, StudyRun
 
 from infogoal_jax import envs, presets
-from infogoal_jax.report.canvas import draw_curve, finish_share_axis, save
+from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
@@ -158,7 +158,7 @@ def learning_figure(results: Study) -> Figure:
         for (method, label), colour in zip(METHODS.items(), ("tab:orange", "tab:blue"), strict=True):
             values = runs[method].evaluations.values
             steps = values["env_steps"].mean(0) / 1e3
-            draw_curve(axes, steps, values["test_goal/success_rate"], colour, f"{label}, test goals")
+            draw_curve(axes, steps, values["test_goal/success_rate"], colour, f"{label}, test goals", SHARE)
             axes.plot(
                 steps,
                 values["train_goal/success_rate"].mean(0),
@@ -198,7 +198,8 @@ def main():
         study.write_baselines(
             lambda config=config: envs.load("object_search", config), place / "baselines.json", STARTS, START_SEED
         )
-    save(learning_figure(study.finish(arguments.out, report)), arguments.out / "learning.png")
+    with figure_style():
+        save(learning_figure(study.finish(arguments.out, report)), arguments.out / "learning.png")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,25 @@
 """Commands that have a subcommand for each task, because their flags are the fields of its configuration."""
 
+import shlex
 from typing import Any
 
 from infogoal_jax import presets
 from infogoal_jax.cli.choice import Choice, parts_of
 from infogoal_jax.cli.commands import Command, Group, TaskCommands, named
 from infogoal_jax.cli.flags import configuration_flags
+from infogoal_jax.errors import UserError
 
 
-def all_tasks(command: Command, help: str, arguments: list[str]) -> TaskCommands:
-    """The command for every task that has a preset, for the list of them. help: stands above it."""
+def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice) -> TaskCommands:
+    """The command for every task that has a preset, for the list of them. help: stands above it. Raises `UserError` if
+    there are flags, but no task before them."""
+    if arguments and not (choice.help or choice.help_all):
+        task = next((word for word in arguments if word in presets.registry), "TASK")
+        flags = [word for word in arguments if word != task]
+        raise UserError(
+            f"task = '': name the task first: {shlex.join(['infogoal', command.__name__, task, *flags])}"
+            + (f". Known: {', '.join(presets.registry)}" if task == "TASK" else "")
+        )
     group = Group(
         help,
         {

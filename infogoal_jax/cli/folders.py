@@ -25,6 +25,16 @@ def empty_folder(path: str | Path, flag: str) -> Path:
     return folder
 
 
+def check_resumed_in_place(resume: str, out: str) -> None:
+    """Raise `UserError` if what is gone on with was to be written somewhere else."""
+    require(
+        not (resume and out) or Path(resume).resolve() == Path(out).resolve(),
+        "out",
+        out,
+        f"what is gone on with stays in its folder, {resume}; leave the flag out, or copy the folder first",
+    )
+
+
 def check_seed(seed: int, flag: str = "seed") -> None:
     """Raise `UserError`, naming the flag, for what is no seed."""
     require(0 <= seed < 2**32, flag, seed, "give a seed from 0 to below 2^32")

@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
@@ -34,36 +35,55 @@ def evaluate(
     return 0
 
 
-def report(run: Positional[str]) -> int:
+def report(
+    run: Positional[str],
+    format: Literal["png", "pdf", "svg"] = "png",
+    captions: FlagCreatePairsOff[bool] = False,
+    style: str = "",
+) -> int:
     """Draw the figures of a run and print its table; of a flight, its path and its times.
 
     Args:
         run: Folder of the run, or of a flight of `infogoal fly`.
+        format: Of the figures.
+        captions: Write what stands above and below a figure into a text beside it, for a paper's captions.
+        style: Style sheet of matplotlib that is applied after the package's own.
     """
     if (Path(run) / "flight.jsonl").is_file():
         from infogoal_jax.report.flight_figures import report_flight
 
-        print(f"figure      {report_flight(Path(run))}")
+        print(f"figure      {report_flight(Path(run), format, captions, style)}")
         return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run
 
     print_run(Path(run))
-    for path in draw_figures(Path(run)):
+    for path in draw_figures(Path(run), None, format, captions, style):
         print(f"figure      {path}")
     return 0
 
 
-def compare(runs: Positional[tuple[str, ...]], out: str) -> int:
-    """Draw the success of several runs of one task in one figure.
+def compare(
+    runs: Positional[tuple[str, ...]],
+    out: str,
+    metrics: tuple[str, ...] = (),
+    captions: FlagCreatePairsOff[bool] = False,
+    style: str = "",
+) -> int:
+    """Draw several runs of one task in one figure: their success, or any metrics.
 
     Args:
         runs: Folders of the runs, in the order in which they are named in the figure.
-        out: File to write; must end in .png.
+        out: File to write; must end in .png, .pdf or .svg.
+        metrics: Columns of evaluations.csv or epochs.csv, a panel each, such as infogoal/beta agent/value; empty:
+            success while training, and by episode length.
+        captions: Write what stands above and below the figure into a text beside it, for a paper's caption.
+        style: Style sheet of matplotlib that is applied after the package's own.
     """
     from infogoal_jax.report.comparison_figures import draw_comparison
 
-    print(f"figure      {draw_comparison([Path(run) for run in runs], Path(out))}")
+    folders = [Path(run) for run in runs]
+    print(f"figure      {draw_comparison(folders, Path(out), None, metrics, captions, style)}")
     return 0
 
 
@@ -97,12 +117,12 @@ def check_fetch(
 def video(
     subject: Positional[str], out: str, episodes: int = 1, seed: int = 0, corruption: float = 0.0, height: int = 480
 ) -> int:
-    """Draw episodes of a run's policy, or of a random one, as an mp4.
+    """Draw episodes of a run's policy, or of a random one, as an mp4 or a GIF.
 
     Args:
         subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a
             random policy.
-        out: File to write; must end in .mp4.
+        out: File to write; must end in .mp4 or .gif.
         episodes: Episodes, one after the other.
         seed: Seed of starts, goals, actions and backgrounds.
         corruption: Weight of the backgrounds of the goal images that a run's policy sees, from 0 (clean) to 1.

@@ -8,7 +8,7 @@ from tyro.conf import FlagCreatePairsOff
 
 from infogoal_jax.cli.choice import AUTO, config_of_run, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import new_folder, seeds_from
+from infogoal_jax.cli.folders import check_resumed_in_place, new_folder, seeds_from
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -46,6 +46,8 @@ def train(
         0 when it finished, 130 when it was stopped by a signal (with a checkpoint).
     """
     numbers = seeds_from(first_seed, seeds)
+    if resume != AUTO:
+        check_resumed_in_place(resume, out)
     from infogoal_jax import presets
     from infogoal_jax.train import host
     from infogoal_jax.train.combinations import check_combination
@@ -96,7 +98,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
 
     task, choice = read_choice(arguments, "infogoal train")
     if not task and choice.resume in (None, "", AUTO):
-        return all_tasks(train, HELP, arguments)
+        return all_tasks(train, HELP, arguments, choice)
     of_run = choice.resume not in (None, "", AUTO)
     config = config_of_run(choice.resume, task, choice) if of_run else preset_of(task, choice)
     return of_task(train, config, choice, arguments if task else [config.task, *arguments])

@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.choice import config_of_run, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import check_seed, new_folder, seeds_from
+from infogoal_jax.cli.folders import check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require
 
 HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help` shows the flags of a task, and
@@ -45,6 +45,7 @@ def tune(
     Returns:
         0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
     """
+    check_resumed_in_place(resume, out)
     if resume:
         return go_on(resume, "tune", config)
     check_seed(space_seed, "space_seed")
@@ -73,7 +74,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
 
     task, choice = read_choice(arguments, "infogoal tune")
     if not task and not choice.resume:
-        return all_tasks(tune, HELP, arguments)
+        return all_tasks(tune, HELP, arguments, choice)
     config = config_of_run(choice.resume, task, choice) if choice.resume else same_budget(preset_of(task, choice))
     return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
 
@@ -100,6 +101,7 @@ def final(
     Returns:
         0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
     """
+    check_resumed_in_place(resume, out)
     require(bool(search) != bool(resume), "search", search, "give the folder of a search, or --resume with a final's")
     if resume:
         return go_on(resume, "final")

@@ -1,5 +1,5 @@
-"""What all figures share: a canvas without a display, the line that says what was drawn, colours, and curves with their
-intervals.
+"""What all figures share: a canvas without a display, their style, the line that says what was drawn, colours, and
+curves with their intervals.
 
 Figures are made as objects and never through pyplot, so that drawing changes no state of the user's and needs no
 screen.
@@ -7,9 +7,12 @@ screen.
 
 import dataclasses
 import textwrap
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,13 +20,20 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.runs import Run
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.tables import Table
 from infogoal_jax.runs import disk
 from infogoal_jax.train.program import Train
 
-DOTS_PER_INCH = 130
+FORMATS = ("png", "pdf", "svg")
+STYLE = Path(__file__).with_name("figures.mplstyle")
+"""Of all figures: a style sheet of matplotlib."""
+FEWEST_SEEDS = 3
+"""For an interval: with two seeds, Student's t makes it thirteen standard errors wide."""
+ANY, NOT_NEGATIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
+"""What a metric can be at least and at most."""
 LETTERS_PER_INCH = 17
 """Of the small print."""
 # Okabe and Ito's colours, which colour-blind readers can tell apart.
@@ -47,6 +57,25 @@ class Subject:
     diverged: dict[int, int]
     params: Any
     params_seed: int
+
+
+@contextmanager
+def figure_style(own: str | Path = "") -> Iterator[None]:
+    """Draw and write figures in the style of `figures.mplstyle`, and of a style sheet of one's own after it. Raises
+    `UserError` where that cannot be read."""
+    try:
+        with matplotlib.style.context([STYLE, *([own] if own else [])]):
+            yield
+    except OSError as error:
+        if own and str(own) in str(error):
+            raise UserError(f"style = {str(own)!r}: give a style sheet of matplotlib, or the name of one") from error
+        raise
+
+
+def check_format(path: Path, field: str = "out") -> None:
+    """Raise `UserError` unless the file's ending is one that figures can be written in."""
+    endings = [f".{name}" for name in FORMATS]
+    require(path.suffix in endings, field, str(path), f"give a file that ends in {', '.join(endings)}")
 
 
 def room_colour(region: int) -> str:
@@ -90,7 +119,7 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     """An empty figure (size in inches) that says what it shows: task, method and title above, seeds and data below.
     shown: instead of the seeds."""
     config, count = subject.run.config, len(subject.evaluations.seeds)
-    seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds with 95 % interval, each seed a thin line")
+    seeds = shown or ("1 seed" if count == 1 else f"mean of {count} seeds{seeds_in_words([count])}")
     left_out = "".join(
         f"; seed {seed} diverged at epoch {epoch} and is left out" for seed, epoch in subject.diverged.items()
     )
@@ -98,19 +127,36 @@ def new_figure(subject: Subject, title: str, size: tuple[float, float], shown: s
     return empty_figure(f"{config.task.replace('_', ' ')}, {presets.name_of(config)}: {title}", below, size)
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG. Raises `UserError` if the disk refuses."""
+def seeds_in_words(counts: Iterable[int]) -> str:
+    """What `draw_curve` draws beside the mean of so many seeds, for the small print."""
+    interval = " with 95 % interval" if max(counts) >= FEWEST_SEEDS else f" (no interval below {FEWEST_SEEDS} seeds)"
+    return f"{interval}, each seed a thin line"
+
+
+def save(figure: Figure, path: Path, captions: bool = False) -> None:
+    """Write a figure, in the format of the path's ending. captions: the line above it and the small print go into a
+    text of the same name, and not into the figure. Raises `UserError` if the disk refuses."""
     disk.make_folder(path.parent)
-    disk.write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=DOTS_PER_INCH, facecolor="white"))
+    if captions:
+        words = f"{figure.get_suptitle()}\n{' '.join(figure.get_supxlabel().split())}\n"
+        disk.write_atomically(path.with_suffix(".txt"), lambda file: file.write(words.encode()))
+        for text in (figure.suptitle(""), figure.supxlabel("")):
+            text.set_in_layout(False)
+    disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
 
 
-def draw_curve(axes: Axes, x: np.ndarray, values: np.ndarray, colour: str, label: str) -> None:
-    """Mean over seeds with its 95 % band, and every seed as a thin line: x [T], values [seeds, T]."""
+def draw_curve(
+    axes: Axes, x: np.ndarray, values: np.ndarray, colour: str, label: str, bounds: tuple[float, float] = ANY
+) -> None:
+    """Mean over seeds and every seed as a thin line, from `FEWEST_SEEDS` on with the mean's 95 % band: x [T], values
+    [seeds, T]. bounds: what a value can be at least and at most; the band ends there."""
     interval = mean_interval(values)
     # A run of one evaluation has points, but no lines.
     axes.plot(x, interval.mean, color=colour, linewidth=2, label=label, marker="o" if len(x) == 1 else None)
+    if interval.count >= FEWEST_SEEDS:
+        low, high = (np.clip(end, *bounds) for end in (interval.low, interval.high))
+        axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0)
     if interval.count > 1:
-        axes.fill_between(x, interval.low, interval.high, color=colour, alpha=0.18, linewidth=0)
         axes.plot(x, values.T, color=colour, linewidth=0.6, alpha=0.5)
 
 
@@ -118,4 +164,18 @@ def finish_share_axis(axes: Axes, label: str) -> None:
     """A vertical axis for a share from 0 to 1, with a grid."""
     axes.set_ylim(-0.02, 1.02)
     axes.set_ylabel(label)
-    axes.grid(alpha=0.3, linewidth=0.6)
+    axes.grid()
+
+
+def share_limits(panels: Iterable[Axes], square: bool = False) -> None:
+    """Give panels that are to be compared the same limits, those of all that is drawn in them. square: with one unit as
+    long on both axes."""
+    limits = np.array([[axes.get_xlim(), axes.get_ylim()] for axes in panels])
+    low, high = limits[..., 0].min(0), limits[..., 1].max(0)
+    if square:
+        middle, half = (low + high) / 2, (high - low).max() / 2
+        low, high = middle - half, middle + half
+    for axes in panels:
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        if square:
+            axes.set_aspect("equal", adjustable="box")

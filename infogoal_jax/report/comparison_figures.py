@@ -1,5 +1,5 @@
-"""Several runs of one task in one figure (paper, Fig. 8): success while training, and as a function of the allowed
-episode length."""
+"""Several runs of one task in one figure: success while training, and as a function of the allowed episode length
+(paper, Fig. 8); or any metrics of their tables while training."""
 
 import dataclasses
 from pathlib import Path
@@ -9,9 +9,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infogoal_jax import presets
-from infogoal_jax.errors import require
+from infogoal_jax.errors import nearest, require
 from infogoal_jax.report import tables
-from infogoal_jax.report.canvas import ROOM_COLOURS, USE_TITLES, draw_curve, empty_figure, finish_share_axis, save
+from infogoal_jax.report.canvas import (
+    ANY,
+    NOT_NEGATIVE,
+    ROOM_COLOURS,
+    SHARE,
+    USE_TITLES,
+    check_format,
+    draw_curve,
+    empty_figure,
+    figure_style,
+    finish_share_axis,
+    save,
+    seeds_in_words,
+)
 from infogoal_jax.report.figures import (
     evaluated_mask,
     finish_length_axis,
@@ -24,27 +37,46 @@ from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
 """One a run: Okabe and Ito's, then Tol's."""
+BOUNDS = {
+    SHARE: ("success_rate", "spl", "accuracy", "nothing_achieved", "valid"),
+    NOT_NEGATIVE: ("episode_length", "beta", "kl", "td_error", "gradient_norm", "env_steps"),
+}
+"""What metrics can be at least and at most, by the last part of their names; others can be anything."""
 
 
 class Compared(NamedTuple):
-    """A run, its evaluations without the seeds that diverged, and those seeds with the epoch."""
+    """A run, its tables without the seeds that diverged, and those seeds with the epoch."""
 
     run: Run
     evaluations: tables.Table
+    epochs: tables.Table
     diverged: dict[int, int]
 
 
-def draw_comparison(folders: list[Path], path: Path, env: Any = None) -> Path:
-    """Draw the runs in these folders as one figure into a PNG; its path. env: the environment of the task if it is
-    loaded already.
+def draw_comparison(
+    folders: list[Path],
+    path: Path,
+    env: Any = None,
+    metrics: tuple[str, ...] = (),
+    captions: bool = False,
+    style: str = "",
+) -> Path:
+    """Draw the runs in these folders as one figure; its path, whose ending names the format.
 
-    Raises `UserError` for runs of different tasks, a folder without a run or without numbers, or a disk that refuses.
+    env: the environment of the task if it is loaded already; metrics: names of the tables' columns, a panel each; none:
+    success while training and by length; captions and style: see `figures.draw_figures`.
+    Raises `UserError` for runs of different tasks, a folder without a run or without numbers, a metric that no run has,
+    or a disk that refuses.
     """
-    require(path.suffix == ".png", "out", str(path), "give a file that ends in .png")
+    check_format(path)
     require(0 < len(folders) <= len(COLOURS), "run", len(folders), f"give 1 to {len(COLOURS)} folders of runs")
     compared = [read_compared(folder) for folder in folders]
     check_same_task([each.run for each in compared])
-    save(comparison(compared, load_environment(compared[0].run.config, env)), path)
+    for metric in metrics:
+        check_metric(metric, compared)
+    env = load_environment(compared[0].run.config, env)
+    with figure_style(style):
+        save(metrics_while_training(compared, metrics, env) if metrics else comparison(compared, env), path, captions)
     return path
 
 
@@ -55,7 +87,25 @@ def read_compared(folder: Path) -> Compared:
     require(
         bool(evaluations.values), "run", str(folder), "has no evaluation of a seed that did not diverge; leave it out"
     )
-    return Compared(run, evaluations, diverged)
+    return Compared(run, evaluations, tables.read(folder, "epochs", diverged), diverged)
+
+
+def table_with(metric: str, each: Compared) -> tables.Table | None:
+    """The table of a run that has this metric; None if neither has."""
+    return next((table for table in (each.evaluations, each.epochs) if metric in table.values), None)
+
+
+def check_metric(metric: str, compared: list[Compared]) -> None:
+    """Raise `UserError` unless at least one run has this metric, with one number a row."""
+    columns = {
+        name
+        for each in compared
+        for table in (each.evaluations, each.epochs)
+        for name, values in table.values.items()
+        if values.ndim == 2
+    }
+    known = sorted(columns)
+    require(metric in columns, "metric", metric, f"no run has it.{nearest(metric, known)} Known: {', '.join(known)}")
 
 
 def check_same_task(runs: list[Run]) -> None:
@@ -87,33 +137,80 @@ def titles_of(runs: list[Run]) -> list[str]:
     ]
 
 
+def small_print(compared: list[Compared], titles: list[str], *more: str) -> tuple[str, ...]:
+    """What stands below the figure: seeds, what is left out, and the data."""
+    left_out = [
+        f"{title}: seed {seed} diverged at epoch {epoch} and is left out"
+        for title, each in zip(titles, compared, strict=True)
+        for seed, epoch in each.diverged.items()
+    ]
+    seeds = f"mean over seeds{seeds_in_words(len(each.evaluations.seeds) for each in compared)}"
+    data = "; ".join(dict.fromkeys(each.run.data for each in compared))
+    return "; ".join((seeds, *left_out, *more)), f"data: {data}"
+
+
+def entry_of(title: str, table: tables.Table) -> str:
+    """A run in the legend."""
+    count = len(table.seeds)
+    return f"{title}, {count} seed{'s' if count > 1 else ''}"
+
+
+def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], env) -> Figure:
+    """These metrics against progress of training, a panel each with a curve for every run that has it."""
+    titles = titles_of([each.run for each in compared])
+    without = [
+        f"{title} has no {metric}"
+        for metric in metrics
+        for title, each in zip(titles, compared, strict=True)
+        if table_with(metric, each) is None
+    ]
+    heading = f"{compared[0].run.config.task.replace('_', ' ')}: {', '.join(metrics)} while training"
+    across = min(2, len(metrics))
+    rows = -(-len(metrics) // across)
+    figure = empty_figure(heading, small_print(compared, titles, *without), (5.5 * across, 1.4 + 3.2 * rows))
+    grid = figure.subplots(rows, across, squeeze=False).ravel()
+    handles = {}
+    for axes, metric in zip(grid, metrics, strict=False):
+        bounds = next((bounds for bounds, names in BOUNDS.items() if metric.split("/")[-1] in names), ANY)
+        labels, ends = {}, []
+        for each, title, colour in zip(compared, titles, COLOURS, strict=False):
+            if (table := table_with(metric, each)) is not None:
+                steps, label = progress(each.run.config, table, env)
+                labels[label] = None
+                ends.append(steps[-1])
+                draw_curve(axes, steps, table.values[metric], colour, entry_of(title, table), bounds)
+        if bounds == SHARE:
+            finish_share_axis(axes, metric)
+        else:
+            axes.set_ylabel(metric)
+            axes.grid()
+        finish_progress_axis(axes, " or ".join(labels), max(ends))
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    for axes in grid[len(metrics) :]:
+        axes.set_visible(False)
+    grid[across - 1].legend(handles.values(), handles.keys(), loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
 def comparison(compared: list[Compared], env) -> Figure:
     """Success against progress of training, beside success within so many steps at the last evaluation; training goals
     above test goals."""
     runs, titles = [each.run for each in compared], titles_of([each.run for each in compared])
     groups = [group for group in env.goals.groups if group != "validation"]
-    left_out = [
-        f"; {title}: seed {seed} diverged at epoch {epoch} and is left out"
-        for title, each in zip(titles, compared, strict=True)
-        for seed, epoch in each.diverged.items()
-    ]
-    seeds = "mean over seeds with 95 % interval, each seed a thin line" + "".join(left_out)
-    data = "; ".join(dict.fromkeys(run.data for run in runs))
     heading = f"{runs[0].config.task.replace('_', ' ')}: success while training, and by length at the last evaluation"
-    figure = empty_figure(heading, (seeds, f"data: {data}"), (11, 1.4 + 3.2 * len(groups)))
+    figure = empty_figure(heading, small_print(compared, titles), (11, 1.4 + 3.2 * len(groups)))
     for (left, right), group in zip(figure.subplots(len(groups), 2, squeeze=False), groups, strict=True):
         labels, ends = {}, []
         for each, title, colour in zip(compared, titles, COLOURS, strict=False):
-            evaluations, count = each.evaluations, len(each.evaluations.seeds)
+            evaluations, entry = each.evaluations, entry_of(title, each.evaluations)
             steps, label = progress(each.run.config, evaluations, env)
             labels[label] = None
             ends.append(steps[-1])
-            entry = f"{title}, {count} seed{'s' if count > 1 else ''}"
-            draw_curve(left, steps, evaluations.values[f"{group}_goal/success_rate"], colour, entry)
+            draw_curve(left, steps, evaluations.values[f"{group}_goal/success_rate"], colour, entry, SHARE)
             within = success_within(
                 evaluations.last()["first_reached"], evaluated_mask(env.goals, group), env.episode_length
             )
-            draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry)
+            draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry, SHARE)
         finish_progress_axis(left, " or ".join(labels), max(ends))
         finish_length_axis(right, env.episode_length)
         for axes in (left, right):

@@ -57,7 +57,7 @@ def draw_trajectories(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episod
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
     axes.set_xlabel("x (m)")
-    axes.grid(alpha=0.3, linewidth=0.6)
+    axes.grid()
 
 
 def trajectory_legend(env: Any, chosen: np.ndarray) -> list[Line2D]:

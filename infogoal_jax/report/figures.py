@@ -15,13 +15,18 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
 from infogoal_jax import learners
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
+    FORMATS,
+    NOT_NEGATIVE,
+    SHARE,
     USE_COLOURS,
     USE_TITLES,
     Subject,
     draw_curve,
+    figure_style,
     finish_share_axis,
     in_words,
     new_figure,
@@ -40,13 +45,22 @@ from infogoal_jax.train.program import make_train
 MOST_BARS = 60  # Goals up to which every one gets a bar of its own.
 
 
-def draw_figures(folder: Path, env: Any = None) -> list[Path]:
-    """Draw everything that this run has numbers for under RUN/figures; the paths of the files. env: the environment if
-    it is loaded already.
+def draw_figures(
+    folder: Path, env: Any = None, format: str = "png", captions: bool = False, style: str = ""
+) -> list[Path]:
+    """Draw everything that this run has numbers for under RUN/figures; the paths of the files.
 
+    env: the environment if it is loaded already; format: one of `canvas.FORMATS`; captions: what stands above and below
+    a figure goes into a text beside it; style: a style sheet of matplotlib, applied after the package's.
     Raises `UserError` for a folder without a run, a damaged file, or a disk that refuses.
     """
-    subject = read_subject(folder, env)
+    require(format in FORMATS, "format", format, f"give one of {', '.join(FORMATS)}")
+    with figure_style(style):
+        return draw_all(read_subject(folder, env), folder, format, captions)
+
+
+def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> list[Path]:
+    """Draw everything that there are numbers for, in the present style; the paths of the files."""
     if not subject.evaluations.values:
         return []
     drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
@@ -54,9 +68,10 @@ def draw_figures(folder: Path, env: Any = None) -> list[Path]:
     for draw_more in (draw_plans, draw_shelves, draw_image_goals):
         figures |= draw_more(subject)
     remove_abandoned(folder)
-    paths = {folder / "figures" / f"{name}.png": figure for name, figure in figures.items() if figure is not None}
+    drawn = {name: figure for name, figure in figures.items() if figure is not None}
+    paths = {folder / "figures" / f"{name}.{format}": figure for name, figure in drawn.items()}
     for path, figure in paths.items():
-        save(figure, path)
+        save(figure, path, captions)
     return list(paths)
 
 
@@ -90,7 +105,7 @@ def learning_curves(subject: Subject) -> Figure:
     figure = new_figure(subject, "success while training", (10, 4.2))
     for axes, (label, curves) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         for name, (group, title) in curves.items():
-            draw_curve(axes, steps, values[name], USE_COLOURS[group], title)
+            draw_curve(axes, steps, values[name], USE_COLOURS[group], title, SHARE)
         finish_share_axis(axes, label)
         finish_progress_axis(axes, steps_label, steps[-1])
         axes.legend(loc="best")
@@ -129,11 +144,11 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
         return None
     figure = new_figure(subject, "adaptive Lagrange multiplier", (10, 4.2))
     beta_axes, accuracy_axes = figure.subplots(1, 2)
-    draw_curve(beta_axes, epochs, values[names[0]], USE_COLOURS["train"], "beta")
+    draw_curve(beta_axes, epochs, values[names[0]], USE_COLOURS["train"], "beta", NOT_NEGATIVE)
     beta_axes.set_ylabel("Lagrange multiplier beta")
     beta_axes.set_ylim(bottom=0)
-    beta_axes.grid(alpha=0.3, linewidth=0.6)
-    draw_curve(accuracy_axes, epochs, values[names[1]], USE_COLOURS["test"], "accuracy")
+    beta_axes.grid()
+    draw_curve(accuracy_axes, epochs, values[names[1]], USE_COLOURS["test"], "accuracy", SHARE)
     if getattr(config.learner, "beta_rule", "fixed") in ("linear", "sign"):
         alpha = config.hyper.learner.beta_threshold
         accuracy_axes.axhline(
@@ -141,7 +156,7 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
         )
     accuracy_axes.set_ylabel("accuracy, similar against dissimilar goals")
     accuracy_axes.set_ylim(min(0.48, values[names[1]].min() - 0.02), 1.01)
-    accuracy_axes.grid(alpha=0.3, linewidth=0.6)
+    accuracy_axes.grid()
     accuracy_axes.legend(loc="lower right")
     for axes in (beta_axes, accuracy_axes):
         axes.set_xlabel(f"epochs of {config.updates_per_epoch} updates")
@@ -175,9 +190,8 @@ def success_by_length(subject: Subject) -> Figure:
     axes = figure.subplots()
     for group in env.goals.groups:
         mask, colour = evaluated_mask(env.goals, group), USE_COLOURS[group]
-        draw_curve(
-            axes, np.arange(longest + 1), success_within(first_reached, mask, longest), colour, USE_TITLES[group]
-        )
+        within = success_within(first_reached, mask, longest)
+        draw_curve(axes, np.arange(longest + 1), within, colour, USE_TITLES[group], SHARE)
         if shortest is not None:
             curve = success_within(shortest, mask, longest)
             axes.plot(curve, color=colour, linestyle=":", linewidth=1.2, label=f"{USE_TITLES[group]}, shortest path")
@@ -230,5 +244,5 @@ def success_by_goal(subject: Subject) -> Figure | None:
     axes.set_xlim(-0.015, 1.015)
     axes.set_ylim(places[-1] - 0.7, places[0] + 0.7)
     axes.set_xlabel("success rate")
-    axes.grid(axis="x", alpha=0.3, linewidth=0.6)
+    axes.grid(axis="x")
     return figure

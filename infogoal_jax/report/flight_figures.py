@@ -11,20 +11,21 @@ from matplotlib.patches import Rectangle
 from infogoal_jax.drone import log
 from infogoal_jax.drone.envelope import MARGIN, STEP
 from infogoal_jax.drone.log import events_of
-from infogoal_jax.report.canvas import FAILURE, SUCCESS, empty_figure, save
+from infogoal_jax.report.canvas import FAILURE, SUCCESS, empty_figure, figure_style, save
 
 COLOURS = {"made": "#0072B2", "refused": "#E69F00", "unanswered": FAILURE}
 ROWS = ("image", "state", "command", "answer")
 
 
-def report_flight(folder: Path) -> Path:
-    """Print what the log in this folder says and draw it under FOLDER/figures; the path of the figure. Raises
-    `UserError` for a file that is no log."""
+def report_flight(folder: Path, format: str = "png", captions: bool = False, style: str = "") -> Path:
+    """Print what the log in this folder says and draw it under FOLDER/figures; the path of the figure. format,
+    captions, style: see `figures.draw_figures`. Raises `UserError` for a file that is no log."""
     events = log.read(folder / log.NAME)
     for line in summary(events):
         print(line)
-    path = folder / "figures" / "flight.png"
-    save(flight(events), path)
+    path = folder / "figures" / f"flight.{format}"
+    with figure_style(style):
+        save(flight(events), path, captions)
     return path
 
 
@@ -94,7 +95,7 @@ def draw_path(axes: Axes, settings: dict[str, Any], steps: list[dict[str, Any]],
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("to the right (cm)")
     axes.set_ylabel("up (cm)")
-    axes.grid(alpha=0.3, linewidth=0.6)
+    axes.grid()
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
 
 

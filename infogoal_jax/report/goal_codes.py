@@ -56,7 +56,7 @@ def draw_codes(
             linewidths=0.8 * size**0.5,
             zorder=3,
         )
-    axes.grid(alpha=0.3, linewidth=0.6)
+    axes.grid()
 
 
 def code_legend(
@@ -93,6 +93,8 @@ def representations(subject: Subject) -> Figure | None:
     axes.legend(
         handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5)
     )
+    # One unit is as long on both axes: an axis of little variance shall look like one.
+    axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
     return figure

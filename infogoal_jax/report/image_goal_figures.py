@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report import fetch_figures, pose_figures
-from infogoal_jax.report.canvas import Subject, empty_figure, new_figure, save
+from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_figure, save, share_limits
 from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
 from infogoal_jax.report.image_goal_episodes import policy_episodes, seen_images
 from infogoal_jax.train.evaluation import EVALUATION_SEED
@@ -50,7 +50,8 @@ def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
 def save_goal_images(env: Any, path: Path) -> None:
     """Draw examples of an environment's goal images without a run: `save_goal_images(envs.load("fetch_push",
     FetchConfig(goals="images")), path)`."""
-    save(goal_images(env), path)
+    with figure_style():
+        save(goal_images(env), path)
 
 
 def goal_images(env: Any, task: str = "") -> Figure:
@@ -130,6 +131,7 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
         draw_codes(code_axes, code, goals, which, centre, directions, size=0.55)
         code_axes.set_xlabel("first principal axis")
         below.draw_trajectories(way_axes, env, chosen, found)
+    share_limits(panels[0], square=True)
     panels[0, 0].set_ylabel("second principal axis")
     panels[1, 0].set_ylabel(below.VERTICAL_LABEL)
     random_code = any(code.std is not None for code in codes)

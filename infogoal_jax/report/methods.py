@@ -1,4 +1,4 @@
-"""The table of `infogoal methods`: what each name stands for, and which tasks it goes together with. Nothing is loaded
+"""The list of `infogoal methods`: what each name stands for, and which tasks it goes together with. Nothing is loaded
 and no device is started."""
 
 import inspect
@@ -10,8 +10,8 @@ from infogoal_jax import agents, exploration, learners, presets, relabelling
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.combinations import Refusal, reasons_against, remarks
 
-WIDTH = 200
-"""Columns of the table where it does not go to a terminal."""
+WIDEST = 100
+"""Columns of the list: longer lines are hard to read."""
 
 
 def parts_in_words(name: str) -> str:
@@ -51,43 +51,48 @@ def agents_of(task: str) -> list[str]:
     return [own] + [name for name in agents.registry if name != own and not against(task, "none", agent=name)]
 
 
-def combination_table(tasks: tuple[str, ...]) -> Table:
-    """A row for each method, a column for each task with its own agent: a tick, or why not."""
-    table = Table(show_lines=True)
-    for title in ("method", "made of", "what it is"):
-        table.add_column(title, no_wrap=title == "method")
+def where(name: str, tasks: tuple[str, ...]) -> dict[str, list[str]]:
+    """These tasks, each with its own agent, by why the method does not go together with them; under the empty reason
+    those that it does."""
+    found: dict[str, list[str]] = {}
     for task in tasks:
-        table.add_column(f"{task}\n{presets.registry[task].agent}", justify="center")
+        found.setdefault("; ".join(refusal.reason for refusal in against(task, name)), []).append(task)
+    return found
+
+
+def where_in_words(name: str, tasks: tuple[str, ...]) -> list[str]:
+    """Which of these tasks a method goes together with, and why not with the others, in lines."""
+    reasons = where(name, tasks)
+    good = reasons.pop("", [])
+    lines = [f"with {'every task' if len(good) == len(tasks) > 1 else ', '.join(good)}"] if good else []
+    return lines + [f"not with {', '.join(refused)}: {reason}" for reason, refused in reasons.items()]
+
+
+def method_list(tasks: tuple[str, ...]) -> Table:
+    """A row for each method: its name; what it is, what it is made of, and which tasks it goes together with."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True, style="bold")
     for name in presets.METHODS:
-        found = [against(task, name) for task in tasks]
-        table.add_row(
-            name,
-            parts_in_words(name),
-            description(name),
-            *("; ".join(refusal.reason for refusal in refused) or "✓" for refused in found),
-        )
+        table.add_row(name, "\n".join([description(name), parts_in_words(name), *where_in_words(name, tasks), ""]))
     return table
 
 
 def make_console() -> Console:
-    """As wide as the terminal, or as `WIDTH` where there is none."""
-    console = Console()
-    return console if console.is_terminal else Console(width=WIDTH)
+    """As wide as the terminal, but not wider than `WIDEST`."""
+    return Console(width=min(Console().width, WIDEST))
 
 
 def print_methods(tasks: tuple[str, ...] = presets.TASKS) -> None:
-    """The table, and what else can be combined."""
+    """The list, and what else can be combined."""
     console = make_console()
-    console.print(combination_table(tasks))
-    for task in tasks:
-        console.print(f"{task}: --agent {' | '.join(agents_of(task))}", highlight=False, markup=False)
-    console.print(
-        f"with any learner: --relabelling {' | '.join(relabelling.registry)}, and on tasks with a tick of its own "
-        f"--explorer {' | '.join(exploration.registry)}",
-        highlight=False,
-        markup=False,
-        soft_wrap=True,
-    )
+    console.print(method_list(tasks), highlight=False)
+    choices = {task: f"--agent {' | '.join(agents_of(task))}" for task in tasks}
+    choices["every task"] = f"--relabelling {' | '.join(relabelling.registry)}"
+    choices["where listed above"] = f"--explorer {' | '.join(exploration.registry)}"
+    flags = Table.grid(padding=(0, 2, 0, 0))
+    for name, words in choices.items():
+        flags.add_row(name, words)
+    console.print(flags, highlight=False, markup=False)
 
 
 def print_combination(task: str, method: str, **parts: str | None) -> bool:

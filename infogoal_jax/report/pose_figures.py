@@ -72,7 +72,7 @@ def draw_trajectories(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episod
     axes.set_ylim(0, 184)
     axes.set_yticks(range(0, 181, 45))
     axes.set_xlabel("step")
-    axes.grid(alpha=0.3, linewidth=0.6)
+    axes.grid()
 
 
 def title_of(env: Any, chosen: np.ndarray, number: int) -> str:

@@ -223,6 +223,7 @@ def draw_all_codes(subject: Subject, axes: Axes) -> list:
         group for group in ("train", "test", "other") if group != "other" or len(goals.evaluated) < goals.num_goals
     )
     titles = {"train": "training question", "test": "test question", "other": "name of an object"}
+    axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
     axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
     return code_legend(goals, groups, code.std is not None, titles)

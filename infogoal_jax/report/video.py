@@ -1,13 +1,15 @@
-"""Videos: pictures to an mp4 file through OpenCV, and whole episodes of a Fetch task. No screen and no OpenGL
-needed."""
+"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of a Fetch task. No
+screen and no OpenGL needed."""
 
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import jax
 import numpy as np
+from PIL import Image
 
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
@@ -17,20 +19,60 @@ Policy = Callable[[FetchState, jax.Array], jax.Array]
 """(state, key) -> action [4]."""
 LAST_PICTURE = 25
 """The last picture of an episode stays for this many frames: a second."""
+ENDINGS = (".mp4", ".gif")
+COLOURS = 128
+"""Of a GIF: one palette for all frames, chosen by eight of them."""
+
+
+class GifWriter:
+    """Frames to a GIF that repeats: what a browser, a notebook and a README show as it is. Used like OpenCV's
+    writer."""
+
+    def __init__(self, path: Path, fps: float):
+        self.path, self.duration, self.frames = path, max(20, round(1000 / fps)), []
+
+    def isOpened(self) -> bool:  # noqa: N802, OpenCV's name.
+        """Whether frames are taken."""
+        return True
+
+    def write(self, frame: np.ndarray) -> None:
+        """Add a frame (BGR)."""
+        self.frames.append(Image.fromarray(np.ascontiguousarray(frame[..., ::-1])))
+
+    def release(self) -> None:
+        """Write the file."""
+        if self.frames:
+            spread = self.frames[:: -(-len(self.frames) // 8)]
+            palette = Image.fromarray(np.concatenate([np.asarray(frame) for frame in spread])).quantize(COLOURS)
+            first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self.frames)
+            first.save(self.path, save_all=True, append_images=rest, duration=self.duration, loop=0, optimize=True)
+            self.frames = []
+
+
+def open_writer(path: Path, fps: float, size: tuple[int, int]) -> Any:
+    """What takes the frames of a video of this width and height. Raises `UserError` where nothing can be written."""
+    if path.suffix == ".gif":
+        return GifWriter(path, fps)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+    if not writer.isOpened():
+        raise UserError(
+            f"{path}: could not be written; choose a folder that you may write to, and an OpenCV that encodes mp4v"
+        )
+    return writer
 
 
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25) -> None:
-    """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4. It is written beside its place and renamed: the
-    file is whole or not there.
+    """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4 or a GIF. It is written beside its place and
+    renamed: the file is whole or not there.
 
-    25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is not
-    mp4, or no frames are given.
+    25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is
+    another, or no frames are given.
     """
     path = Path(path)
-    require(path.suffix == ".mp4", "path", str(path), "give a file that ends in .mp4")
+    require(path.suffix in ENDINGS, "path", str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
     require(path.parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
     require(fps > 0, "fps", fps, "give a number greater than 0")
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.partial.mp4")
+    beside = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     writer, shape = None, None
     try:
         for number, frame in enumerate(frames):
@@ -49,12 +91,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
             )
             if writer is None:
                 shape = frame.shape
-                writer = cv2.VideoWriter(str(beside), cv2.VideoWriter_fourcc(*"mp4v"), fps, (shape[1], shape[0]))
-                if not writer.isOpened():
-                    raise UserError(
-                        f"{path}: could not be written; choose a folder that you may write to, and an OpenCV that "
-                        "encodes mp4v"
-                    )
+                writer = open_writer(beside, fps, (shape[1], shape[0]))
             writer.write(frame[..., ::-1])
         require(writer is not None, "frames", "none", "give at least one")
         writer.release()

@@ -55,6 +55,8 @@ MISTAKES = [
     ("train object_search --state-encoder.patch 0", ["state_encoder.patch = 0", "greater than 0"]),
     ("train object_search --first-seed -1", ["seeds = '-1 to -1'", "from 0 to below"]),
     ("report a_file", ["a_file", "could not be read"]),
+    ("train --seeds 2 object_search", ["name the task first: infogoal train object_search --seeds 2"]),
+    ("tune --seeds 2", ["name the task first: infogoal tune TASK --seeds 2", "Known: object_search"]),
     ("train object_search --num-envs 0", ["num_envs = 0", "greater than 0"]),
     ("train object_search --batch-size -3", ["batch_size = -3", "greater than 0"]),
     ("train object_search --num-epochs 25", ["num_epochs = 25", "multiple of epochs_per_evaluation = 10", "give 20"]),
@@ -137,6 +139,9 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     assert main("train object_search --seeds 2 --resume auto --batch-size 32".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --out runs/mine".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --out runs/first".split()) == 2
+    assert main("train --resume runs/first --out runs/mine".split()) == 2
+    assert "out = 'runs/mine': what is gone on with stays in its folder, runs/first" in capsys.readouterr().err
+    assert not (tmp_path / "runs" / "mine").exists()
     new, continued, other, mine, first = asked
     assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
     assert continued == first == ("runs/first", True, [0, 1]) and mine == ("runs/mine", False, [0, 1])

@@ -12,7 +12,14 @@ from matplotlib.image import imread
 from infogoal_jax import envs, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.report.comparison_figures import check_same_task, comparison, draw_comparison, read_compared
+from infogoal_jax.report.comparison_figures import (
+    check_metric,
+    check_same_task,
+    comparison,
+    draw_comparison,
+    metrics_while_training,
+    read_compared,
+)
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.configuration import to_dict
 
@@ -51,6 +58,8 @@ def write_run(folder, env, config, seeds=(0, 1, 2), diverged=()):
                 {
                     "seed": seed,
                     "epoch": epoch,
+                    "env_steps": 320 * epoch,
+                    f"{presets.name_of(config)}/beta": random.random(),
                     "agent/loss": math.nan if seed in diverged else 0.1,
                     "agent/gradient_norm": 1.0,
                 }
@@ -118,6 +127,62 @@ def test_figure_names_task_data_and_what_is_left_out(folders, env):
     )
 
 
+def test_bands_end_where_the_metric_does_and_begin_with_three_seeds(folders, env):
+    """A success rate is never above 1 nor below 0; two seeds have lines and no band."""
+    figure = comparison([read_compared(folder) for folder in folders], env)
+    for axes in figure.axes:
+        (band,) = axes.collections
+        vertical = band.get_paths()[0].vertices[:, 1]
+        assert vertical.min() >= 0 and vertical.max() <= 1
+        thin = [line for line in axes.get_lines() if line.get_label().startswith("_")]
+        assert len(thin) == 3 + 2
+
+
+def test_any_metric_is_compared_among_the_runs_that_have_it(folders, env, tmp_path):
+    compared = [read_compared(folder) for folder in folders]
+    figure = metrics_while_training(compared, ("agent/loss", "infogoal/beta", "test_goal/success_rate"), env)
+    assert [list(curves(figure, place)) for place in range(3)] == [
+        ["infogoal, 3 seeds", "sse_db, 2 seeds"],
+        ["infogoal, 3 seeds"],
+        ["infogoal, 3 seeds", "sse_db, 2 seeds"],
+    ]
+    rows = tables.read_table(folders[0], "epochs")
+    beta = [np.mean([row["infogoal/beta"] for row in rows if row["epoch"] == epoch]) for epoch in EPOCHS]
+    np.testing.assert_allclose(curves(figure, 1)["infogoal, 3 seeds"], [[320, 640, 960], beta])
+    assert "sse_db has no infogoal/beta" in text_of(figure)
+    with pytest.raises(UserError, match=r"metric = 'infogoal/bta': no run has it. Did you mean 'infogoal/beta'\?"):
+        check_metric("infogoal/bta", compared)
+    with pytest.raises(UserError, match="first_reached"):
+        check_metric("first_reached", compared)
+
+
+@pytest.mark.parametrize("ending", ["pdf", "svg"])
+def test_figures_for_a_paper(ending, folders, env, tmp_path):
+    """Letters stay letters, and on request what stands around the panels is a text beside the figure."""
+    path = draw_comparison(folders, tmp_path / f"with.{ending}", env)
+    bare = draw_comparison(folders, tmp_path / f"bare.{ending}", env, captions=True)
+    assert not path.with_suffix(".txt").exists()
+    assert bare.with_suffix(".txt").read_text().startswith("object search: success") and DATA in (
+        bare.with_suffix(".txt").read_text()
+    )
+    if ending == "svg":
+        assert DATA in path.read_text() and DATA not in bare.read_text() and "test goals" in bare.read_text()
+    else:
+        assert path.read_bytes().startswith(b"%PDF") and b"/Subtype /Type3" not in path.read_bytes()
+
+
+def test_a_style_sheet_of_ones_own(folders, env, tmp_path):
+    sheet = tmp_path / "mine.mplstyle"
+    sheet.write_text("savefig.dpi: 60\n")
+    plain, mine = (
+        imread(draw_comparison(folders, tmp_path / f"{name}.png", env, style=style)).shape
+        for name, style in (("plain", ""), ("mine", str(sheet)))
+    )
+    assert mine[0] == pytest.approx(plain[0] * 60 / 130, abs=1)
+    with pytest.raises(UserError, match="style = 'not_there'"):
+        draw_comparison(folders, tmp_path / "c.png", env, style="not_there")
+
+
 def test_runs_of_one_method_are_told_apart_by_their_folders(folders, env):
     third = write_run(folders[0].parent / "third", env, hand_made.config())
     labels = curves(comparison([read_compared(folder) for folder in (folders[0], third)], env), 0)
@@ -131,8 +196,8 @@ def test_figure_is_written(folders, env, tmp_path):
 
 
 def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
-    """Another task, another setting of the task, a run without numbers, and a file that is no PNG, each with the folder
-    or the value."""
+    """Another task, another setting of the task, a run without numbers, and a file that is no figure, each with the
+    folder or the value."""
     first = read_compared(folders[0]).run
     other_task = dataclasses.replace(first, config=presets.load("embodied_qa"))
     with pytest.raises(UserError, match="is of task embodied_qa, and .*first of object_search; give runs of one task"):
@@ -143,8 +208,8 @@ def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
     all_diverged = write_run(tmp_path / "diverged", env, hand_made.config(), diverged=(0, 1, 2))
     with pytest.raises(UserError, match="diverged': has no evaluation"):
         draw_comparison([folders[0], all_diverged], tmp_path / "a.png", env)
-    with pytest.raises(UserError, match="out = .*ends in .png"):
-        draw_comparison(folders, tmp_path / "a.pdf", env)
+    with pytest.raises(UserError, match="out = .*ends in .png, .pdf, .svg"):
+        draw_comparison(folders, tmp_path / "a.jpg", env)
     assert not (tmp_path / "a.png").exists()
 
 

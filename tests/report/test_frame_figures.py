@@ -60,7 +60,7 @@ def test_every_figure_is_drawn_and_says_that_its_data_are_a_stand_in(run, names,
     """Files that are not blank, whose small print names the data."""
     drawn, real_save, sweep = {}, figures.save, request.getfixturevalue(run)
 
-    def save(figure, path):
+    def save(figure, path, captions):
         drawn[path] = figure
         real_save(figure, path)
 

@@ -72,7 +72,11 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
         points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params
     )
     assert beta_and_accuracy(subject) is None
-    assert image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"] is not None
+    figure = image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"]
+    # Codes under growing corruption are compared: one unit is as long in all panels and on both axes.
+    codes = [axes for axes in figure.axes if "background of weight" in axes.get_title()]
+    assert len(codes) == 4 and len({(axes.get_xlim(), axes.get_ylim()) for axes in codes}) == 1
+    assert np.ptp(codes[0].get_xlim()) == pytest.approx(np.ptp(codes[0].get_ylim())) and codes[0].get_aspect() == 1
 
 
 def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(points):

@@ -37,9 +37,10 @@ def read(path) -> list[np.ndarray]:
         found.append(frame[..., ::-1])
 
 
-def test_a_video_holds_the_frames_in_order(tmp_path):
-    write_video(tmp_path / "grey.mp4", frames())
-    found = read(tmp_path / "grey.mp4")
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_a_video_holds_the_frames_in_order(ending, tmp_path):
+    write_video(tmp_path / f"grey.{ending}", frames())
+    found = read(tmp_path / f"grey.{ending}")
     assert [frame.shape for frame in found] == [(32, 48, 3)] * 5
     assert np.allclose([frame.mean() for frame in found], [0, 40, 80, 120, 160], atol=4)
 
