@@ -1,8 +1,9 @@
-"""The Fetch tasks as Gymnasium goal environments, with the spaces, rewards and infos of Gymnasium-Robotics'
-FetchReach-v4 and its like.
+"""The tasks as Gymnasium goal environments. The Fetch tasks stand here, with the spaces, rewards and infos of
+Gymnasium-Robotics' FetchReach-v4 and its like; the others in gymnasium_tasks.py.
 
-`make` gives one environment on the CPU, `FetchVector` a batch on whatever device jax uses. Importing this module
-registers both: `gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra `gymnasium`.
+`make` gives one environment on the CPU, `FetchVector` and `TaskVector` a batch on whatever device jax uses. Importing
+this module registers them: `gymnasium.make("infogoal_jax.bridges.gymnasium:infogoal/FetchReach-v0")`. Needs the extra
+`gymnasium`.
 """
 
 from typing import Any
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax import envs
 from infogoal_jax.bridges.gymnasium_goals import distance, goal_of, key_of, load, on_cpu, reset, rewards, view
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
@@ -23,7 +25,9 @@ try:
 except ImportError as error:
     raise UserError("gymnasium: is not installed; pip install 'infogoal-jax[gymnasium]'") from error
 
-IDS = {name: "infogoal/" + "".join(word.capitalize() for word in name.split("_")) + "-v0" for name in TASKS}
+from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
+
+IDS = {name: "infogoal/" + "".join(word.capitalize() for word in name.split("_")) + "-v0" for name in envs.registry}
 """The Gymnasium ids of the tasks: fetch_reach is infogoal/FetchReach-v0."""
 FARTHEST, LARGEST = 10.0, 50.0
 """No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step
@@ -212,21 +216,22 @@ class FetchVector(VectorEnv):
 
 for name, gymnasium_id in IDS.items():
     if gymnasium_id not in gymnasium.registry:
+        one, batch = (FetchGymnasium, FetchVector) if name in TASKS else (TaskGymnasium, TaskVector)
         gymnasium.register(
             gymnasium_id,
-            entry_point=f"{__name__}:FetchGymnasium",
-            vector_entry_point=f"{__name__}:FetchVector",
+            entry_point=f"{one.__module__}:{one.__name__}",
+            vector_entry_point=f"{batch.__module__}:{batch.__name__}",
             kwargs={"task": name},
             order_enforce=False,
             disable_env_checker=True,
         )
 
 
-def make(task: str, config: FetchConfig | None = None, render_mode: str | None = None) -> FetchGymnasium:
-    """The environment of a task: fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide.
+def make(task: str, config: Any = None, render_mode: str | None = None) -> gymnasium.Env:
+    """The environment of a task by its name, `FetchGymnasium` or `TaskGymnasium`.
 
-    config: None for the reference's episodes of 50 steps. render_mode: None or "rgb_array". Raises `UserError` for
-    unknown names.
+    config: of the task; None for its defaults, of a Fetch task for the reference's episodes of 50 steps. render_mode:
+    None or "rgb_array". Raises `UserError` for unknown names.
     """
-    load(task, config)
+    envs.registry.entry(task)
     return gymnasium.make(IDS[task], config=config, render_mode=render_mode)

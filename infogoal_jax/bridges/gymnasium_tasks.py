@@ -1,0 +1,243 @@
+"""Tasks whose goals are a finite set and whose actions are moves, as Gymnasium goal environments: object search, object
+manipulation, embodied question answering, and tasks of a user's own.
+
+A goal is an entry of a vector of bits: `desired_goal` has one that is set, `achieved_goal` those of all goals that are
+achieved now. Hindsight relabelling may therefore put one in place of the other. Rewards are those of the Fetch tasks, 0
+at the goal and -1 elsewhere. `TaskGymnasium` is one environment on the CPU, `TaskVector` a batch on whatever device jax
+uses; importing `infogoal_jax.bridges.gymnasium` registers both.
+"""
+
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from infogoal_jax import envs
+from infogoal_jax.bridges.gymnasium_goals import key_of, on_cpu
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.errors import require
+
+METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
+
+
+def load(task: str | Environment, config: Any) -> Environment:
+    """The task of this name, or the environment itself. Raises `UserError` for one whose goals are no finite set, or
+    whose actions are vectors."""
+    env = envs.load(task, config) if isinstance(task, str) else task
+    fits = env.goals is not None and env.discrete
+    require(fits, "task", task, "its goals are no finite set, or its actions no moves; give object_search, for example")
+    return env
+
+
+def seen(env: Environment, state: Any) -> dict[str, jax.Array]:
+    """The observation as a network sees it, and the goals as bits int8 [N]."""
+    goals = env.goals_of(env.achieved(state))
+    bits = jnp.zeros(env.goals.num_goals, jnp.int8)
+    return {
+        "observation": env.render(env.observe(state)),
+        "achieved_goal": bits.at[jnp.where(goals < 0, env.goals.num_goals, goals)].set(1, mode="drop"),
+        "desired_goal": bits.at[state.goal].set(1),
+    }
+
+
+@jax.jit
+def start(env: Environment, key: jax.Array, goal: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+    """The state of a new episode and what is seen of it. goal: -1 for one drawn among the training goals."""
+    drawn_key, start_key = jax.random.split(key)
+    drawn = jax.random.choice(drawn_key, env.goals.commanded)
+    state = env.reset_to(start_key, jnp.where(goal < 0, drawn, goal))
+    return state, seen(env, state)
+
+
+@jax.jit
+def move(env: Environment, state: Any, action: jax.Array) -> tuple[Any, dict[str, jax.Array], jax.Array]:
+    """The next state, what is seen of it, and which actions can be taken in it, bool [A]."""
+    state = env.step(state, action)
+    return state, seen(env, state), env.action_mask(env.observe(state))
+
+
+@jax.jit
+def start_all(env: Environment, keys: jax.Array, goals: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
+    """`start` for a batch."""
+    return jax.vmap(start, in_axes=(None, 0, 0))(env, keys, goals)
+
+
+@jax.jit
+def move_all(env: Environment, states: Any, actions: jax.Array, keys: jax.Array):
+    """`move` for a batch, in which episodes that had ended start anew; and which these are."""
+
+    def one(state, action, key):
+        ended = state.terminated | state.truncated
+        fresh, _ = start(env, key, jnp.asarray(-1))
+        state = jax.tree.map(lambda new, old: jnp.where(ended, new, old), fresh, env.step(state, action))
+        return state, seen(env, state), env.action_mask(env.observe(state)), ended
+
+    return jax.vmap(one)(states, actions, keys)
+
+
+def spaces_of(env: Environment) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Discrete]:
+    """The observation and action space of one environment."""
+    shown = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
+    image = shown.dtype == jnp.uint8
+    low, high = (0, 255) if image else (-np.inf, np.inf)
+    goal = gymnasium.spaces.MultiBinary(env.goals.num_goals)
+    spaces = {
+        "observation": gymnasium.spaces.Box(low, high, shown.shape, shown.dtype),
+        "achieved_goal": goal,
+        "desired_goal": goal,
+    }
+    return gymnasium.spaces.Dict(spaces), gymnasium.spaces.Discrete(env.action_size)
+
+
+def at_goal(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """Whether a desired goal is among those that are achieved, bool [...], for bits [..., N]. Raises `UserError` for
+    other shapes."""
+    achieved, desired = np.asarray(achieved), np.asarray(desired)
+    require(
+        achieved.shape == desired.shape and achieved.ndim > 0,
+        "achieved_goal",
+        f"of shape {achieved.shape}, desired_goal of {desired.shape}",
+        "give bits [..., number of goals] of one shape",
+    )
+    return ((achieved > 0) & (desired > 0)).any(-1)
+
+
+def rewards(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """0 at the goal and -1 elsewhere, float32 [...]."""
+    return at_goal(achieved, desired).astype(np.float32) - np.float32(1)
+
+
+def goal_number(env: Environment, options: dict[str, Any] | None) -> int:
+    """The goal that `options` asks for by its number or its name; -1 for none. Raises `UserError` for one that cannot
+    be evaluated."""
+    unknown = set(options or {}) - {"goal"}
+    require(not unknown, "options", sorted(unknown), 'only "goal" is known')
+    if not options:
+        return -1
+    goal, names = options["goal"], list(env.goals.names)
+    number = names.index(goal) if goal in names else goal
+    known = np.asarray(env.goals.evaluated).tolist()
+    require(number in known, 'options["goal"]', goal, "give the number or the name of an evaluated goal (env.goals)")
+    return int(number)
+
+
+def picture(env: Environment, image: np.ndarray) -> np.ndarray:
+    """What the agent sees as RGB, uint8 [H, W, 3]. Raises `UserError` where it sees no image."""
+    require(image.dtype == np.uint8, "render_mode", "rgb_array", "the agent sees no images in this task; leave it out")
+    return np.array(np.broadcast_to(image, (*image.shape[:2], 3)))
+
+
+def check_mode(render_mode: str | None) -> None:
+    """Raise `UserError` for a mode that does not exist."""
+    require(render_mode in (None, *METADATA["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
+
+
+class TaskGymnasium(gymnasium.Env):
+    """One environment. An episode is terminated at the goal and truncated after the task's number of steps.
+
+    `info`: `is_success` 0.0 or 1.0; `action_mask` int8 [A], the actions that can be taken next.
+    """
+
+    metadata = METADATA
+
+    def __init__(self, task: str | Environment, config: Any = None, render_mode: str | None = None):
+        check_mode(render_mode)
+        with on_cpu():
+            self.env, self.render_mode = load(task, config), render_mode
+        self.observation_space, self.action_space = spaces_of(self.env)
+        self.state, self.shown = None, None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """A new episode. options: {"goal": number or name}; without them a training goal is drawn."""
+        super().reset(seed=seed)
+        goal = goal_number(self.env, options)
+        with on_cpu():
+            self.state, shown = start(self.env, key_of(self.np_random), goal)
+            mask = self.env.action_mask(self.env.observe(self.state))
+        self.shown = {name: np.array(part) for name, part in shown.items()}
+        return dict(self.shown), {"action_mask": np.array(mask, np.int8)}
+
+    def step(self, action: int):
+        """One move. Raises `UserError` before the first reset, and for an action that does not exist."""
+        require(self.state is not None, "state", None, "call reset() before step()")
+        require(self.action_space.contains(action), "action", action, f"give 0 to {self.env.action_size - 1}")
+        with on_cpu():
+            self.state, shown, mask = move(self.env, self.state, jnp.asarray(action, jnp.int32))
+        self.shown = {name: np.array(part) for name, part in shown.items()}
+        reward = float(rewards(self.shown["achieved_goal"], self.shown["desired_goal"]))
+        info = {"is_success": float(self.state.terminated), "action_mask": np.array(mask, np.int8)}
+        return dict(self.shown), reward, bool(self.state.terminated), bool(self.state.truncated), info
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """0 at the goal and -1 elsewhere, float32 [...], for goals [..., N]; what hindsight relabelling calls."""
+        return rewards(achieved_goal, desired_goal)
+
+    def compute_terminated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """Whether these goals would have ended the episode, bool [...]."""
+        return at_goal(achieved_goal, desired_goal)
+
+    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
+        """Never: the time limit does not depend on the goal."""
+        return False
+
+    def render(self) -> np.ndarray | None:
+        """What the agent sees, uint8 [H, W, 3], in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        require(self.shown is not None, "state", None, "call reset() before render()")
+        return picture(self.env, self.shown["observation"])
+
+
+class TaskVector(VectorEnv):
+    """Many environments of one task as one compiled program, on jax's default device. Autoreset is Gymnasium's
+    `NEXT_STEP`, as in `FetchVector`."""
+
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(self, task: str | Environment, num_envs: int, config: Any = None, render_mode: str | None = None):
+        require(num_envs > 0, "num_envs", num_envs, "give at least 1")
+        check_mode(render_mode)
+        self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
+        self.single_observation_space, self.single_action_space = spaces_of(self.env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.state, self.shown = None, None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Reset every environment. options: {"goal": number or name}, for this episode only."""
+        super().reset(seed=seed)
+        goals = jnp.full(self.num_envs, goal_number(self.env, options), jnp.int32)
+        keys = jax.random.split(key_of(self.np_random), self.num_envs)
+        self.state, shown = start_all(self.env, keys, goals)
+        mask = np.array(self.env.action_mask(self.env.observe(self.state)), np.int8)
+        self.shown = {name: np.array(part) for name, part in shown.items()}
+        return dict(self.shown), {"action_mask": mask, "_action_mask": np.ones(self.num_envs, bool)}
+
+    def step(self, actions: np.ndarray):
+        """One move everywhere, actions int [num_envs]."""
+        require(self.state is not None, "state", None, "call reset() before step()")
+        fits = self.action_space.contains(np.asarray(actions, self.action_space.dtype))
+        require(fits, "actions", actions, f"give {self.num_envs} numbers from 0 to {self.env.action_size - 1}")
+        keys = jax.random.split(key_of(self.np_random), self.num_envs)
+        self.state, shown, mask, fresh = move_all(self.env, self.state, jnp.asarray(actions, jnp.int32), keys)
+        self.shown, moved = {name: np.array(part) for name, part in shown.items()}, ~np.array(fresh)
+        terminated, truncated = np.array(self.state.terminated), np.array(self.state.truncated)
+        reward = np.where(moved, rewards(self.shown["achieved_goal"], self.shown["desired_goal"]), np.float32(0))
+        info = {"is_success": (terminated & moved).astype(float), "action_mask": np.array(mask, np.int8)}
+        info |= {"_is_success": moved, "_action_mask": np.ones(self.num_envs, bool)}
+        return dict(self.shown), reward, terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
+        """As `TaskGymnasium.compute_reward`."""
+        return rewards(achieved_goal, desired_goal)
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """What each agent sees, uint8 [H, W, 3], in mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        require(self.shown is not None, "state", None, "call reset() before render()")
+        return tuple(picture(self.env, image) for image in self.shown["observation"])

@@ -1,0 +1,130 @@
+"""Tasks with a finite set of goals keep what Gymnasium promises its users, as the Fetch tasks do."""
+
+import gymnasium
+import hand_made
+import hand_made_frames
+import hand_made_points
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from infogoal_jax import UserError
+from infogoal_jax.bridges import gymnasium as bridge
+from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
+
+STEPS = 4
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    """Object search in the hand-made rooms, with episodes of a few steps."""
+    return TaskGymnasium(hand_made.environment(STEPS), render_mode="rgb_array")
+
+
+@pytest.fixture(scope="module")
+def vector():
+    """Three of them in one program."""
+    return TaskVector(hand_made.environment(STEPS), 3)
+
+
+@pytest.mark.parametrize("make", [hand_made.environment, hand_made_frames.manipulation, hand_made_frames.qa])
+def test_gymnasium_finds_nothing_to_warn_of(make):
+    check_env(gymnasium.make(bridge.IDS["object_search"], task=make(), render_mode="rgb_array").unwrapped)
+
+
+def test_the_tasks_are_registered_and_are_goal_environments():
+    for name in ("object_search", "object_manipulation", "embodied_qa"):
+        spec = gymnasium.spec(bridge.IDS[name])
+        assert spec.kwargs == {"task": name} and "TaskGymnasium" in spec.entry_point
+    env = TaskGymnasium(hand_made.environment())
+    assert {name: space.shape for name, space in env.observation_space.items()} == {
+        "observation": (8, 8, 1),
+        "achieved_goal": (8,),
+        "desired_goal": (8,),
+    }
+    assert env.action_space == gymnasium.spaces.Discrete(env.env.action_size)
+
+
+def test_rewards_are_those_that_hindsight_computes_and_the_goal_ends_the_episode(rooms):
+    """Walks at random until the goal was met and time ran out once each."""
+    steps, random = [], np.random.default_rng(0)
+    for episode in range(200):
+        seen, info = rooms.reset(seed=episode)
+        assert seen["desired_goal"].sum() == 1 and not (seen["desired_goal"] & seen["achieved_goal"]).any()
+        while True:
+            action = random.choice(np.flatnonzero(info["action_mask"]))
+            seen, reward, terminated, truncated, info = rooms.step(action)
+            steps.append((seen["achieved_goal"], seen["desired_goal"], reward, info["is_success"], terminated))
+            if terminated or truncated:
+                break
+        if len({step[4] for step in steps}) == 2 and episode > 5:
+            break
+    achieved, desired, given, success, ended = (np.array(part) for part in zip(*steps, strict=True))
+    assert (
+        set(given) == {-1.0, 0.0} and np.array_equal(given == 0, success == 1) and np.array_equal(ended, success == 1)
+    )
+    assert np.array_equal(rooms.compute_reward(achieved, desired, {}), given)
+    assert np.array_equal(rooms.compute_terminated(achieved, desired, {}), ended)
+    # In hindsight what was achieved is a goal that is reached, and nothing is none.
+    something = achieved.any(-1)
+    assert np.array_equal(rooms.compute_reward(achieved, achieved, {}) == 0, something) and 0 < something.mean() < 1
+
+
+def test_goals_can_be_given_by_number_or_name_and_follow_the_seed(rooms):
+    names = rooms.env.goals.names
+    for goal in (5, names[5]):
+        assert rooms.reset(seed=0, options={"goal": goal})[0]["desired_goal"].argmax() == 5
+    first, again = (rooms.reset(seed=3)[0] for _ in range(2))
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+    drawn = {int(rooms.reset()[0]["desired_goal"].argmax()) for _ in range(20)}
+    assert len(drawn) > 1 and drawn <= set(np.asarray(rooms.env.goals.commanded).tolist())
+    assert rooms.render().shape == (8, 8, 3)
+
+
+def test_wrong_calls_are_explained(rooms):
+    for options, message in (({"goal": 99}, "evaluated goal"), ({"goal": "sofa"}, "evaluated"), ({"golf": 1}, "golf")):
+        with pytest.raises(UserError, match=message):
+            rooms.reset(options=options)
+    with pytest.raises(UserError, match="action = 99"):
+        rooms.step(99)
+    with pytest.raises(UserError, match="reset"):
+        TaskGymnasium(hand_made.environment()).step(0)
+    with pytest.raises(UserError, match="actions no moves"):
+        TaskGymnasium(hand_made_points.points())
+    with pytest.raises(UserError, match="one shape"):
+        rooms.compute_reward(np.zeros((2, 8)), np.zeros(8), {})
+
+
+def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
+    assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    seen, info = vector.reset(seed=0)
+    assert vector.observation_space.contains(seen) and info["action_mask"].shape == (3, vector.env.action_size)
+    ended = np.zeros(3, bool)
+    for _ in range(3 * STEPS):
+        before = seen
+        actions = [np.flatnonzero(mask)[0] for mask in info["action_mask"]]
+        seen, reward, terminated, truncated, info = vector.step(np.array(actions))
+        assert vector.observation_space.contains(seen) and not (terminated & truncated).any()
+        same = (seen["desired_goal"] == before["desired_goal"]).all(-1)
+        assert same[~ended].all() and not reward[ended].any() and not info["_is_success"][ended].any()
+        expected = vector.compute_reward(seen["achieved_goal"], seen["desired_goal"], {})
+        assert np.array_equal(reward[~ended], expected[~ended])
+        ended = terminated | truncated
+    assert vector.render() is None
+
+
+@pytest.mark.long
+def test_stable_baselines_trains_with_hindsight():
+    sb3 = pytest.importorskip("stable_baselines3")
+    model = sb3.DQN(
+        "MultiInputPolicy",
+        TaskGymnasium(hand_made.environment()),
+        replay_buffer_class=sb3.HerReplayBuffer,
+        learning_starts=50,
+        policy_kwargs={"net_arch": [16]},
+    )
+    model.learn(200)
+    batch = model.replay_buffer.sample(128)
+    bits = batch.next_observations["achieved_goal"] * batch.next_observations["desired_goal"]
+    assert ((bits.sum(1) > 0) == (batch.rewards[:, 0] == 0)).all()
