@@ -25,7 +25,10 @@ PRESET = Preset(
     },
     hyper={"discount": 0.95, "intrinsic_weight": 0.0, "agent.conservative_weight": 0.02},  # [M]
     methods={
-        "infogoal": Changes(learner=SIMILAR, hyper={"intrinsic_weight": 1.0, "agent.conservative_weight": 0.01}),  # [M]
+        "infogoal": Changes(  # [M], the threshold in docs/trials.md
+            learner=SIMILAR,
+            hyper={"intrinsic_weight": 1.0, "agent.conservative_weight": 0.01, "learner.beta_threshold": 0.999},
+        ),
         "infobot": Changes(hyper=INFOBOT),
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
