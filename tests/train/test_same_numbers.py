@@ -86,7 +86,8 @@ def main():
         found = numbers(task, method)
         if command == "record":
             record[name] = summary(found)
-            path.write_text(json.dumps(record, indent=0))
+            lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(kept)}" for name, kept in record.items())
+            path.write_text(f"{{\n{lines}\n}}\n")
             print(name, flush=True)
         else:
             print(name, "equal" if summary(found) == record[name] else "DIFFERENT", flush=True)
