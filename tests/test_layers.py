@@ -30,6 +30,7 @@ LAYERS = (
     {"runs"},
     {"train"},
     {"report", "bridges", "drone"},
+    {"reproduce"},
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.

@@ -18,11 +18,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import study
-from paper_numbers import reported
 from study_numbers import Study
 
 from infogoal_jax import presets
 from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce.paper import reported
 
 TASKS = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 METHODS = ("none", "infogoal")

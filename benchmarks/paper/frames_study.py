@@ -17,11 +17,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import study
-from paper_numbers import reported
 from study_numbers import Study
 
 from infogoal_jax import envs, presets
 from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce.paper import reported
 
 VARIANTS = {
     "object_manipulation": {"none": ("HRAC", "none", None), "infogoal": ("InfoGoal", "infogoal", None)},

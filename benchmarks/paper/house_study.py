@@ -21,12 +21,12 @@ import numpy as np
 import study
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from paper_numbers import reported
 from study_numbers import Study, StudyRun
 
 from infogoal_jax import envs, presets
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.reproduce.paper import reported
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
 

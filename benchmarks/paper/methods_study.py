@@ -19,12 +19,12 @@ from pathlib import Path
 
 import fetch_study
 import study
-from paper_numbers import TABLE, TASKS, reported
 from study_numbers import Study
 
 from infogoal_jax import presets
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce.paper import TABLE, TASKS, reported
 
 LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
 WITH_HER = tuple(f"{method}+her" for method in LEARNERS)

@@ -13,6 +13,7 @@ from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.methods import methods
 from infogoal_jax.cli.pretraining import pretrain
+from infogoal_jax.cli.reproduce import REPRODUCE
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, report, video
 from infogoal_jax.cli.training import train
 from infogoal_jax.cli.tuning import final, tune
@@ -38,6 +39,7 @@ COMMANDS = Group(
         "pretrain": pretrain,
         "data": DATA,
         "check-fetch": check_fetch,
+        "reproduce": REPRODUCE,
     },
 )
 BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": pretraining.tasks}

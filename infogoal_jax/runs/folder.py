@@ -32,6 +32,10 @@ LOW_LEVEL = ("low_level", *tables.file_names("curve"))
 """What `infogoal pretrain` writes."""
 
 
+class BeingWrittenError(UserError):
+    """Another process holds the lock."""
+
+
 def check_new(folder: Path, names: Sequence[str], flag: str = "out") -> None:
     """Raise `UserError`, naming the flag, if the folder holds any of these, or cannot be looked into."""
     try:
@@ -98,7 +102,7 @@ def locked(path: Path, folder: Path) -> Iterator[None]:
                 mine = True
             if not mine:
                 file.seek(0)
-                raise UserError(
+                raise BeingWrittenError(
                     f"{folder}: is being written by another process ({file.read(200).strip() or 'just started'}); wait "
                     "for its end, or give another folder"
                 )

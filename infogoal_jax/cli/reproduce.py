@@ -1,0 +1,98 @@
+"""`infogoal reproduce ...`: the paper's tables and figures, from training to the finished page."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import FlagCreatePairsOff, Positional
+
+from infogoal_jax.cli.commands import Group, named
+
+HELP = "Train what a table or figure of the paper needs, and draw it."
+TITLES = {
+    "table1": "Table I: success of every method on every task.",
+    "table2": "Table II: beta and accuracy that InfoGoal converges to.",
+    "fig8": "Fig. 8: sample efficiency and optimality with and without SSE-DB.",
+    "fig9": "Fig. 9: codes and ways under corruption, with external rewards alone.",
+    "fig10": "Fig. 10: codes and trajectories on object search.",
+    "fig11": "Fig. 11: codes and flights on embodied question answering.",
+    "fig12": "Fig. 12: the intrinsic reward over states.",
+    "fig13": "Fig. 13: beta and accuracy while training.",
+    "fig14": "Fig. 14: codes under fixed beta.",
+    "fig15": "Fig. 15: success under fixed beta and under the adaptive one.",
+    "all": "All tables and figures, and the verdict on every claim.",
+}
+
+
+def study(
+    name: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all",
+    tasks: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    ways: tuple[str, ...] = ("paper", "her"),
+    sets: tuple[int, ...] = (),
+    seeds: int = 5,
+    out: str = "runs/reproduction",
+    minutes: float = 0.0,
+    retry: FlagCreatePairsOff[bool] = False,
+    quick: FlagCreatePairsOff[bool] = False,
+    list_runs: Annotated[FlagCreatePairsOff[bool], tyro.conf.arg(name="list")] = False,
+    goal_images: str = "",
+    lanes: int = 64,
+    from_: Annotated[str, tyro.conf.arg(name="from")] = "",
+) -> int:
+    """A table or figure of the paper.
+
+    Args:
+        name: Of the table or figure.
+        tasks: Tasks; empty: all.
+        methods: Rows of Table I; empty: all.
+        ways: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER besides.
+        sets: Goal sets; empty: all of each task.
+        seeds: Seeds of each run, from 0 on.
+        out: Folder of the runs, tables and figures; processes that have the same folder share the work.
+        minutes: Stop in time for this many minutes, with a checkpoint of what is not finished; 0: no limit.
+        retry: Run again what failed.
+        quick: At a size at which nothing is learned, a few runs of each kind.
+        list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
+        goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
+        lanes: Seeds, settings and goal sets that are trained side by side at most.
+        from_: Folder of compact numbers, such as docs/results/reproduction: draw from them and train nothing.
+
+    Returns:
+        0 when all is done; 1 when a run failed; 130 when there is more to do.
+    """
+    from infogoal_jax.reproduce import command
+
+    return command.reproduce(
+        command.Asked(
+            name,
+            tasks,
+            methods,
+            ways,
+            sets,
+            seeds,
+            Path(out),
+            minutes,
+            retry,
+            quick,
+            list_runs,
+            Path(goal_images) if goal_images else None,
+            lanes,
+            Path(from_) if from_ else None,
+        )
+    )
+
+
+def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results/reproduction") -> int:
+    """Put the finished runs of several folders into the compact numbers.
+
+    Args:
+        folders: Folders of `infogoal reproduce`, or copies of them; of a run that several have, the last one's counts.
+        into: Folder of the compact numbers, which is added to.
+    """
+    from infogoal_jax.reproduce import command
+
+    return command.merge([Path(folder) for folder in folders], Path(into))
+
+
+REPRODUCE = Group(HELP, {name: named(study, title, name=name) for name, title in TITLES.items()} | {"merge": merge})

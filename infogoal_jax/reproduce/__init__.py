@@ -1,0 +1,1 @@
+"""The paper's tables and figures from training to the finished page: `infogoal reproduce` (docs/reproduction.md)."""

@@ -1,0 +1,114 @@
+"""What `infogoal reproduce` does: plan, train what is left, then draw what was asked for."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+from infogoal_jax.errors import require
+from infogoal_jax.reproduce import numbers, progress
+from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, command_of, runs_of
+from infogoal_jax.reproduce.paper import TASKS
+from infogoal_jax.reproduce.plan import fetch_sets, programs_of
+from infogoal_jax.reproduce.work import Work, command_line, work_on
+from infogoal_jax.train.compilation import use_compilation_cache
+
+DONE, FAILED, MORE = 0, 1, 130
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """What was asked for; the flags of the command line."""
+
+    name: str
+    tasks: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    ways: tuple[str, ...] = ("paper", "her")
+    sets: tuple[int, ...] = ()
+    seeds: int = 5
+    out: Path = Path("runs/reproduction")
+    minutes: float = 0.0
+    retry: bool = False
+    quick: bool = False
+    list_runs: bool = False
+    goal_images: Path | None = None
+    lanes: int = 64
+    numbers: Path | None = None
+
+    @property
+    def studies(self) -> tuple[str, ...]:
+        """The tables and figures that were asked for."""
+        return tuple(STUDIES) if self.name == "all" else (self.name,)
+
+    def choice(self) -> Choice:
+        """What was asked for, as the manifest takes it."""
+        return Choice(
+            self.tasks or TASKS, self.methods or tuple(METHODS), self.ways, self.sets or None, self.seeds, self.quick
+        )
+
+    def runs(self) -> list[Run]:
+        """The runs that are needed. Raises `UserError` where there are none."""
+        runs = runs_of(self.studies, self.choice(), fetch_sets(self.goal_images))
+        require(bool(runs), self.name, "", "these tasks, methods, ways and sets have no run in it; name others")
+        return runs
+
+
+def reproduce(asked: Asked) -> int:
+    """Train what is left, and draw. Returns the exit status."""
+    require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
+    require(asked.lanes > 0, "lanes", asked.lanes, "give at least 1")
+    deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
+    if asked.numbers is not None:
+        draw(asked, numbers.load(asked.numbers))
+        return DONE
+    runs = asked.runs()
+    if asked.list_runs:
+        list_programs(asked, runs)
+        return DONE
+    use_compilation_cache()
+    work = Work(
+        asked.out,
+        deadline,
+        asked.retry,
+        asked.goal_images,
+        asked.lanes,
+        lambda run: command_line(command_of(run)),
+        lambda words: print(words, flush=True),
+    )
+    outcome = work_on(runs, work)
+    print(progress.summary(asked.out, runs), flush=True)
+    states = {run: progress.state_of(asked.out, run) for run in runs}
+    for run, state in states.items():
+        if state.kind == "failed":
+            print(f"failed: {run.name}: {state.words[:300]} (--retry runs it again)")
+    if any(state.kind == "done" for state in states.values()) and not outcome.stopped:
+        draw(asked, numbers.of_folder(asked.out / "runs"))
+    if any(state.kind == "failed" for state in states.values()):
+        return FAILED
+    return DONE if all(state.kind == "done" for state in states.values()) else MORE
+
+
+def list_programs(asked: Asked, runs: list[Run]) -> None:
+    """Print every program with its runs and how far they are."""
+    for program in programs_of(runs, asked.goal_images):
+        print(f"{program.name}: {sum(len(run.seeds) for run in program.runs)} seeds")
+        for run in program.runs:
+            print(f"    {run.name}: {progress.state_of(asked.out, run).kind}")
+    print(progress.summary(asked.out, runs))
+
+
+def merge(folders: list[Path], into: Path) -> int:
+    """Put the finished runs of these folders into the compact numbers. Returns the exit status."""
+    require(bool(folders), "folders", "", "give folders of infogoal reproduce")
+    results = numbers.merged(folders, into)
+    for path in numbers.save(results, into):
+        print(f"{path}: {path.stat().st_size:,} bytes")
+    print(f"{len(results)} runs; draw them: infogoal reproduce all --from {into} --out FOLDER")
+    return DONE
+
+
+def draw(asked: Asked, results: numbers.Results) -> None:
+    """Write the tables, figures, verdicts and the page of what was asked for."""
+    from infogoal_jax.reproduce import drawing
+
+    for path in drawing.draw(asked.studies, results, asked.out):
+        print(path)

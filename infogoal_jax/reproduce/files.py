@@ -1,0 +1,134 @@
+"""The file of a run: its numbers and the pictures made of it in one npz, which is whole or not there.
+
+FOLDER/runs/RUN.npz           a finished run
+FOLDER/runs/RUN.failed.json   why a run failed
+FOLDER/runs/RUN.lock          the run is being trained, by the process that holds the lock of this file
+FOLDER/unfinished/            checkpoints of what was stopped by the clock or by a signal
+"""
+
+import dataclasses
+import io
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.data import archives
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
+from infogoal_jax.runs import disk
+from infogoal_jax.runs.configuration import to_dict
+
+FORMAT = 1
+REMEDY = "run it again"
+Status = Literal["done", "damaged", "other settings", "failed", "left"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """What a run came to. about: machine, data, versions, times, configuration; evaluations: {metric: [seeds, E]};
+    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, and those of pictures."""
+
+    run: Run
+    about: dict[str, Any]
+    evaluations: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]
+
+    @property
+    def command(self) -> str:
+        """The command line that makes the run."""
+        return str(self.about["command"])
+
+
+def path_of(folder: Path, run: Run, ending: str = "npz") -> Path:
+    """The file of a run in the folder of a reproduction."""
+    return folder / "runs" / f"{run.name}.{ending}"
+
+
+def recorded_config(config: TrainConfig) -> dict[str, Any]:
+    """The configuration as JSON values, without what depends on the machine: where data lie."""
+    values = json.loads(json.dumps(to_dict(config)))
+    paths = {name: "" for name in GOAL_SET_FIELDS if isinstance(values["env"].get(name), str)}
+    return values | {"env": values["env"] | paths}
+
+
+def run_values(run: Run) -> dict[str, Any]:
+    """A run as JSON values."""
+    return json.loads(json.dumps(dataclasses.asdict(run)))
+
+
+def run_from(values: dict[str, Any]) -> Run:
+    """The run of `run_values`."""
+    name, floats = values["lane"]
+    lane = Lane(name, tuple((field, value) for field, value in floats))
+    return Run(**values | {"lane": lane, "seeds": tuple(values["seeds"])})
+
+
+def packed(result: Result) -> dict[str, np.ndarray]:
+    """The arrays of a run's file."""
+    names = sorted(result.evaluations)
+    stacked = np.stack([result.evaluations[name] for name in names], -1).astype(np.float32)
+    about = {"format": FORMAT, "run": run_values(result.run), "metrics": names} | result.about
+    text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    return {"about": text, "evaluations": stacked, **result.arrays}
+
+
+def unpacked(members: dict[str, np.ndarray]) -> Result:
+    """The run of these arrays. Raises `UserError` for another format, or where something is missing."""
+    try:
+        about = json.loads(members.pop("about").tobytes())
+        stacked = members.pop("evaluations")
+    except (KeyError, ValueError) as error:
+        raise UserError(f"about = unreadable ({error}); {REMEDY}") from error
+    require(about.get("format") == FORMAT, "format", about.get("format"), f"should be {FORMAT}; {REMEDY}")
+    names, run = about.pop("metrics"), run_from(about.pop("run"))
+    fits = stacked.ndim == 3 and stacked.shape[0] == len(run.seeds) and stacked.shape[2] == len(names)
+    require(fits, "evaluations", stacked.shape, f"should be those of {len(run.seeds)} seeds; {REMEDY}")
+    del about["format"]
+    evaluations = {name: stacked[..., place].astype(float) for place, name in enumerate(names)}
+    return Result(run, about, evaluations, members)
+
+
+def save(folder: Path, result: Result) -> None:
+    """Write the file of a finished run. Raises `UserError` if the disk refuses."""
+    path, content = path_of(folder, result.run), io.BytesIO()
+    np.savez_compressed(content, **packed(result))
+    disk.make_folder(path.parent)
+    disk.write_atomically(path, lambda file: file.write(content.getvalue()))
+
+
+def read(path: Path) -> Result:
+    """The run in this file, every number of it read. Raises `UserError` for a file that is missing, cut short,
+    changed, or something else."""
+    with archives.naming("run", path, REMEDY):
+        archive = archives.read(path, REMEDY)
+        return unpacked({name: archives.member(archive, name, REMEDY) for name in archive.sizes})
+
+
+def status_of(folder: Path, run: Run, config: TrainConfig) -> tuple[Status, str]:
+    """Whether a run is done, and if not, why. config: that it should have been trained with."""
+    if path_of(folder, run).exists():
+        try:
+            found = read(path_of(folder, run))
+        except UserError as error:
+            return "damaged", str(error)
+        if found.run != run or found.about["config"] != recorded_config(config):
+            return "other settings", "it was trained with other settings than the preset has now"
+        return "done", ""
+    failed = path_of(folder, run, "failed.json")
+    if failed.exists():
+        try:
+            return "failed", str(json.loads(failed.read_text())["why"])
+        except (OSError, ValueError, KeyError) as error:
+            return "failed", f"and its report cannot be read ({error})"
+    return "left", ""
+
+
+def write_failure(folder: Path, run: Run, why: str, trace: str) -> None:
+    """Write why a run failed."""
+    path = path_of(folder, run, "failed.json")
+    disk.make_folder(path.parent)
+    disk.write_json(path, {"why": why, "trace": trace})

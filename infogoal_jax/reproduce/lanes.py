@@ -1,0 +1,276 @@
+"""Training of several runs in one compiled program: goal sets, settings of floats and seeds side by side.
+
+The environments of the goal sets are stacked where their arrays differ, and each is held once for all its lanes.
+"""
+
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import values_of, with_values
+from infogoal_jax.reproduce import measure
+from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.plan import build_data, config_of
+from infogoal_jax.runs import checkpoint
+from infogoal_jax.train import host, memory
+from infogoal_jax.train.compilation import compiled, jit
+from infogoal_jax.train.parts import load_environment
+from infogoal_jax.train.program import Train, make_train
+
+WORDS = {"source", "names", "region_names", "low_level_name", "goal_objects"}
+"""Static fields of environments that no program depends on."""
+LEARNED = ("beta", "accuracy", "kl")
+"""Metrics of a learner that are kept, those of the last epoch before each evaluation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Runs with the same lanes on each of their goal sets. config: of the first; envs: of the goal sets; lanes: (lane,
+    seed) of each goal set; runs: by (goal set's place, lane)."""
+
+    config: TrainConfig
+    envs: tuple[Any, ...]
+    lanes: tuple[tuple[Lane, int], ...]
+    runs: dict[tuple[int, Lane], Run]
+
+    @property
+    def places(self) -> dict[Run, tuple[int, slice]]:
+        """Where the seeds of each run stand: goal set's place, lanes."""
+        found = {}
+        for (place, lane), run in self.runs.items():
+            first = [each for each, _ in self.lanes].index(lane)
+            found[run] = place, slice(first, first + len(run.seeds))
+        return found
+
+
+@dataclasses.dataclass
+class Training:
+    """A batch while it is trained. states: [goal sets, lanes, ...]; history: of each metric a list of arrays [goal
+    sets, lanes, ...], one an evaluation; finite: bool [goal sets, lanes]; share: `measure.learner_share`, compiled."""
+
+    batch: Batch
+    train: Train
+    hyper: Any
+    leaves: list
+    chunk: Callable
+    share: Callable | None
+    states: Any
+    history: dict[str, list[np.ndarray]]
+    finite: np.ndarray
+    compile_seconds: float
+    run_seconds: float = 0.0
+    last_seconds: float = 0.0
+
+    @property
+    def evaluations(self) -> int:
+        """How many there were."""
+        return len(self.history["train_goal/success_rate"]) if self.history else 0
+
+    def env_of(self, place: int) -> Any:
+        """The environment of a goal set."""
+        return self.batch.envs[place]
+
+
+def without_words(env: Any) -> Any:
+    """The environment with empty words, which differ between goal sets that one program can be run on."""
+    changes = {}
+    for field in dataclasses.fields(env):
+        value = getattr(env, field.name)
+        if field.name in WORDS:
+            changes[field.name] = "" if isinstance(value, str) else ("",) * len(value)
+        elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+            changes[field.name] = without_words(value)
+    return env.replace(**changes) if hasattr(env, "replace") and changes else env
+
+
+def shape_of(env: Any) -> tuple:
+    """What has to agree for one program to be run on two environments."""
+    leaves, tree = jax.tree.flatten(without_words(env))
+    return tree, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+def pad_starts(envs: list[Any]) -> list[Any]:
+    """Environments on graphs, with as many columns of possible starts as the longest has: those behind the number of
+    starts are never drawn."""
+    inner = [env.unwrapped for env in envs]
+    if len(envs) == 1 or not all(hasattr(env, "num_starts") for env in inner):
+        return envs
+    longest = max(env.starts.shape[1] for env in inner)
+
+    def padded(env):
+        wanted = ((0, 0), (0, longest - env.unwrapped.starts.shape[1]))
+        walk = env.unwrapped.replace(starts=jnp.pad(env.unwrapped.starts, wanted))
+        return walk if env is env.unwrapped else env.replace(env=walk)
+
+    return [padded(env) for env in envs]
+
+
+def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> list[Batch]:
+    """The runs of one program as batches: goal sets whose arrays have the same shapes and which need the same lanes go
+    together, as many lanes at once as fit into the device's memory."""
+    sets = sorted({run.goal_set for run in runs})
+    lanes = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
+    configs, envs = {}, {}
+    for number in sets:
+        build_data(lanes[number][0])
+        configs[number] = config_of(lanes[number][0], goal_images)
+        envs[number] = load_environment(configs[number])
+    envs = dict(zip(envs, pad_starts(list(envs.values())), strict=True))
+    together: dict[Any, list[int]] = {}
+    for number in sets:
+        needed = tuple((run.lane, run.seeds) for run in lanes[number])
+        together.setdefault((needed, shape_of(envs[number])), []).append(number)
+    found = []
+    for (needed, _), numbers in together.items():
+        config = configs[numbers[0]]
+        most = min(most_lanes, fitting(config, envs[numbers[0]], sum(len(seeds) for _, seeds in needed) * len(numbers)))
+        for part in parts_of(needed, max(1, most // len(numbers))):
+            members = {
+                (place, run.lane): run
+                for place, number in enumerate(numbers)
+                for run in lanes[number]
+                if (run.lane, run.seeds) in part
+            }
+            flat = tuple((lane, seed) for lane, seeds in part for seed in seeds)
+            found.append(Batch(config, tuple(envs[number] for number in numbers), flat, members))
+    return found
+
+
+def parts_of(needed: tuple, most: int) -> list[list]:
+    """Lanes with their seeds in parts of at most so many seeds together; a lane is never cut."""
+    parts: list[list] = [[]]
+    for lane, seeds in needed:
+        if parts[-1] and sum(len(each) for _, each in parts[-1]) + len(seeds) > most:
+            parts.append([])
+        parts[-1].append((lane, seeds))
+    return parts
+
+
+def fitting(config: TrainConfig, env: Any, count: int) -> int:
+    """How many lanes of `count` fit into the device's memory side by side. Raises `UserError` for none."""
+    train = make_train(config, env)
+    sizes = memory.state_bytes(train), memory.working_bytes(train), memory.bytes_of(env)
+    return memory.seeds_at_once(*sizes, count, memory.device_memory(jax.devices()[0]))
+
+
+def begin(batch: Batch) -> Training:
+    """Compile the program of a batch and make the state before its first epoch."""
+    started = time.perf_counter()
+    train = make_train(batch.config, batch.envs[0])
+    flat = [jax.tree.leaves(env) for env in batch.envs]
+    whole = jax.tree.structure(batch.envs[0])  # Its words stand for those of all goal sets.
+    axes, leaves = [], []
+    for each in zip(*flat, strict=True):
+        alike = all(leaf is each[0] or np.array_equal(leaf, each[0]) for leaf in each[1:])
+        axes.append(None if alike else 0)
+        leaves.append(each[0] if alike else jnp.stack(each))
+
+    def over_lanes(function: Callable, lane_axes: tuple) -> Callable:
+        """The function (*lane, env) for all lanes of all goal sets: (*lanes [goal sets, lanes], leaves)."""
+
+        def of_set(*arguments):
+            *lane, own = arguments
+            env = jax.tree.unflatten(whole, own)
+            return jax.vmap(lambda *each: function(*each, env), in_axes=lane_axes)(*lane)
+
+        in_axes = (*(None if axis is None else 0 for axis in lane_axes), axes)
+        if len(batch.envs) > 1:
+            return jax.vmap(of_set, in_axes=in_axes)
+
+        def of_one(*arguments):
+            """Without the axis of goal sets, which would make every operation of the program one of a batch of one."""
+            *lane, own = arguments
+            alone = [
+                each if axis is None else jax.tree.map(lambda leaf: leaf[0], each)
+                for each, axis in zip(lane, lane_axes, strict=True)
+            ]
+            return jax.tree.map(lambda leaf: leaf[None], of_set(*alone, own))
+
+        return of_one
+
+    settings = [values_of(batch.config.hyper) | dict(lane.values) for lane, _ in batch.lanes]
+    shape = len(batch.envs), len(batch.lanes)
+    hyper = with_values(
+        batch.config.hyper,
+        {
+            name: jnp.broadcast_to(jnp.asarray([setting[name] for setting in settings], jnp.float32), shape)
+            for name in settings[0]
+        },
+    )
+    seeds = jnp.broadcast_to(jnp.asarray([seed for _, seed in batch.lanes], jnp.uint32), shape)
+    states = jit(over_lanes(lambda seed, hyper, env: train.initial(jax.random.key(seed), hyper, env), (0, 0)))(
+        seeds, hyper, leaves
+    )
+
+    def step(state, numbers, hyper, env):
+        state, epochs, metrics = train.chunk(state, numbers, hyper, env)
+        finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
+        learned = {name: epochs[name][-1] for name in learned_names(train, epochs)}
+        return state, metrics | learned | {"finite": finite}
+
+    numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
+    chunk = compiled(over_lanes(step, (0, None, 0)), states, numbers, hyper, leaves, donate_argnums=0)
+    share = measure.learner_share(train)
+    taken, share = time.perf_counter() - started, share and jit(share)
+    finite = np.ones(shape, bool)
+    return Training(batch, train, hyper, leaves, chunk, share, states, {}, finite, taken)
+
+
+def learned_names(train: Train, epochs: dict) -> list[str]:
+    """The metrics of `LEARNED` that the learner has."""
+    return [f"{train.parts.name}/{name}" for name in LEARNED if f"{train.parts.name}/{name}" in epochs]
+
+
+def go_on(training: Training) -> None:
+    """Train until the next evaluation and keep its numbers."""
+    started, length = time.perf_counter(), training.batch.config.epochs_per_evaluation
+    numbers = jnp.arange(length, dtype=jnp.int32) + training.evaluations * length
+    training.states, metrics = training.chunk(training.states, numbers, training.hyper, training.leaves)
+    metrics = jax.device_get(metrics)
+    training.finite &= metrics.pop("finite")
+    for name, value in metrics.items():
+        training.history.setdefault(name, []).append(np.asarray(value))
+    training.last_seconds = time.perf_counter() - started
+    training.run_seconds += training.last_seconds
+
+
+def described(training: Training) -> dict[str, Any]:
+    """What a checkpoint has to be of: the configuration, the data and the runs."""
+    about = host.describe(training.batch.config, training.batch.envs[0], [seed for _, seed in training.batch.lanes])
+    return json.loads(json.dumps(about.values() | {"runs": sorted(run.name for run in training.batch.runs.values())}))
+
+
+def save(path: Path, training: Training) -> None:
+    """Write a checkpoint of a batch. Raises `UserError` if the disk refuses."""
+    history = {name: np.stack(values).tolist() for name, values in training.history.items()}
+    header = {"about": described(training), "history": history, "run_seconds": training.run_seconds}
+    checkpoint.save(path, header | {"finite": training.finite.tolist()}, training.states)
+
+
+def resume(path: Path, training: Training) -> bool:
+    """Go on from the checkpoint of this batch, if there is one. One that is damaged or of other settings is passed
+    over. Returns whether there was one."""
+    if not path.exists():
+        return False
+    try:
+        header, payload = checkpoint.read_header(path)
+        if header.get("about") != described(training):
+            return False
+        states = checkpoint.arrays(path, payload, training.states)
+    except UserError as error:
+        print(f"infogoal: {error}; it is passed over", file=sys.stderr)
+        return False
+    training.states = jax.device_put(states)
+    training.history = {name: list(np.asarray(values)) for name, values in header["history"].items()}
+    training.finite, training.run_seconds = np.asarray(header["finite"], bool), header["run_seconds"]
+    return True

@@ -1,0 +1,250 @@
+"""Which runs each table and figure of the paper is made of.
+
+A run is a method on a task and one of its goal sets, with all its seeds. Two ways of running the methods are told
+apart: the paper's, in which only HER, CHER and GHRL relabel, and one in which every learner is given HER besides.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+from infogoal_jax import presets
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import require
+from infogoal_jax.reproduce.paper import TASKS
+
+METHODS = {
+    "infogoal": "InfoGoal",
+    "infobot": "InfoBot",
+    "cogoal": "COGOAL",
+    "gcb": "GCB",
+    "vae": "VAE",
+    "dgrl": "DGRL",
+    "rad": "RAD",
+    "none": "DQN/HRAC/CQL",
+    "her": "HER",
+    "cher": "CHER",
+    "ghrl": "GHRL",
+}
+"""The rows of Table I, in its order."""
+LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
+WAYS = {"paper": "the paper's way", "her": "every learner with HER"}
+SETS = {"object_search": (0, 1, 2), "object_manipulation": (0, 1, 2), "embodied_qa": (0, 1, 2)}
+"""Goal sets of a task: seeds of the house, of the cube with its poses and of the shelf, none of which was used for
+tuning. Fetch has the shipped goal images as set 0, and further ones where a folder of them is given."""
+FETCH = presets.FETCH_TASKS
+DRAWN = ("infogoal", "infobot", "gcb", "none")
+"""Methods whose codes and ways Figures 9, 10 and 11 show."""
+EXTERNAL = ("external reward alone", (("intrinsic_weight", 0.0),))
+"""A lane without intrinsic reward: its name and floats."""
+FIXED_BETAS = (1e-4, 1e-3, 1e-2, 1e-1)
+PRESET = ("preset", ())
+
+
+def fixed(beta: float) -> tuple[str, tuple]:
+    """The lane of InfoGoal with this beta from the first update to the last: its name and floats."""
+    return f"beta {beta:g}", (("learner.beta_start", beta), ("learner.beta_step", 0.0))
+
+
+class Lane(NamedTuple):
+    """A setting of float hyperparameters beside the preset's: a lane of the program. values: (dotted name, float)."""
+
+    name: str
+    values: tuple[tuple[str, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A method on a goal set of a task, with its seeds.
+
+    task, method: names; relabelling, explorer: other parts than the method's, or None; goal_set: number of the goal
+    set; lane: a setting of floats; seeds: their numbers; toy: at a size at which nothing is learned.
+    """
+
+    task: str
+    method: str
+    relabelling: str | None
+    explorer: str | None
+    goal_set: int
+    lane: Lane
+    seeds: tuple[int, ...]
+    toy: bool = False
+
+    @property
+    def label(self) -> str:
+        """The method with the parts that were added: `infogoal`, `infogoal+her`, `none+unrelabelled`."""
+        added = {"none": "unrelabelled"}.get(self.relabelling or "", self.relabelling)
+        return "+".join(part for part in (self.method, added, self.explorer) if part)
+
+    @property
+    def name(self) -> str:
+        """What tells the run from all others; its folder below the one that is given."""
+        words = [self.task, self.label, self.lane.name.replace(" ", "_"), f"set_{self.goal_set}"]
+        seeds = f"seeds_{self.seeds[0]}-{self.seeds[-1]}"
+        return "/".join([*words, seeds + "_toy" * self.toy])
+
+    def preset(self) -> TrainConfig:
+        """The preset of the method on the task, before a goal set is chosen."""
+        return presets.load(self.task, self.method, relabelling=self.relabelling, explorer=self.explorer)
+
+
+class Choice(NamedTuple):
+    """What was asked for. None: all. seeds: how many."""
+
+    tasks: tuple[str, ...] = TASKS
+    methods: tuple[str, ...] = tuple(METHODS)
+    ways: tuple[str, ...] = ("paper",)
+    sets: tuple[int, ...] | None = None
+    seeds: int = 5
+    toy: bool = False
+
+    def check(self) -> None:
+        """Raise `UserError` for names that are none."""
+        for field, known in (("tasks", TASKS), ("methods", tuple(METHODS)), ("ways", tuple(WAYS))):
+            for name in getattr(self, field):
+                require(name in known, field, name, f"give some of {', '.join(known)}")
+        require(0 < self.seeds <= 1000, "seeds", self.seeds, "give 1 to 1000")
+        for number in self.sets or ():
+            require(number >= 0, "sets", number, "give 0 or more")
+
+    def sets_of(self, task: str, fetch_sets: tuple[int, ...] = (0,)) -> tuple[int, ...]:
+        """The goal sets of a task that are asked for. fetch_sets: those that there are images of."""
+        there = SETS.get(task, fetch_sets)
+        return there if self.sets is None else tuple(number for number in there if number in self.sets)
+
+
+def parts_of(way: str, task: str, method: str) -> tuple[str | None, str | None] | None:
+    """(method's relabelling, explorer) of a row of Table I; None where the way has no such row.
+
+    The shelf's preset relabels every method with the names of objects. In the paper's way the bare agent does not.
+    """
+    own = presets.registry[task].relabelling
+    if way == "paper":
+        return ("none", None) if method == "none" and own != "none" else (None, None)
+    if method in LEARNERS:
+        return (None if own == "her" else "her"), None
+    return (None, None) if method == "her" else None
+
+
+def table1(choice: Choice, fetch_sets: tuple[int, ...] = (0,)) -> list[Run]:
+    """Table I: every method on every goal set of every task."""
+    return [
+        Run(task, method, *parts, goal_set, Lane(*PRESET), tuple(range(choice.seeds)), choice.toy)
+        for task in choice.tasks
+        for way in choice.ways
+        for method in choice.methods
+        if (parts := parts_of(way, task, method)) is not None
+        for goal_set in choice.sets_of(task, fetch_sets)
+    ]
+
+
+def of_methods(
+    choice: Choice, tasks: tuple[str, ...], methods: tuple[str, ...], lane=PRESET, explorer=None, seeds: int = 0
+) -> list[Run]:
+    """The runs of some methods on the first goal set of some tasks, those that were asked for. seeds: how many, 0: as
+    many as were asked for."""
+    numbers = tuple(range(seeds or choice.seeds))
+    return [
+        Run(task, method, parts_of("paper", task, method)[0], explorer, 0, Lane(*lane), numbers, choice.toy)
+        for task in tasks
+        if task in choice.tasks
+        for method in methods
+        if method in choice.methods
+    ]
+
+
+def fig8(choice: Choice) -> list[Run]:
+    """Fig. 8: sample efficiency and optimality with and without SSE-DB, on object search."""
+    return [
+        run
+        for explorer in (None, "sse_db")
+        for run in of_methods(choice, ("object_search",), ("none", "infobot", "infogoal"), explorer=explorer)
+    ]
+
+
+def fig9(choice: Choice) -> list[Run]:
+    """Fig. 9: codes and ways under corruption, with external rewards alone. Methods without an intrinsic reward are as
+    in Table I."""
+    tasks = fetch, cube = ("fetch_pick_and_place", "object_manipulation")
+    return [
+        *of_methods(choice, (fetch,), ("infogoal",), EXTERNAL),  # With all seeds: Fig. 15 has them too.
+        *of_methods(choice, (fetch,), ("infobot",), EXTERNAL, seeds=1),
+        *of_methods(choice, (cube,), ("infogoal", "infobot"), EXTERNAL, seeds=1),
+        *of_methods(choice, tasks, ("gcb", "none")),
+    ]
+
+
+def fixed_betas(choice: Choice, tasks: tuple[str, ...], betas: tuple[float, ...]) -> list[Run]:
+    """InfoGoal as it is, and under fixed betas."""
+    lanes = (PRESET, *(fixed(beta) for beta in betas))
+    return [run for lane in lanes for run in of_methods(choice, tasks, ("infogoal",), lane=lane)]
+
+
+STUDIES = {
+    "table1": table1,
+    "table2": lambda choice, fetch_sets=(0,): table1(
+        choice._replace(methods=("infogoal",), ways=("paper",)), fetch_sets
+    ),
+    "fig8": fig8,
+    "fig9": fig9,
+    "fig10": lambda choice: of_methods(choice, ("object_search",), DRAWN),
+    "fig11": lambda choice: of_methods(choice, ("embodied_qa",), DRAWN),
+    "fig12": lambda choice: of_methods(choice, ("object_search", "embodied_qa"), ("infogoal",)),
+    "fig13": lambda choice: of_methods(choice, ("fetch_pick_and_place",), ("infogoal",)),
+    "fig14": lambda choice: fixed_betas(choice, ("fetch_pick_and_place",), (1e-4, 1e-2, 1e-1)),
+    "fig15": lambda choice: (
+        fixed_betas(choice, FETCH, FIXED_BETAS) + of_methods(choice, FETCH, ("infogoal",), EXTERNAL)
+    ),
+}
+"""The runs of each table and figure."""
+DESCRIPTIONS = {
+    "table1": "Table I: success of every method on every task",
+    "table2": "Table II: beta and accuracy that InfoGoal converges to",
+    "fig8": "Fig. 8: sample efficiency and optimality with and without SSE-DB",
+    "fig9": "Fig. 9: codes and ways under corruption, external rewards alone",
+    "fig10": "Fig. 10: codes and trajectories on object search",
+    "fig11": "Fig. 11: codes and flights on embodied question answering",
+    "fig12": "Fig. 12: the intrinsic reward over states",
+    "fig13": "Fig. 13: beta and accuracy while training",
+    "fig14": "Fig. 14: codes under fixed beta",
+    "fig15": "Fig. 15: success under fixed beta and under the adaptive one",
+}
+
+
+def runs_of(studies: tuple[str, ...], choice: Choice, fetch_sets: tuple[int, ...] = (0,)) -> list[Run]:
+    """The runs that these tables and figures need, each once, in order. Raises `UserError` for names that are none."""
+    choice.check()
+    found: dict[Run, None] = {}
+    for study in studies:
+        require(study in STUDIES, "study", study, f"give some of {', '.join(STUDIES)}")
+        make: Any = STUDIES[study]
+        runs = make(choice, fetch_sets) if study in ("table1", "table2") else make(choice)
+        found |= dict.fromkeys(run for run in runs if is_allowed(run))
+    return list(found)
+
+
+def home_of(run: Run) -> str:
+    """The study whose compact numbers hold the run; other studies find it there."""
+    if run.explorer is not None:
+        return "fig8"
+    if run.lane.name == PRESET[0]:
+        return "table1"
+    return "fig15" if run.method == "infogoal" and run.task in FETCH else "fig9"
+
+
+def command_of(run: Run) -> list[str]:
+    """The words of the command line that makes a run, with those of its study that share its flags."""
+    study = home_of(run)
+    words = ["infogoal", "reproduce", study, "--tasks", run.task, "--methods", run.method]
+    if study == "table1":
+        words += ["--ways", "her" if run.relabelling == "her" else "paper", "--sets", str(run.goal_set)]
+        words += ["--seeds", str(len(run.seeds))]
+    elif len(run.seeds) > 1:
+        words += ["--seeds", str(len(run.seeds))]
+    return words + ["--quick"] * run.toy
+
+
+def is_allowed(run: Run) -> bool:
+    """Whether the task takes the method; SSE-DB's bonus is kept for each observation, which few tasks list."""
+    from infogoal_jax.train.combinations import reasons_against
+
+    return not reasons_against(run.preset())

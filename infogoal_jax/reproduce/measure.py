@@ -1,0 +1,182 @@
+"""What is measured of a run when its training has ended: how much of the goal encoder's gradient its method's own loss
+makes, and what its pictures are drawn from."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax.flatten_util import ravel_pytree
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.report import fetch_figures, pose_figures
+from infogoal_jax.report.canvas import Subject
+from infogoal_jax.report.image_goal_episodes import is_fetch, policy_episodes, seen_images
+from infogoal_jax.report.image_goal_figures import spread_goals
+from infogoal_jax.report.runs import Run as RunInFolder
+from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, reward_of_images, walks_of_policy
+from infogoal_jax.reproduce.manifest import DRAWN, Run
+from infogoal_jax.train.combinations import has_own_loss
+from infogoal_jax.train.evaluation import EVALUATION_SEED
+from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.program import Train
+from infogoal_jax.train.sampling import sample
+from infogoal_jax.train.settings import has_image_goals
+from infogoal_jax.train.update import update
+
+WEIGHTS = (0.1, 0.2, 0.4, 0.8)
+"""Of the backgrounds in Figures 9 and 14 [P]."""
+WAYS = 4
+"""Test goals whose ways are drawn [P]."""
+PICTURED = ("object_search", "embodied_qa", "fetch_pick_and_place", "object_manipulation")
+BATCHES = 8
+"""Over which the share of the gradient is a mean."""
+STEP = 1e4
+"""Of the parameters along the gradient that is to be measured: so long that float32 keeps the difference."""
+
+
+def learner_share(train: Train) -> Any:
+    """The program (state, number, hyper, env) -> share in [0, 1] of the learner's weighted loss in the gradient of the
+    goal encoder: its norm beside the sum of its own and the agent's. None for a learner without a loss.
+
+    An update with plain gradient steps is made with and without the learner's loss: parameters show the gradients.
+    """
+    if not has_own_loss(train.parts.learner):
+        return None
+    parts = train.parts._replace(optimizer=optax.identity())
+
+    def share(state, number, hyper, env):
+        experience, state = experience_of(parts, state, number, hyper, env)
+        params, restore = ravel_pytree(state.params)
+        plain = state.replace(
+            params=params,
+            target_params=ravel_pytree(state.target_params)[0],
+            optimizer_state=parts.optimizer.init(params),
+        )
+
+        def of_batch(key):
+            sample_key, update_key = jax.random.split(key)
+            drawn = sample(parts, env, experience, sample_key)
+
+            def step(weight):
+                asked = hyper.replace(learner_weight=weight, learning_rate=STEP, max_gradient_norm=1e30)
+                after, _ = update(parts, env, asked, experience, restore, plain, drawn, update_key)
+                moved = jax.tree.map(lambda old, new: (old - new) / STEP, plain.params, after.params)
+                return ravel_pytree(restore(moved)["goal"])[0]
+
+            both, agent = jax.vmap(step)(jnp.stack([hyper.learner_weight, jnp.zeros_like(hyper.learner_weight)]))
+            own, others = jnp.linalg.norm(both - agent), jnp.linalg.norm(agent)
+            return own / jnp.maximum(own + others, 1e-20)
+
+        return jax.lax.map(of_batch, jax.random.split(jax.random.key(EVALUATION_SEED), BATCHES)).mean()
+
+    return share
+
+
+def is_pictured(run: Run) -> bool:
+    """Whether a figure shows codes or ways of this run."""
+    return run.goal_set == 0 and run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
+
+
+def subject_of(train: Train, config: TrainConfig, env: Any, params: Any, seed: int) -> Subject:
+    """One seed of a run, as the figures of a run take it."""
+    import dataclasses
+
+    train = dataclasses.replace(train, env=env, config=config)
+    run = RunInFolder(config, [seed], env.source, {}, "", Path())
+    return Subject(run, train, None, None, {}, params, seed)
+
+
+def pictures(subject: Subject) -> dict[str, np.ndarray]:
+    """Arrays of codes, ways and intrinsic rewards, by name; see `codes_of`, `ways_of_images` and `ways_on_graph`."""
+    env = subject.train.env
+    shown = np.flatnonzero(~np.asarray(env.goals.validation_mask)) if env.goals.num_goals <= 1000 else None
+    if shown is None:
+        shown = np.flatnonzero(np.asarray(env.goals.train_mask) | np.asarray(env.goals.test_mask))
+    found = codes_of(subject, shown)
+    found |= ways_of_images(subject) if has_image_goals(env) else ways_on_graph(subject)
+    return {f"picture/{name}": value for name, value in found.items()}
+
+
+def codes_of(subject: Subject, which: np.ndarray) -> dict[str, np.ndarray]:
+    """Codes of these goals [M], clean and under each weight of the backgrounds. code_mean, code_std (of a random code):
+    float16 [1 + weights, M, d]; code_region int [M]; code_use int [M]: 0 training, 1 validation, 2 test, 3 other."""
+    env, params = subject.train.env, subject.params["goal"]
+    encode = jax.jit(lambda params, inputs: subject.train.parts.learner.encode(params, inputs))
+    if has_image_goals(env):
+        images = [seen_images(env, which, weight, EVALUATION_SEED) for weight in (0.0, *WEIGHTS)]
+    else:
+        images = [env.goals.inputs_of(which)]
+    codes = [jax.device_get(encode(params, image)) for image in images]
+    masks = [np.asarray(mask)[which] for mask in (env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask)]
+    use = np.select(masks, [0, 1, 2], 3).astype(np.int8)
+    found = {
+        "code_mean": np.stack([code.mean for code in codes]).astype(np.float16),
+        "code_region": np.asarray(env.goals.regions)[which].astype(np.int16),
+        "code_use": use,
+    }
+    if codes[0].std is not None:
+        found["code_std"] = np.stack([code.std for code in codes]).astype(np.float16)
+    return found
+
+
+def ways_of_images(subject: Subject) -> dict[str, np.ndarray]:
+    """Ways to corrupted test goals. way: float32 [weights, G, T + 1, 2], x and y of what is moved (m), on the cube the
+    step and the angle to the goal (degrees), NaN behind the end; way_success bool [weights, G]; way_region int [G];
+    way_goal float32 [G, 2]."""
+    env = subject.train.env
+    fetch = is_fetch(env)
+    apart = fetch_figures.distances_of_goals(env) if fetch else pose_figures.angles_between_goals(env)
+    chosen = spread_goals(env.goals, np.asarray(env.goals.test_mask), WAYS, apart)
+    episodes = policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
+    way = np.full((len(WEIGHTS), len(chosen), env.episode_length + 1, 2), np.nan, np.float32)
+    for view, found in enumerate(episodes):
+        if fetch:
+            paths = np.asarray(env.unwrapped.robot.achieved(found.observations))[..., :2]
+            paths = [path[: steps + 1] for path, steps in zip(paths, found.steps, strict=True)]
+        else:
+            angles = pose_figures.angles_to_goals(env, chosen, found)
+            paths = [np.stack([np.arange(len(angle)), angle], -1) for angle in angles]
+        for goal, path in enumerate(paths):
+            way[view, goal, : len(path)] = path
+    goals = np.asarray(env.unwrapped.positions)[chosen, :2] if fetch else np.zeros((len(chosen), 2))
+    return {
+        "way": way,
+        "way_success": np.stack([np.asarray(found.success) for found in episodes]),
+        "way_region": np.asarray(env.goals.regions)[chosen].astype(np.int16),
+        "way_goal": goals.astype(np.float32),
+    }
+
+
+def ways_on_graph(subject: Subject) -> dict[str, np.ndarray]:
+    """Ways to a test goal a region from the farthest start, as `ways_of_images` has them (one view), the places of all
+    images `place` float32 [K, 2] (m); and where the learner has an intrinsic reward, reward float32 [R, K] of every
+    image for a training goal a region, NaN where no goal is in view, and the way to it."""
+    env, walks = subject.train.env, walks_of_policy(subject)
+    place = np.asarray(env.position)[:, :2].astype(np.float32)
+    chosen = one_goal_a_region(env, env.goals.test_mask)
+    found = {"place": place} | ways_of([from_farthest(walks[goal]) for goal in chosen], env, place, "way")
+    trained = one_goal_a_region(env, env.goals.train_mask)
+    rewards = np.stack([reward_of_images(subject, goal) for goal in trained])
+    if np.nanmax(np.abs(rewards)) > 0:
+        found["reward"] = rewards.astype(np.float16)
+        found |= ways_of([from_farthest(walks[goal]) for goal in trained], env, place, "reward_way")
+    return found
+
+
+def ways_of(walks: list[Walk], env: Any, place: np.ndarray, name: str) -> dict[str, np.ndarray]:
+    """Walks as arrays [1, G, T + 1, 2] by name, see `ways_of_images`."""
+    way = np.full((1, len(walks), env.episode_length + 1, 2), np.nan, np.float32)
+    for number, walk in enumerate(walks):
+        way[0, number, : len(walk.nodes)] = place[walk.nodes]
+    goals = [walk.goal for walk in walks]
+    in_view = np.asarray(env.in_view)
+    middle = np.stack([np.nanmean(place[in_view[:, goal]], axis=0) for goal in goals])
+    return {
+        name: way,
+        f"{name}_success": np.array([[walk.success for walk in walks]]),
+        f"{name}_region": np.asarray(env.goals.regions)[goals].astype(np.int16),
+        f"{name}_goal": middle.astype(np.float32),
+    }

@@ -1,0 +1,114 @@
+"""The compact numbers of a reproduction: one file a study, from which every table and figure is drawn again.
+
+    FOLDER/table1.npz, fig8.npz, fig9.npz, fig15.npz
+
+Each holds the runs of which `manifest.home_of` says so: their success at every evaluation, seed by seed, and the arrays
+of their pictures. Equal numbers give equal bytes.
+"""
+
+import dataclasses
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+
+from infogoal_jax.data import archives
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.reproduce import budget, files
+from infogoal_jax.reproduce.files import Result
+from infogoal_jax.reproduce.manifest import Run, home_of
+from infogoal_jax.runs import disk
+
+HOMES = ("table1", "fig8", "fig9", "fig15")
+REMEDY = "give a folder that `infogoal reproduce merge` wrote"
+Results = dict[Run, Result]
+
+
+def is_kept(metric: str) -> bool:
+    """Whether a metric is kept in the compact numbers: success in every setting, paths of clean goals, and what the
+    learner says of its code."""
+    score = metric.rpartition("/")[2]
+    plain = "corrupted" not in metric and "mean_code" not in metric and "validation" not in metric
+    return score not in ("spl", "episode_length") or plain
+
+
+def compact(result: Result) -> Result:
+    """A run with the numbers that tables and figures are made of. Of `first_reached` [seeds, M, starts] that of the
+    evaluation at which the run levelled off stays."""
+    arrays = dict(result.arrays)
+    first = arrays["first_reached"]
+    if first.ndim == 4:
+        last = budget.shown(result.evaluations["train_goal/success_rate"]).stop
+        arrays["first_reached"] = first[:, last - 1]
+    evaluations = {name: value for name, value in result.evaluations.items() if is_kept(name)}
+    return dataclasses.replace(result, evaluations=evaluations, arrays=arrays)
+
+
+def of_folder(folder: Path) -> Results:
+    """The finished runs in the folder of a reproduction, compact. Raises `UserError` for a damaged file."""
+    found = (compact(files.read(path)) for path in sorted(folder.rglob("*.npz")) if not is_study(path))
+    return {result.run: result for result in found}
+
+
+def is_study(path: Path) -> bool:
+    """Whether a file holds compact numbers of a study."""
+    return path.stem in HOMES
+
+
+def load(folder: Path) -> Results:
+    """The runs of the compact numbers in this folder. Raises `UserError` if there are none, or for a damaged file."""
+    paths = [folder / f"{home}.npz" for home in HOMES if (folder / f"{home}.npz").exists()]
+    require(bool(paths), "from", str(folder), f"holds no {', '.join(f'{home}.npz' for home in HOMES)}; {REMEDY}")
+    found: Results = {}
+    for path in paths:
+        with archives.naming("numbers", path, REMEDY):
+            archive = archives.read(path, REMEDY)
+            names = json.loads(archives.member(archive, "names", REMEDY).tobytes())
+            abouts = json.loads(archives.member(archive, "about", REMEDY).tobytes())
+            require(len(names) == len(abouts), "names", len(names), f"should be {len(abouts)}; {REMEDY}")
+            with np.load(io.BytesIO(archive.content), allow_pickle=False) as members:
+                for number, about in enumerate(abouts):
+                    own = {
+                        name.partition("/")[2]: members[name] for name in members if name.split("/")[0] == str(number)
+                    }
+                    result = files.unpacked(own | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+                    found[result.run] = result
+    return found
+
+
+def save(results: Results, folder: Path) -> list[Path]:
+    """Write the compact numbers of these runs, a file a study. Returns the files."""
+    disk.make_folder(folder)
+    paths = []
+    for home in HOMES:
+        own = sorted(
+            (result for run, result in results.items() if home_of(run) == home), key=lambda each: each.run.name
+        )
+        if not own:
+            continue
+        arrays, abouts = {}, []
+        for number, result in enumerate(own):
+            packed = files.packed(result)
+            abouts.append(json.loads(packed.pop("about").tobytes()))
+            arrays |= {f"{number}/{name}": value for name, value in sorted(packed.items())}
+        texts = {"names": [result.run.name for result in own], "about": abouts}
+        encoded = {name: np.frombuffer(json.dumps(value).encode(), np.uint8) for name, value in texts.items()}
+        content = io.BytesIO()
+        np.savez_compressed(content, **encoded, **arrays)
+        paths.append(folder / f"{home}.npz")
+        disk.write_atomically(paths[-1], lambda file, content=content: file.write(content.getvalue()))
+    return paths
+
+
+def merged(folders: list[Path], into: Path) -> Results:
+    """The runs of the compact numbers in `into`, with those of these folders, of which the last one counts. Raises
+    `UserError` for a folder that is missing or holds neither runs nor numbers."""
+    found = load(into) if any((into / f"{home}.npz").exists() for home in HOMES) else {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
+        new = load(folder) if any((folder / f"{home}.npz").exists() for home in HOMES) else of_folder(folder)
+        require(bool(new), "folders", str(folder), "holds no finished run")
+        found |= new
+    return found

@@ -1,0 +1,90 @@
+"""Which runs are trained in one compiled program: those whose configurations differ in floats, seeds and goal sets
+alone."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.reproduce.budget import budget_of
+from infogoal_jax.reproduce.manifest import FETCH, Run
+from infogoal_jax.runs.configuration import to_dict
+
+GOAL_SET_FIELDS = ("dataset", "generator_seed", "goal_seed", "goal_images")
+"""Fields of an environment's configuration that say which goal set it has."""
+TOY = {"num_envs": 8, "rollout_steps": 12, "updates_per_epoch": 2, "batch_size": 16, "evaluation_starts": 1}
+"""A size at which nothing is learned."""
+TOY_FETCH_STEPS = 12
+
+
+class Program(NamedTuple):
+    """Runs that one compiled program trains. config: of the first; it decides the program."""
+
+    config: TrainConfig
+    runs: tuple[Run, ...]
+
+    @property
+    def name(self) -> str:
+        """The task and the method, for people."""
+        return f"{self.runs[0].task} {self.runs[0].label}"
+
+
+def fetch_sets(goal_images: Path | None) -> tuple[int, ...]:
+    """The goal sets of Fetch that there are images of: the shipped one, and a folder for each further one."""
+    if goal_images is None:
+        return (0,)
+    require(goal_images.is_dir(), "goal_images", str(goal_images), "give a folder of `infogoal data build fetch`")
+    numbers = sorted(int(path.name) for path in goal_images.iterdir() if path.name.isdigit() and path.is_dir())
+    return (0, *(number for number in numbers if number > 0))
+
+
+def config_of(run: Run, goal_images: Path | None = None) -> TrainConfig:
+    """The configuration that a run is trained with. Builds no data."""
+    config, budget = run.preset(), budget_of(run.task, run.toy)
+    env, number = config.env, run.goal_set
+    if run.task in FETCH and number:
+        require(goal_images is not None, "goal_images", None, f"give the folder of the goal images of set {number}")
+        env = dataclasses.replace(env, goal_images=str(goal_images / str(number) / f"{run.task}.npz"))
+    elif run.task == "object_search" and number:
+        from infogoal_jax.stand_ins import house
+
+        env = dataclasses.replace(env, dataset=str(house.cached_folder(number)))
+    elif run.task == "object_manipulation":
+        env = dataclasses.replace(env, generator_seed=number, goal_seed=number)
+    elif run.task == "embodied_qa":
+        env = dataclasses.replace(env, generator_seed=number)
+    sizes = {"num_epochs": budget.chunk * budget.evaluations, "epochs_per_evaluation": budget.chunk}
+    if run.toy:
+        sizes |= TOY | {"buffer_steps": 10 * TOY["num_envs"] * TOY["rollout_steps"]}
+        env = dataclasses.replace(env, episode_length=TOY_FETCH_STEPS) if run.task in FETCH else env
+    return dataclasses.replace(config, env=env, hyper=with_values(config.hyper, dict(run.lane.values)), **sizes)
+
+
+def build_data(run: Run) -> None:
+    """Build the data of a run's goal set in the user's cache where it is not built with the environment."""
+    if run.task == "object_search" and run.goal_set:
+        from infogoal_jax.stand_ins import house
+
+        if not house.cached_folder(run.goal_set).exists():
+            house.load(run.goal_set, objects=AUTHORS_SPLIT.objects)
+
+
+def program_key(config: TrainConfig) -> str:
+    """What two configurations share that one program can train: all but floats and the goal set."""
+    values = to_dict(config)
+    values["env"] = {name: value for name, value in values["env"].items() if name not in GOAL_SET_FIELDS}
+    del values["hyper"]
+    return json.dumps(values, sort_keys=True, default=str)
+
+
+def programs_of(runs: list[Run], goal_images: Path | None = None) -> list[Program]:
+    """The runs, grouped by the program that trains them, in order of the first of each."""
+    grouped: dict[str, tuple[TrainConfig, list[Run]]] = {}
+    for run in runs:
+        config = config_of(run, goal_images)
+        grouped.setdefault(program_key(config), (config, []))[1].append(run)
+    return [Program(config, tuple(members)) for config, members in grouped.values()]

@@ -1,0 +1,103 @@
+"""From the numbers of runs to those of tables: success of a row of Table I on a task, and whether the row counts."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from infogoal_jax.reproduce import budget
+from infogoal_jax.reproduce.files import Result
+from infogoal_jax.reproduce.manifest import PRESET, parts_of
+from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
+from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
+
+KINDS = {"test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
+"""The kinds of goals of Table I, as metrics name them, and in words."""
+TITLES = {
+    "object_search": "ObjSearch",
+    "object_manipulation": "ObjMani",
+    "fetch_reach": "Reach",
+    "fetch_push": "Push",
+    "fetch_pick_and_place": "PickAndPlace",
+    "embodied_qa": "EQA",
+}
+"""Tasks as Table I names them."""
+LEAST_SHARE = 0.01
+"""Of the goal encoder's gradient that a method's own loss has to make; below it the row is the bare agent's."""
+MARKS = {
+    "rises": ("†", "its training curve still rises at the ceiling of the budget"),
+    "off": ("‡", f"the method's own loss makes less than {LEAST_SHARE:.0%} of the goal encoder's gradient"),
+    "diverged": ("§", "seeds diverged and are left out"),
+}
+"""What is wrong with a row: its mark, and in words."""
+
+
+class Row(NamedTuple):
+    """A method on a task: its runs, one a goal set."""
+
+    results: tuple[Result, ...]
+
+    def scores(self, kind: str) -> list[np.ndarray] | None:
+        """Success on a kind of goals, [seeds] of each goal set, without seeds that diverged; None where the task has no
+        such goals."""
+        if any(f"{kind}/success_rate" not in result.evaluations for result in self.results):
+            return None
+        return [scores_of(result, f"{kind}/success_rate") for result in self.results]
+
+    def mean(self, kind: str) -> TwoIntervals | None:
+        """The mean over goal sets and seeds with its intervals."""
+        scores = self.scores(kind)
+        return None if scores is None or not all(len(each) for each in scores) else over_seeds_and_sets(scores)
+
+    def faults(self) -> list[str]:
+        """What is wrong with the row, keys of `MARKS`; a row without any counts."""
+        found = []
+        if any(budget.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
+            found.append("rises")
+        shares = [result.about["learner_share"] for result in self.results]
+        if any(share is not None and not share >= LEAST_SHARE for share in shares):
+            found.append("off")
+        if any(result.about["diverged"] for result in self.results):
+            found.append("diverged")
+        return found
+
+    def marks(self) -> str:
+        """The marks of what is wrong."""
+        return "".join(MARKS[fault][0] for fault in self.faults())
+
+    @property
+    def seeds(self) -> int:
+        """How many there are of each goal set at least."""
+        return min(len(result.run.seeds) for result in self.results)
+
+
+def scores_of(result: Result, metric: str) -> np.ndarray:
+    """A metric of a run, [seeds]: the mean over the evaluations that count, without the seeds that diverged."""
+    kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
+    which = budget.shown(result.evaluations["train_goal/success_rate"])
+    return result.evaluations[metric][kept, which].mean(1)
+
+
+def row_of(results: Results, way: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
+    """The runs of a row of Table I, or of another lane or explorer, those of the most seeds where there are several;
+    None where there are none."""
+    parts = parts_of(way, task, method)
+    if parts is None:
+        return None
+    by_set: dict[int, Result] = {}
+    for run, result in sorted(results.items(), key=lambda item: len(item[0].seeds)):
+        own = run.task, run.method, run.relabelling, run.explorer, run.lane.name
+        if own == (task, method, parts[0], explorer, lane):
+            by_set[run.goal_set] = result
+    return Row(tuple(by_set[number] for number in sorted(by_set))) if by_set else None
+
+
+def rows_of(results: Results, way: str, methods) -> dict[tuple[str, str], Row]:
+    """Every row that there is, by (task, method)."""
+    found = {(task, method): row_of(results, way, task, method) for task in TASKS for method in methods}
+    return {key: row for key, row in found.items() if row is not None}
+
+
+def columns() -> list[tuple[str, str]]:
+    """(kind of goals, task) of the columns of Table I."""
+    return [(kind, task) for kind in KINDS for task in (TASKS if kind == "test_goal" else IMAGE_TASKS)]
