@@ -37,9 +37,9 @@ class Bounds(NamedTuple):
     low: float
     high: float
 
-    def show(self) -> str:
+    def show(self, decimals: int = 2) -> str:
         """`0.52 [0.48, 0.55]`."""
-        return f"{self.value:.2f} [{self.low:.2f}, {self.high:.2f}]"
+        return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
 
 
 def over_seeds_and_sets(scores: Scores) -> TwoIntervals:

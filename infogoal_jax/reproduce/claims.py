@@ -1,0 +1,185 @@
+"""The paper's claims, each with the test that decides it; the tests stand in evidence.py."""
+
+import dataclasses
+from collections.abc import Callable
+
+from infogoal_jax.reproduce.evidence import (
+    COMPARABLE,
+    RELABELLINGS,
+    Finding,
+    beta_gain,
+    compare,
+    first_of_task,
+    fixed_against_adaptive,
+    grouped,
+    less_information,
+    near,
+    own_loss,
+    reward_near_goal,
+    shorter_paths,
+    sse_db_gain,
+    sse_db_less_than_infogoal,
+)
+from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
+from infogoal_jax.reproduce.scores import KINDS, TITLES
+
+
+@dataclasses.dataclass(frozen=True)
+class Claim:
+    """name: short; says: the claim; where: in the paper; test: what decides it, in words; find: what decides it."""
+
+    name: str
+    says: str
+    where: str
+    test: str
+    find: Callable[[Results], Finding]
+
+
+FIRST = "difference to the best other row"
+CLAIMS = (
+    *(
+        Claim(
+            f"first-{kind.removesuffix('_goal').replace('_', '-')}-{TITLES[task]}",
+            f"InfoGoal reaches more {KINDS[kind]} goals than every other method on {TITLES[task]}",
+            "Table I, Sec. V-D",
+            FIRST,
+            first_of_task(task, kind),
+        )
+        for kind, tasks in (("test_goal", TASKS), ("corrupted_test_goal", IMAGE_TASKS))
+        for task in tasks
+    ),
+    Claim(
+        "relabelling-helps",
+        "HER, CHER and GHRL reach more test goals than the bare agents",
+        "Sec. V-D",
+        "difference, HER, CHER and GHRL to the bare agent",
+        compare(RELABELLINGS, ("none",), "test_goal", TASKS),
+    ),
+    Claim(
+        "relabelling-overfits",
+        "HER, CHER and GHRL reach far fewer goals when these are corrupted",
+        "Sec. V-D",
+        "clean minus corrupted test goals, of each",
+        own_loss,
+    ),
+    Claim(
+        "relabelling-below-infogoal",
+        "HER, CHER and GHRL lie below InfoGoal on test goals",
+        "Table I",
+        "InfoGoal minus each of them",
+        compare(("infogoal",), RELABELLINGS, "test_goal", TASKS),
+    ),
+    Claim(
+        "reconstruction-corrupted-training",
+        "VAE and DGRL reach more corrupted training goals than the bare agent",
+        "Sec. V-D",
+        "difference, VAE and DGRL to the bare agent",
+        compare(("vae", "dgrl"), ("none",), "corrupted_train_goal", IMAGE_TASKS),
+    ),
+    Claim(
+        "infobot-helps",
+        "InfoBot reaches many more test goals than the bare agent",
+        "Sec. V-E",
+        "difference to the bare agent",
+        compare(("infobot",), ("none",), "test_goal", TASKS),
+    ),
+    Claim(
+        "infobot-paths",
+        "InfoBot takes longer paths than InfoGoal",
+        "Sec. V-E, Fig. 8",
+        "difference of SPL on object search, InfoGoal minus InfoBot",
+        shorter_paths,
+    ),
+    Claim(
+        "gcb-helps",
+        "GCB, which groups similar goals, reaches more test goals than the bare agent",
+        "Table I, Sec. V-E",
+        "difference to the bare agent",
+        compare(("gcb",), ("none",), "test_goal", TASKS),
+    ),
+    Claim(
+        "sse-db-efficiency",
+        "SSE-DB makes DQN, InfoBot and InfoGoal more sample-efficient",
+        "Fig. 8, left",
+        "difference of the area under the curve of success on training goals",
+        sse_db_gain("efficiency", "train", ("DQN", "InfoBot", "InfoGoal")),
+    ),
+    Claim(
+        "sse-db-test",
+        "DQN with SSE-DB reaches fewer test goals than InfoGoal",
+        "Fig. 8, bottom left",
+        "InfoGoal minus DQN with SSE-DB",
+        sse_db_less_than_infogoal,
+    ),
+    Claim(
+        "sse-db-optimality",
+        "SSE-DB does not shorten InfoBot's paths",
+        "Fig. 8, right",
+        f"area under success by length on test goals gains less than {COMPARABLE}",
+        lambda results: dataclasses.replace(
+            sse_db_gain("optimality", "test", ("InfoBot",), -1.0)(results), above=-COMPARABLE
+        ),
+    ),
+    Claim(
+        "beta",
+        "Beta converges to about 0.013 on FetchPickAndPlace",
+        "Sec. V-F, Fig. 13",
+        "within a factor of two",
+        near("beta", 0.013, 0.0065),
+    ),
+    Claim(
+        "accuracy",
+        "The accuracy stays at about 0.96 on FetchPickAndPlace",
+        "Sec. V-F, Fig. 13",
+        "within 0.01",
+        near("accuracy", 0.96, 0.01),
+    ),
+    Claim(
+        "beta-too-low",
+        "A fixed beta of 0.01 is better than one of 0.0001",
+        "Sec. V-F, Fig. 15",
+        "difference on corrupted test goals of the three Fetch tasks",
+        beta_gain(1e-2, 1e-4),
+    ),
+    Claim(
+        "beta-too-high",
+        "A fixed beta of 0.01 is better than one of 0.1",
+        "Sec. V-F, Fig. 15",
+        "difference on corrupted test goals of the three Fetch tasks",
+        beta_gain(1e-2, 1e-1),
+    ),
+    Claim(
+        "beta-adaptive",
+        "The adaptive beta is comparable with the best fixed one",
+        "Sec. V-F, Fig. 15",
+        f"difference to the best fixed beta above -{COMPARABLE}",
+        fixed_against_adaptive,
+    ),
+    Claim(
+        "beta-prior",
+        "Under a high fixed beta codes hold less information than under the adaptive one",
+        "Sec. V-F, Fig. 14",
+        "log ratio of the KL, adaptive to 0.1",
+        less_information,
+    ),
+    Claim(
+        "codes-grouped",
+        "InfoGoal's codes of near goals lie together, more than the bare agent's",
+        "Sec. V-E, Figs. 9 to 11",
+        "difference of the silhouette by region",
+        grouped,
+    ),
+    Claim(
+        "reward-near-goal",
+        "The intrinsic reward is high where the goal is",
+        "Sec. V-E, Fig. 12",
+        "minus the rank correlation with the distance to the goal",
+        reward_near_goal,
+    ),
+)
+
+
+def verdicts(results: Results) -> list[tuple[Claim, Finding]]:
+    """Every claim with what the numbers say about it."""
+    return [(claim, claim.find(results)) for claim in CLAIMS]

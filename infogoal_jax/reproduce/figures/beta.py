@@ -1,0 +1,77 @@
+"""Fig. 13: beta and accuracy while training. Fig. 15: success under fixed beta and under the adaptive one."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from infogoal_jax.report.canvas import USE_COLOURS, draw_curve, empty_figure, finish_share_axis
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.reproduce.manifest import EXTERNAL, FETCH, FIXED_BETAS, PRESET, fixed
+from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.scores import KINDS, TITLES, row_of
+
+SHOWN = {"corrupted_train_goal": "(a) corrupted training goals", "corrupted_test_goal": "(b) corrupted test goals"}
+
+
+def fig13(results: Results) -> Figure | None:
+    """Beta and accuracy of InfoGoal on FetchPickAndPlace, seed by seed."""
+    row = row_of(results, "paper", "fetch_pick_and_place", "infogoal")
+    if row is None:
+        return None
+    result = row.results[0]
+    updates = result.about["updates"] * np.arange(1, result.evaluations["infogoal/beta"].shape[1] + 1)
+    threshold = result.about["config"]["hyper"]["learner"]["beta_threshold"]
+    below = ("mean over seeds with 95 % interval, each seed a thin line; the paper: beta about 0.013, accuracy 0.96",)
+    figure = empty_figure("FetchPickAndPlace: adaptive Lagrange multiplier", below, (10, 4.2))
+    left, right = figure.subplots(1, 2)
+    draw_curve(left, updates, result.evaluations["infogoal/beta"], USE_COLOURS["train"], "beta")
+    draw_curve(right, updates, result.evaluations["infogoal/accuracy"], USE_COLOURS["test"], "accuracy")
+    right.axhline(threshold, color="black", linestyle="--", linewidth=1, label=f"threshold {threshold:g}")
+    right.legend(loc="lower right")
+    for axes, label in ((left, "Lagrange multiplier beta"), (right, "accuracy, similar against dissimilar goals")):
+        axes.set_ylabel(label)
+        axes.set_xlabel("updates")
+        axes.grid(alpha=0.3, linewidth=0.6)
+    return figure
+
+
+def lanes() -> dict[str, str]:
+    """The lanes of Fig. 15 as the axis names them, by name."""
+    betas = {fixed(beta)[0]: f"{beta:g}" for beta in FIXED_BETAS}
+    return betas | {PRESET[0]: "adaptive", EXTERNAL[0]: "adaptive,\nno intrinsic\nreward"}
+
+
+def by_task(results: Results, lane: str, kind: str) -> dict[str, np.ndarray]:
+    """Success of InfoGoal under a lane, [seeds] of each Fetch task, on the first goal set."""
+    rows = {task: row_of(results, "paper", task, "infogoal", lane) for task in FETCH}
+    return {task: row.scores(kind)[0] for task, row in rows.items() if row is not None}
+
+
+def fig15(results: Results) -> Figure | None:
+    """Success on the three Fetch tasks under fixed beta and the adaptive one: the mean over tasks with its interval
+    over seeds, and each task."""
+    kinds = [*SHOWN, "test_goal"]
+    if not any(by_task(results, fixed(beta)[0], kinds[0]) for beta in FIXED_BETAS):
+        return None
+    below = ("bars: mean over tasks with 95 % interval over seeds; marks: each task. beta fixed from the first update",)
+    figure = empty_figure("Fetch: success under fixed beta and under the adaptive one", below, (14, 4.6))
+    markers = dict(zip(FETCH, "osD", strict=True))
+    for axes, kind in zip(figure.subplots(1, len(kinds), sharey=True), kinds, strict=True):
+        for place, lane in enumerate(lanes()):
+            found = by_task(results, lane, kind)
+            if not found:
+                continue
+            fewest = min(len(values) for values in found.values())
+            mean = mean_interval(np.mean([values[:fewest] for values in found.values()], axis=0))
+            half = mean.half_width if np.isfinite(mean.half_width) else None
+            colour = USE_COLOURS["test"] if lane == PRESET[0] else USE_COLOURS["train"]
+            axes.bar(place, mean.mean, yerr=half, color=colour, alpha=0.7, capsize=4)
+            for task, values in found.items():
+                axes.plot(place, values.mean(), markers[task], color="black", markersize=5)
+        axes.set_xticks(range(len(lanes())), list(lanes().values()), fontsize=8)
+        axes.set_title(SHOWN.get(kind, f"(c) {KINDS[kind]} goals"), fontsize=10)
+        axes.set_xlabel("beta")
+        finish_share_axis(axes, "success rate" if kind == kinds[0] else "")
+    for task, marker in markers.items():
+        axes.plot([], [], marker, color="black", markersize=5, label=TITLES[task])
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure

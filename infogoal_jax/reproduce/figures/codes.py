@@ -1,0 +1,154 @@
+"""Figures 9, 10, 11 and 14: codes of goals on their principal axes, and the ways of the policy."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from infogoal_jax.goal_uses import NO_USE
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.learners.learner import GoalCode
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
+from infogoal_jax.report.goal_codes import draw_codes, principal_components
+from infogoal_jax.reproduce.files import Result
+from infogoal_jax.reproduce.manifest import DRAWN, EXTERNAL, METHODS, PRESET, fixed
+from infogoal_jax.reproduce.measure import WEIGHTS
+from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.scores import TITLES, row_of
+
+WAYS_IN_WORDS = "stars: goals; circles: starts; crosses: ends, green where the goal was reached"
+CODES_IN_WORDS = (
+    "large marks: means, circles of training goals and stars of test goals; faded: samples; colours: regions"
+)
+
+
+def picture_of(results: Results, task: str, method: str, *lanes: str) -> Result | None:
+    """The run whose pictures are shown: on goal set 0, of the first of these lanes that there is."""
+    for lane in lanes or (PRESET[0],):
+        row = row_of(results, "paper", task, method, lane)
+        found = row and next((result for result in row.results if "picture/code_mean" in result.arrays), None)
+        if found:
+            return found
+    return None
+
+
+def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> None:
+    """The codes of a run in one view of its goals, 0: clean; on the principal axes of the clean means."""
+    arrays = {name: result.arrays[f"picture/{name}"] for name in ("code_mean", "code_region", "code_use")}
+    mean, use = arrays["code_mean"].astype(float), arrays["code_use"]
+    std = result.arrays.get("picture/code_std")
+    centre, directions, _ = principal_components(mean[0])
+    regions = tuple(str(region) for region in range(int(arrays["code_region"].max()) + 1))
+    uses = np.where(use == 3, NO_USE, use)
+    goals = GoalSet.of(np.zeros((len(use), 1)), arrays["code_region"], uses, ("",) * len(use), regions)
+    code = GoalCode(mean[view], None if std is None else std[view].astype(float))
+    draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size=size)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def ways_panel(axes: Axes, result: Result, view: int, goal: int | None = None, name: str = "way") -> None:
+    """The ways of a run in one view, to all of the drawn goals or to one of them, over the places of its graph."""
+    picture = {key.partition("/")[2]: value for key, value in result.arrays.items() if key.startswith("picture/")}
+    angles = result.run.task == "object_manipulation"
+    if "place" in picture:
+        axes.scatter(*picture["place"].T, s=2, color=NOTHING, zorder=0)
+    for number, way in enumerate(picture[name][view]):
+        if goal is not None and number != goal:
+            continue
+        colour, way = room_colour(int(picture[f"{name}_region"][number])), way[np.isfinite(way[:, 0])]
+        outcome = SUCCESS if picture[f"{name}_success"][view, number] else FAILURE
+        axes.plot(*way.T, color=colour, linewidth=1.3, marker=".", markersize=2.5, zorder=3)
+        axes.plot(*way[0], "o", markersize=5, markerfacecolor="white", markeredgecolor="black", zorder=5)
+        axes.plot(*way[-1], "X", markersize=8, color=outcome, markeredgecolor="white", zorder=6)
+        if not angles:
+            star = picture[f"{name}_goal"][number]
+            axes.plot(*star, "*", markersize=11, color=colour, markeredgecolor="black", zorder=4)
+    axes.set_aspect("auto" if angles else "equal", adjustable="datalim")
+    if angles:
+        axes.set_ylim(0, 184)
+    axes.tick_params(labelsize=6)
+    axes.grid(alpha=0.3, linewidth=0.5)
+
+
+def fig9(results: Results) -> Figure | None:
+    """Codes and ways of four methods under four degrees of corruption, on FetchPickAndPlace and on the cube, trained on
+    external rewards alone."""
+    tasks = ("fetch_pick_and_place", "object_manipulation")
+    found = {
+        (task, method): picture
+        for task in tasks
+        for method in DRAWN
+        if (
+            picture := picture_of(results, task, method, EXTERNAL[0], *([PRESET[0]] if method not in DRAWN[:2] else []))
+        )
+    }
+    if not found:
+        return None
+    below = (
+        f"{CODES_IN_WORDS}; below them ways to corrupted test goals, on the cube the angle to the goal (degrees) "
+        f"against steps; {WAYS_IN_WORDS}; one seed, last parameters, test backgrounds",
+    )
+    figure = empty_figure("Codes and ways under corruption, external rewards alone", below, (16, 3.6 * len(found)))
+    panels = figure.subplots(2 * len(found), len(WEIGHTS), squeeze=False)
+    for row, ((task, method), result) in enumerate(found.items()):
+        for column, weight in enumerate(WEIGHTS):
+            codes, ways = panels[2 * row, column], panels[2 * row + 1, column]
+            codes_panel(codes, result, 1 + column)
+            ways_panel(ways, result, column)
+            if row == 0:
+                codes.set_title(f"weight {weight:g}")
+        panels[2 * row, 0].set_ylabel(f"{TITLES[task]}\n{METHODS[method]}: codes", fontsize=9)
+        panels[2 * row + 1, 0].set_ylabel("ways", fontsize=9)
+    return figure
+
+
+def codes_and_ways(results: Results, task: str, title: str) -> Figure | None:
+    """A row for each method: codes of the goals, and the ways to a test goal of each region."""
+    found = {method: picture for method in DRAWN if (picture := picture_of(results, task, method))}
+    if not found:
+        return None
+    columns = 1 + min(4, max(result.arrays["picture/way"].shape[1] for result in found.values()))
+    below = (
+        f"{CODES_IN_WORDS}; right: ways to a test goal a region from the farthest start; {WAYS_IN_WORDS}; one seed",
+    )
+    figure = empty_figure(title, below, (3.6 * columns, 3.2 * len(found) + 1))
+    panels = figure.subplots(len(found), columns, squeeze=False)
+    for line, (method, result) in zip(panels, found.items(), strict=True):
+        codes_panel(line[0], result, 0)
+        line[0].set_ylabel(METHODS[method], fontsize=11)
+        for goal, axes in enumerate(line[1:]):
+            if goal < result.arrays["picture/way"].shape[1]:
+                ways_panel(axes, result, 0, goal)
+    return figure
+
+
+def fig10(results: Results) -> Figure | None:
+    """Codes and trajectories on object search."""
+    return codes_and_ways(results, "object_search", "Object search: codes, and trajectories to test goals")
+
+
+def fig11(results: Results) -> Figure | None:
+    """Codes and flights on embodied question answering."""
+    return codes_and_ways(results, "embodied_qa", "Embodied question answering: codes, and flights to test questions")
+
+
+def fig14(results: Results) -> Figure | None:
+    """Codes of InfoGoal under fixed beta, and under the adaptive one, by corruption, on FetchPickAndPlace."""
+    lanes = {f"beta {beta:g}": fixed(beta)[0] for beta in (1e-4, 1e-2, 1e-1)} | {"adaptive": PRESET[0]}
+    found = {
+        title: picture
+        for title, lane in lanes.items()
+        if (picture := picture_of(results, "fetch_pick_and_place", "infogoal", lane))
+    }
+    if len(found) < 2:
+        return None
+    below = (f"{CODES_IN_WORDS}; principal axes of the clean means; one seed, last parameters, test backgrounds",)
+    figure = empty_figure("FetchPickAndPlace: codes under fixed beta", below, (15, 3.1 * len(found) + 0.8))
+    panels = figure.subplots(len(found), 1 + len(WEIGHTS), squeeze=False)
+    for line, (title, result) in zip(panels, found.items(), strict=True):
+        for view, (axes, weight) in enumerate(zip(line, (0.0, *WEIGHTS), strict=True)):
+            codes_panel(axes, result, view)
+            if line is panels[0]:
+                axes.set_title(f"weight {weight:g}" if weight else "clean")
+        line[0].set_ylabel(title, fontsize=11)
+    return figure

@@ -1,0 +1,95 @@
+"""Results of a reproduction with made-up numbers: every run of the manifest, none of it trained."""
+
+import zlib
+
+import numpy as np
+
+from infogoal_jax.reproduce.files import Result, recorded_config
+from infogoal_jax.reproduce.manifest import STUDIES, Choice, Run, command_of, runs_of
+from infogoal_jax.reproduce.measure import WEIGHTS, is_pictured
+from infogoal_jax.reproduce.numbers import Results, compact
+from infogoal_jax.reproduce.paper import IMAGE_TASKS
+from infogoal_jax.reproduce.plan import config_of
+
+EVALUATIONS, GOALS, STARTS, LENGTH = 8, 20, 2, 10
+SUCCESS = {"infogoal": 0.9, "infobot": 0.7, "her": 0.6, "cher": 0.6, "ghrl": 0.6, "none": 0.2}
+"""Of methods on test goals; of the others 0.4."""
+
+
+def result_of(run: Run, level: float | None = None, **about) -> Result:
+    """A finished run that reaches this share of its goals."""
+    draw = np.random.default_rng(zlib.crc32(run.name.encode()))
+    level = SUCCESS.get(run.method, 0.4) if level is None else level
+    kinds = ["train_goal", "test_goal", "test_goal_mean_code", "validation_goal"]
+    kinds += ["corrupted_train_goal", "corrupted_test_goal"] * (run.task in IMAGE_TASKS)
+    shape = len(run.seeds), EVALUATIONS
+    evaluations = {
+        f"{kind}/success_rate": np.clip(level + 0.02 * draw.normal(size=shape), 0, 1).round(3) for kind in kinds
+    }
+    evaluations["train_goal/success_rate"] = np.minimum(1, np.linspace(0.5, 2.5, EVALUATIONS)) * np.ones(shape)
+    evaluations |= {f"{kind}_goal/spl": 0.8 * evaluations[f"{kind}_goal/success_rate"] for kind in ("train", "test")}
+    evaluations["env_steps"] = 1000.0 * np.arange(1, EVALUATIONS + 1) * np.ones(shape)
+    if run.method in ("infogoal", "infobot"):
+        evaluations |= {
+            f"{run.method}/{name}": value + 0.001 * draw.random(shape)
+            for name, value in (("beta", 0.012), ("accuracy", 0.96), ("kl", 20.0))
+        }
+    uses = np.repeat([0, 2], [GOALS // 2, GOALS // 2]).astype(np.int8)
+    first = draw.integers(1, LENGTH + 2, (len(run.seeds), EVALUATIONS, GOALS, STARTS)).astype(np.uint8)
+    arrays = {"first_reached": first, "uses": uses} | (pictures_of(run, draw) if is_pictured(run) else {})
+    known = {
+        "config": recorded_config(config_of(run)),
+        "data": "made up",
+        "versions": {"jax": "0"},
+        "machine": "a machine, 2026-11-23",
+        "updates": 100,
+        "diverged": [],
+        "learner": run.method,
+        "learner_share": 0.3,
+        "measuring_failed": "",
+        "episode_length": LENGTH,
+        "program": {"runs": [run.name], "lanes": 5, "compile_seconds": 10, "run_seconds": 20, "measure_seconds": 1},
+        "command": " ".join(command_of(run)),
+    }
+    return Result(
+        run,
+        known | about,
+        {name: value.astype(np.float32).astype(float) for name, value in evaluations.items()},
+        arrays,
+    )
+
+
+def pictures_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:
+    """The arrays of a run's pictures."""
+    images = run.task in IMAGE_TASKS
+    views, ways, regions = 1 + len(WEIGHTS) if images else 1, len(WEIGHTS) if images else 1, np.arange(GOALS) % 4
+    centres = draw.normal(size=(4, 32))[regions]
+    found = {
+        "code_mean": (centres + 0.2 * draw.normal(size=(views, GOALS, 32))).astype(np.float16),
+        "code_region": regions.astype(np.int16),
+        "code_use": np.repeat([0, 2], GOALS // 2).astype(np.int8),
+    }
+    if run.method in ("infogoal", "infobot"):
+        found["code_std"] = np.full((views, GOALS, 32), 0.3, np.float16)
+
+    def ways_named(name):
+        path = np.cumsum(draw.normal(size=(ways, 4, LENGTH + 1, 2)), axis=2).astype(np.float32)
+        return {
+            name: path,
+            f"{name}_success": draw.random((ways, 4)) < 0.5,
+            f"{name}_region": np.arange(4, dtype=np.int16),
+            f"{name}_goal": path[0, :, -1],
+        }
+
+    found |= ways_named("way")
+    if not images:
+        found["place"] = draw.normal(size=(40, 2)).astype(np.float32)
+        if run.method == "infogoal":
+            found |= ways_named("reward_way") | {"reward": -draw.random((4, 40)).astype(np.float16)}
+    return {f"picture/{name}": value for name, value in found.items()}
+
+
+def results(seeds: int = 2, **chosen) -> Results:
+    """Every run of the manifest, compact, with so many seeds; chosen: further fields of the choice."""
+    runs = runs_of(tuple(STUDIES), Choice(**({"ways": ("paper", "her"), "seeds": seeds} | chosen)))
+    return {run: compact(result_of(run)) for run in runs}
