@@ -39,6 +39,7 @@ def study(
     goal_images: str = "",
     lanes: int = 64,
     from_: Annotated[str, tyro.conf.arg(name="from")] = "",
+    page: str = "",
 ) -> int:
     """A table or figure of the paper.
 
@@ -56,7 +57,7 @@ def study(
         list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
         goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
         lanes: Seeds, settings and goal sets that are trained side by side at most.
-        from_: Folder of compact numbers, such as docs/results/reproduction: draw from them and train nothing.
+        from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
 
     Returns:
         0 when all is done; 1 when a run failed; 130 when there is more to do.
@@ -79,11 +80,12 @@ def study(
             Path(goal_images) if goal_images else None,
             lanes,
             Path(from_) if from_ else None,
+            Path(page) if page else None,
         )
     )
 
 
-def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results/reproduction") -> int:
+def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results") -> int:
     """Put the finished runs of several folders into the compact numbers.
 
     Args:

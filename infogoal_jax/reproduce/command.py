@@ -33,6 +33,7 @@ class Asked:
     goal_images: Path | None = None
     lanes: int = 64
     numbers: Path | None = None
+    page: Path | None = None
 
     @property
     def studies(self) -> tuple[str, ...]:
@@ -110,5 +111,5 @@ def draw(asked: Asked, results: numbers.Results) -> None:
     """Write the tables, figures, verdicts and the page of what was asked for."""
     from infogoal_jax.reproduce import drawing
 
-    for path in drawing.draw(asked.studies, results, asked.out):
+    for path in drawing.draw(asked.studies, results, asked.out, asked.page):
         print(path)

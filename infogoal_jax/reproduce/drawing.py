@@ -3,6 +3,7 @@
 OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png    OUT/reproduction.md    OUT/index.html
 """
 
+import os
 from pathlib import Path
 
 from infogoal_jax.report import canvas
@@ -23,8 +24,9 @@ numbers of the runs. [reproducing.md](reproducing.md) says how runs are made and
 """
 
 
-def draw(studies: tuple[str, ...], results: Results, out: Path) -> list[Path]:
-    """Write what these studies show, as far as there are numbers; the paths of the files."""
+def draw(studies: tuple[str, ...], results: Results, out: Path, verdicts: Path | None = None) -> list[Path]:
+    """Write what these studies show, as far as there are numbers; the paths of the files. verdicts: the file of the
+    verdicts, which are written with all studies; None: OUT/reproduction.md."""
     shown = [table for table in tables.all_tables(results) if is_shown(table.name, studies)]
     found, paths = claims.verdicts(results), []
     disk.make_folder(out / "tables")
@@ -38,8 +40,8 @@ def draw(studies: tuple[str, ...], results: Results, out: Path) -> list[Path]:
             paths.append(out / "figures" / f"{name}.png")
             canvas.save(figure, paths[-1])
     if set(studies) == set(STUDIES):
-        paths.append(out / "reproduction.md")
-        disk.write_text(paths[-1], report(shown, found, out, kept_by_hand(paths[-1])))
+        paths.append(verdicts or out / "reproduction.md")
+        disk.write_text(paths[-1], report(shown, found, out / "figures", paths[-1]))
     paths.append(out / "index.html")
     disk.write_text(paths[-1], page.page(shown, found, out / "figures", results))
     return paths
@@ -63,18 +65,19 @@ def verdict_table(found: list) -> Table:
     return Table("verdicts", "Verdicts", head, rows)
 
 
-def report(shown: list[Table], found: list, out: Path, by_hand: str) -> str:
-    """The page of verdicts, as Markdown."""
+def report(shown: list[Table], found: list, pictures: Path, path: Path) -> str:
+    """The page of verdicts, as Markdown. pictures: the folder of the figures; path: of the page."""
+    figures = Path(os.path.relpath(pictures, path.parent)).as_posix()
     counts = [finding.verdict for _, finding in found]
     kinds = ", ".join(f"{counts.count(kind)} {kind}" for kind in ("holds", "fails", "cannot be told"))
     lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}.", "", tables.markdown(verdict_table(found))]
     for table in shown:
         lines += [f"## {table.title}", "", tables.markdown(table)]
-    pictures = [name for name in FIGURES if (out / "figures" / f"{name}.png").exists()]
-    lines += ["## Figures", ""] if pictures else []
-    for name in pictures:
-        lines += [f"![{DESCRIPTIONS[name]}](figures/{name}.png)", "", f"*{DESCRIPTIONS[name]}.*", ""]
-    return "\n".join([*lines, BY_HAND]) + by_hand
+    drawn = [name for name in FIGURES if (pictures / f"{name}.png").exists()]
+    lines += ["## Figures", ""] if drawn else []
+    for name in drawn:
+        lines += [f"![{DESCRIPTIONS[name]}]({figures}/{name}.png)", "", f"*{DESCRIPTIONS[name]}.*", ""]
+    return "\n".join([*lines, BY_HAND]) + kept_by_hand(path)
 
 
 def kept_by_hand(path: Path) -> str:

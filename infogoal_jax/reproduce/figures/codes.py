@@ -78,9 +78,7 @@ def fig9(results: Results) -> Figure | None:
         (task, method): picture
         for task in tasks
         for method in DRAWN
-        if (
-            picture := picture_of(results, task, method, EXTERNAL[0], *([PRESET[0]] if method not in DRAWN[:2] else []))
-        )
+        if (picture := picture_of(results, task, method, EXTERNAL[0], *([PRESET[0]] if method in DRAWN[2:] else [])))
     }
     if not found:
         return None
@@ -88,17 +86,25 @@ def fig9(results: Results) -> Figure | None:
         f"{CODES_IN_WORDS}; below them ways to corrupted test goals, on the cube the angle to the goal (degrees) "
         f"against steps; {WAYS_IN_WORDS}; one seed, last parameters, test backgrounds",
     )
-    figure = empty_figure("Codes and ways under corruption, external rewards alone", below, (16, 3.6 * len(found)))
-    panels = figure.subplots(2 * len(found), len(WEIGHTS), squeeze=False)
-    for row, ((task, method), result) in enumerate(found.items()):
-        for column, weight in enumerate(WEIGHTS):
-            codes, ways = panels[2 * row, column], panels[2 * row + 1, column]
-            codes_panel(codes, result, 1 + column)
-            ways_panel(ways, result, column)
-            if row == 0:
-                codes.set_title(f"weight {weight:g}")
-        panels[2 * row, 0].set_ylabel(f"{TITLES[task]}\n{METHODS[method]}: codes", fontsize=9)
-        panels[2 * row + 1, 0].set_ylabel("ways", fontsize=9)
+    methods = [method for method in DRAWN if any(known == method for _, known in found)]
+    figure = empty_figure(
+        "Codes and ways under corruption, external rewards alone", below, (24, 4.2 * len(methods) + 1)
+    )
+    panels = figure.subplots(2 * len(methods), 2 * len(WEIGHTS), squeeze=False)
+    for row, method in enumerate(methods):
+        for half, task in enumerate(tasks):
+            for place, weight in enumerate(WEIGHTS):
+                codes, ways = panels[2 * row : 2 * row + 2, half * len(WEIGHTS) + place]
+                if (task, method) not in found:
+                    codes.axis("off")
+                    ways.axis("off")
+                    continue
+                codes_panel(codes, found[task, method], 1 + place)
+                ways_panel(ways, found[task, method], place)
+                if row == 0:
+                    codes.set_title(f"{TITLES[task]}, weight {weight:g}", fontsize=11)
+        panels[2 * row, 0].set_ylabel(f"{METHODS[method]}: codes", fontsize=11)
+        panels[2 * row + 1, 0].set_ylabel("ways", fontsize=11)
     return figure
 
 
