@@ -26,6 +26,7 @@ from infogoal_jax.runs import disk
 from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.host import describe
+from infogoal_jax.train.memory import bytes_of
 
 BYTES_A_SECOND = 2e8
 """At which a checkpoint is written, roughly, so that the clock can be kept."""
@@ -147,7 +148,7 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
         f"{name}: {count} lanes compiled in {training.compile_seconds:.0f} s"
         + (f", goes on after evaluation {training.evaluations}" if resumed else "")
     )
-    size = sum(leaf.nbytes for leaf in jax.tree.leaves(training.states) if hasattr(leaf, "nbytes"))
+    size = bytes_of(training.states)
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while not is_finished(training):

@@ -1,0 +1,108 @@
+"""Reproductions of a few runs with a small program, in this process or in processes of their own, to be killed."""
+
+import contextlib
+import dataclasses
+import multiprocessing
+import os
+from pathlib import Path
+from unittest import mock
+
+import hand_made
+import jax.numpy as jnp
+from killed_run import small_train
+
+from infogoal_jax.reproduce import files, lanes, measure, plan, work
+from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.work import Outcome, Work, work_on
+
+SEEDS = 0, 1
+LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))
+LOG = "log"
+
+
+def runs(count: int = 3) -> list[Run]:
+    """So many programs of two lanes: object search on as many houses, which are no lanes of one program."""
+    return [
+        Run("object_search", "none", None, None, number, lane, SEEDS, True) for number in range(count) for lane in LANES
+    ]
+
+
+def config_of(run: Run, goal_images: Path | None = None):
+    """The hand-made task, of another episode length on each goal set, so that each has a program of its own."""
+    hyper = dict(run.lane.values)
+    config = hand_made.config("none", num_epochs=12, epochs_per_evaluation=2, updates_per_epoch=1 + run.goal_set)
+    return dataclasses.replace(config, hyper=config.hyper.replace(**hyper))
+
+
+def counted_train(config, env=None):
+    """Training whose program compiles in a moment, with what an evaluation of a task says."""
+    train = small_train(config, env)
+
+    def chunk(state, numbers, hyper, env):
+        state, epochs, metrics = train.chunk(state, numbers, hyper, env)
+        first = jnp.ones((len(train.env.goals.evaluated), 1), jnp.int32)
+        return state, epochs, metrics | {"first_reached": first}
+
+    return dataclasses.replace(train, chunk=chunk)
+
+
+@contextlib.contextmanager
+def small_programs(folder: Path):
+    """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished."""
+
+    def logged(words: str) -> None:
+        with open(folder / LOG, "a") as file:
+            file.write(f"{words} {os.getpid()}\n")
+
+    def begin(batch):
+        for run in batch.runs.values():
+            logged(f"begun {run.name}")
+        return whole_begin(batch)
+
+    def save(folder, result):
+        whole_save(folder, result)
+        logged(f"finished {result.run.name}")
+
+    whole_begin, whole_save = lanes.begin, files.save
+    with contextlib.ExitStack() as patches:
+        for module in (plan, lanes, work):
+            patches.enter_context(mock.patch.object(module, "config_of", config_of))
+        for module, name, value in (
+            (lanes, "make_train", counted_train),
+            (lanes, "load_environment", lambda config: hand_made.environment()),
+            (lanes, "build_data", lambda run: None),
+            (lanes, "begin", begin),
+            (files, "save", save),
+            (measure, "is_pictured", lambda run: False),
+        ):
+            patches.enter_context(mock.patch.object(module, name, value))
+        yield
+
+
+def reproduce(folder: Path, count: int = 3, **settings) -> Outcome:
+    """Train what is left of these runs, in this process."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with small_programs(folder):
+        return work_on(runs(count), Work(folder, **({"say": lambda words: None} | settings)))
+
+
+def log_of(folder: Path, what: str) -> list[str]:
+    """Names of the runs that were `begun` or `finished`, in order."""
+    lines = (folder / LOG).read_text().splitlines() if (folder / LOG).exists() else []
+    return [line.split()[1] for line in lines if line.startswith(what)]
+
+
+def child(folder: str, count: int) -> None:
+    """What a process does: exit status 0 when nothing is left for it."""
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+        outcome = reproduce(Path(folder), count)
+        os._exit(3 if outcome.stopped else 1 if outcome.failed else 0)
+
+
+def start(folder: Path, count: int = 3) -> multiprocessing.Process:
+    """A process that works on this folder; one that has everything imported forks it."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["killed_reproduction"])
+    process = context.Process(target=child, args=(str(folder), count))
+    process.start()
+    return process

@@ -1,0 +1,46 @@
+"""Training stops where success on training goals has levelled off, and not before."""
+
+import numpy as np
+import pytest
+
+from infogoal_jax.reproduce import budget
+from infogoal_jax.reproduce.paper import TASKS
+
+
+def curve(*values: float) -> np.ndarray:
+    """Two seeds around these values, [2, evaluations]."""
+    return np.array(values) + np.array([[-0.05], [0.05]])
+
+
+@pytest.mark.parametrize(
+    ("values", "count"),
+    [
+        ((1, 1, 1, 1, 1, 1), 6),
+        ((0, 0, 0, 0, 0, 0), 6),
+        ((1, 1, 1, 1, 1), None),
+        (np.linspace(0, 1, 15), None),
+        ((0, 0.2, 0.4, 0.6, 0.8, 1, 1, 1, 1, 1, 1), 11),
+        ((0.9, 0.9, 0.9, 0.5, 0.5, 0.5), 6),
+    ],
+)
+def test_a_curve_levels_off_where_its_last_window_is_no_higher(values, count):
+    assert budget.levelled(curve(*values)) == count
+    assert budget.still_rises(curve(*values)) == (count is None)
+
+
+def test_what_comes_after_changes_nothing():
+    """Lanes of one program that have levelled off go on with the others: their number stays."""
+    early = curve(0, 0.5, 1, 1, 1, 1, 1, 1)
+    late = np.concatenate([early, curve(0.2, 0.1, 0.9)], axis=1)
+    assert budget.levelled(early) == budget.levelled(late) and budget.shown(early) == budget.shown(late)
+
+
+def test_numbers_are_of_the_last_window():
+    assert budget.shown(curve(*np.linspace(0, 1, 15))) == slice(12, 15)
+    assert budget.shown(curve(1, 1, 1, 1, 1, 1, 0.5)) == slice(3, 6)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_task_has_a_budget(task):
+    found = budget.budget_of(task)
+    assert found.chunk > 0 and found.evaluations == budget.MOST

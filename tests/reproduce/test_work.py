@@ -1,0 +1,168 @@
+"""The work on a folder: nothing that is finished is lost or repeated, and no two processes train the same run."""
+
+import json
+import random
+import shutil
+import time
+
+import killed_reproduction
+import numpy as np
+import pytest
+from killed_reproduction import SEEDS, log_of, reproduce, runs
+
+from infogoal_jax.reproduce import files, lanes, progress
+from infogoal_jax.runs.folder import locked
+
+LONGEST = 600
+"""Seconds for a process on a busy machine."""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder whose runs are finished, in this process."""
+    folder = tmp_path_factory.mktemp("whole")
+    outcome = reproduce(folder, 2)
+    assert outcome.finished == runs(2) and not outcome.failed and not outcome.stopped
+    return folder
+
+
+def test_a_run_keeps_its_numbers(whole):
+    first, second = (files.read(files.path_of(whole, run)) for run in runs(1))
+    curve = first.evaluations["train_goal/success_rate"]
+    assert curve.shape == (len(SEEDS), 6) and first.arrays["first_reached"].shape[:2] == (len(SEEDS), 6)
+    assert first.about["program"]["lanes"] == 4 and first.about["learner_share"] is None
+    assert not np.array_equal(curve, second.evaluations["train_goal/success_rate"])  # The lanes have other floats.
+
+
+def test_a_lane_learns_as_it_does_alone(whole, tmp_path):
+    """Lanes of one program do not touch each other."""
+    with killed_reproduction.small_programs(tmp_path):
+        (batch,) = lanes.batches_of(runs(1)[1:], None, 64)
+        training = lanes.begin(batch)
+        for _ in range(6):
+            lanes.go_on(training)
+    alone = np.stack([each[0] for each in training.history["train_goal/success_rate"]], 1)
+    together = files.read(files.path_of(whole, runs(1)[1])).evaluations["train_goal/success_rate"]
+    np.testing.assert_allclose(alone, together, atol=1e-5)
+
+
+def test_what_is_done_is_not_done_again(whole):
+    begun = log_of(whole, "begun")
+    assert not reproduce(whole, 2).finished and log_of(whole, "begun") == begun
+
+
+@pytest.mark.parametrize("damage", ["cut short", "one byte", "another run"])
+def test_a_damaged_run_is_made_again(whole, tmp_path, damage):
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    path, other = (files.path_of(tmp_path, run) for run in runs(1))
+    sound = path.read_bytes()
+    if damage == "cut short":
+        path.write_bytes(sound[: len(sound) // 2])
+    elif damage == "one byte":
+        changed = bytearray(sound)
+        changed[len(changed) // 3] ^= 0xFF
+        path.write_bytes(bytes(changed))
+    else:
+        path.write_bytes(other.read_bytes())
+    said = []
+    assert reproduce(tmp_path, 1, say=said.append).finished == runs(1)[:1]
+    assert any("is made again" in words for words in said)
+    assert files.read(path).run == runs(1)[0]
+
+
+def test_a_run_of_other_settings_is_made_again(whole, tmp_path):
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    result = files.read(files.path_of(tmp_path, runs(1)[0]))
+    result.about["config"]["batch_size"] += 1
+    files.save(tmp_path, result)
+    assert reproduce(tmp_path, 1).finished == runs(1)[:1]
+
+
+def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
+    def fails(training):
+        raise ValueError("out of luck")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(lanes, "go_on", fails)
+        outcome = reproduce(tmp_path, 2)
+    assert outcome.failed == runs(2) and not outcome.finished
+    state = progress.state_of(tmp_path, runs(1)[0])
+    assert state.kind == "failed" and "out of luck" in state.words
+    assert "out of luck" in (tmp_path / progress.PAGE).read_text()
+    trace = json.loads(files.path_of(tmp_path, runs(1)[0], "failed.json").read_text())["trace"]
+    assert "raise ValueError" in trace
+    assert not reproduce(tmp_path, 2).finished
+    assert reproduce(tmp_path, 1, retry=True).finished == runs(1)
+    assert progress.state_of(tmp_path, runs(1)[0]).kind == "done"
+
+
+def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
+    path = files.path_of(tmp_path, runs(1)[0], "lock")
+    path.parent.mkdir(parents=True)
+    with locked(path, path.parent):
+        assert progress.state_of(tmp_path, runs(1)[0]).kind == "running"
+        assert reproduce(tmp_path, 1).finished == runs(1)[1:]
+    assert reproduce(tmp_path, 1).finished == runs(1)[:1]
+
+
+def test_the_clock_stops_with_a_checkpoint_that_goes_on(whole, tmp_path, monkeypatch):
+    """The same numbers as those of a run that was left alone, and no evaluation twice."""
+    whole_go_on, count = lanes.go_on, []
+
+    def slow(training):
+        whole_go_on(training)
+        count.append(training.evaluations)
+        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
+
+    monkeypatch.setattr(lanes, "go_on", slow)
+    outcome = reproduce(tmp_path, 1, deadline=time.time() + 3600)
+    assert outcome.stopped and not outcome.finished and len(list((tmp_path / "unfinished").iterdir())) == 1
+    assert reproduce(tmp_path, 1).finished == runs(1) and count == [1, 2, 3, 4, 5, 6]
+    assert not list((tmp_path / "unfinished").iterdir())
+    for run in runs(1):
+        mine, other = (files.read(files.path_of(folder, run)).evaluations for folder in (tmp_path, whole))
+        for name, value in mine.items():
+            np.testing.assert_allclose(value, other[name], atol=1e-5)
+
+
+def test_the_page_counts_and_tells_the_time_to_go(whole):
+    assert progress.summary(whole, runs(2)).startswith("4 runs: 4 done, 0 running, 0 failed, 0 left; time to go: 0 min")
+    more = progress.summary(whole, runs(3))
+    assert "4 done, 0 running, 0 failed, 2 left" in more and "not known" not in more
+    assert runs(2)[0].name in (whole / progress.PAGE).read_text()
+
+
+@pytest.mark.long
+def test_killed_at_any_point_it_loses_and_repeats_nothing(tmp_path):
+    """Processes that are killed at 20 random moments, then one that is left alone."""
+    moments, kills = random.Random(0), 0
+    while kills < 20:
+        folder = tmp_path / str(kills)
+        process = killed_reproduction.start(folder)
+        time.sleep(moments.uniform(0.5, 12))
+        while process.is_alive() and kills < 20:
+            process.kill()
+            process.join()
+            kills += 1
+            finished = [run for run in runs() if files.path_of(folder, run).exists()]
+            for run in finished:
+                files.read(files.path_of(folder, run))
+            process = killed_reproduction.start(folder)
+            time.sleep(moments.uniform(0.5, 12))
+        process.join(LONGEST)
+        assert process.exitcode == 0
+        done = log_of(folder, "finished")
+        assert len(set(done)) == len(done), "a finished run was repeated"
+        assert all(files.path_of(folder, run).exists() for run in runs())
+        assert not list(folder.rglob("*.lock")) and not list(folder.rglob(".*.partial"))
+        kills += 1
+
+
+@pytest.mark.long
+def test_two_processes_share_the_work(tmp_path):
+    both = [killed_reproduction.start(tmp_path), killed_reproduction.start(tmp_path)]
+    for process in both:
+        process.join(LONGEST)
+        assert process.exitcode == 0
+    assert sorted(log_of(tmp_path, "begun")) == sorted(run.name for run in runs())
+    assert sorted(log_of(tmp_path, "finished")) == sorted(run.name for run in runs())
