@@ -77,7 +77,7 @@ def table1(results: Results, way: str) -> Table | None:
     seeds = sorted({row.seeds for row in rows.values()})
     foot = [
         "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t); in brackets the paper's number. "
-        f"Bold: best of a column; underlined: second best. {' or '.join(map(str, seeds))} seeds on each goal set. "
+        f"Bold: best of a column; underlined: second best. {' or '.join(map(str, seeds))} seed(s) on each goal set. "
         "Corrupted: background of weight 0.4."
     ]
     foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]

@@ -1,0 +1,184 @@
+"""What is drawn of compact numbers: the same bytes each time, every number from its run, and verdicts that follow."""
+
+import csv
+import dataclasses
+import io
+import re
+
+import made_up_results
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import claims, drawing, numbers, tables
+from infogoal_jax.reproduce.figures import FIGURES
+from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, runs_of
+from infogoal_jax.reproduce.scores import row_of
+
+
+@pytest.fixture(scope="module")
+def results():
+    """Made-up numbers of every run."""
+    return made_up_results.results(seeds=3)
+
+
+@pytest.fixture(scope="module")
+def folder(results, tmp_path_factory):
+    """Their compact numbers."""
+    folder = tmp_path_factory.mktemp("numbers")
+    numbers.save(results, folder)
+    return folder
+
+
+def changed(results, level: float, **wanted):
+    """The results, with other numbers for the runs that have these fields."""
+    return {
+        run: numbers.compact(made_up_results.result_of(run, level))
+        if all(getattr(run, name) == value for name, value in wanted.items())
+        else result
+        for run, result in results.items()
+    }
+
+
+def verdict(results, name: str) -> str:
+    """The verdict on the claim of this name."""
+    (claim,) = (claim for claim in claims.CLAIMS if claim.name == name)
+    return claim.find(results).verdict
+
+
+def written(results) -> dict[str, str]:
+    """Every table in every format."""
+    return {
+        f"{table.name}.{ending}": write(table)
+        for table in tables.all_tables(results)
+        for ending, write in tables.WRITERS.items()
+    }
+
+
+def test_numbers_survive_their_file_and_give_the_same_tables(results, folder, tmp_path):
+    loaded = numbers.load(folder)
+    assert loaded.keys() == results.keys() and written(loaded) == written(results)
+    numbers.save(loaded, tmp_path)
+    for path in folder.iterdir():
+        assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_merge_adds_and_replaces(results, folder, tmp_path):
+    run = next(iter(results))
+    new = made_up_results.result_of(run, 0.5)
+    numbers.save({run: numbers.compact(new)}, tmp_path)
+    merged = numbers.merged([tmp_path], folder)
+    assert merged.keys() == results.keys()
+    assert merged[run].evaluations["test_goal/success_rate"].mean() == pytest.approx(0.5, abs=0.02)
+    with pytest.raises(UserError, match="no such folder"):
+        numbers.merged([tmp_path / "nothing"], folder)
+
+
+def test_damaged_numbers_are_refused(folder, tmp_path):
+    content = (folder / "table1.npz").read_bytes()
+    (tmp_path / "table1.npz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(UserError, match="table1.npz"):
+        numbers.load(tmp_path)
+
+
+def test_a_cell_is_the_mean_of_its_runs(results):
+    row = row_of(results, "paper", "object_search", "infogoal")
+    mean = np.mean([result.evaluations["test_goal/success_rate"][:, 5:8].mean() for result in row.results])
+    table = next(table for table in tables.all_tables(results) if table.name == "table1_paper")
+    cells = dict(zip(table.head, table.rows[0], strict=True))
+    assert cells["ObjSearch, test"].ours.mean == pytest.approx(mean) and cells["ObjSearch, test"].paper == "0.93"
+    assert cells["ObjSearch, test"].rank == 1
+
+
+def test_every_format_has_the_same_numbers(results):
+    table = next(table for table in tables.all_tables(results) if table.name == "table1_paper")
+    rows = list(csv.reader(io.StringIO(tables.comma_separated(table))))
+    means = [f"{float(row[1]):.2f}" for row in rows[1:]]
+    for write in (tables.markdown, tables.latex):
+        lines = [line for line in write(table).splitlines() if re.match(r"\W*(InfoGoal|RAD|GHRL)\b", line)]
+        for line in lines:
+            method = next(
+                number for number, row in enumerate(rows[1:]) if row[0] in line.split("&")[0].split("|")[:2][-1]
+            )
+            assert means[method] in line
+
+
+def test_best_and_second_best_are_marked(results):
+    table = next(table for table in tables.all_tables(results) if table.name == "table1_paper")
+    text = tables.markdown(table)
+    assert text.count("**") == 2 * (len(table.head) - 1)
+    assert "\\textbf{" in tables.latex(table) and "\\underline{" in tables.latex(table)
+
+
+def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_count(results):
+    run = next(run for run in results if (run.task, run.method) == ("fetch_push", "infogoal"))
+    assert verdict(results, "first-test-Push") == "holds"
+    off = results | {run: dataclasses.replace(results[run], about=results[run].about | {"learner_share": 0.001})}
+    rising = np.linspace(0, 1, 8) * np.ones((3, 1))
+    rises = dataclasses.replace(
+        results[run], evaluations=results[run].evaluations | {"train_goal/success_rate": rising}
+    )
+    for found, mark in ((off, "‡"), (results | {run: rises}, "†")):
+        assert verdict(found, "first-test-Push") == "cannot be told"
+        assert mark in written(found)["table1_paper.md"]
+    assert "‡" not in written(results)["table1_paper.md"]
+
+
+def test_seeds_that_diverged_are_left_out(results):
+    run = next(run for run in results if (run.task, run.method) == ("fetch_reach", "rad"))
+    result = results[run]
+    lost = dataclasses.replace(result, about=result.about | {"diverged": [1]})
+    row = row_of(results | {run: lost}, "paper", "fetch_reach", "rad")
+    assert [len(each) for each in row.scores("test_goal")] == [2] and row.marks() == "§"
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "otherwise"),
+    [
+        ("first-test-Reach", {"task": "fetch_reach", "method": "infogoal"}, 0.3),
+        ("relabelling-helps", {"method": "none"}, 0.9),
+        ("infobot-helps", {"method": "none"}, 0.95),
+        ("relabelling-below-infogoal", {"method": "infogoal"}, 0.1),
+        ("infobot-paths", {"task": "object_search", "method": "infogoal"}, 0.2),
+        ("sse-db-test", {"task": "object_search", "method": "infogoal"}, 0.0),
+    ],
+)
+def test_a_verdict_follows_the_numbers(results, name, wanted, otherwise):
+    assert verdict(results, name) == "holds"
+    assert verdict(changed(results, otherwise, **wanted), name) == "fails"
+
+
+def test_without_runs_nothing_can_be_told():
+    assert {finding.verdict for _, finding in claims.verdicts({})} == {"cannot be told"}
+    assert tables.all_tables({}) == [] and all(draw({}) is None for draw in FIGURES.values())
+
+
+def test_a_few_runs_are_enough_to_draw():
+    """One seed of one method on one task: intervals are missing, and nothing else."""
+    runs = runs_of(("table1",), Choice(tasks=("object_search",), methods=("infogoal",), seeds=1, sets=(0,)))
+    results = {run: numbers.compact(made_up_results.result_of(run)) for run in runs}
+    (line,) = (line for line in written(results)["table1_paper.md"].splitlines() if line.startswith("| InfoGoal"))
+    assert re.fullmatch(r"\| InfoGoal \| \*\*0\.\d\d\*\* \(0\.93\) \|", line)
+    assert FIGURES["fig10"](results) is not None and claims.verdicts(results)
+
+
+@pytest.mark.long
+def test_everything_is_drawn(folder, tmp_path):
+    """Every table and figure, the verdicts and the page, which holds all of it and needs nothing else."""
+    results = numbers.load(folder)
+    (tmp_path / "reproduction.md").write_text("old\n<!-- by hand -->\nCauses.\n")
+    paths = drawing.draw(tuple(STUDIES), results, tmp_path)
+    assert {path.stem for path in paths if path.suffix == ".png"} == set(FIGURES)
+    for path in tmp_path.glob("figures/*.png"):
+        assert (imread(path)[..., :3].min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
+    report, page = (tmp_path / "reproduction.md").read_text(), (tmp_path / "index.html").read_text()
+    assert report.endswith("<!-- by hand -->\nCauses.\n") and "old" not in report
+    for claim in claims.CLAIMS:
+        assert claim.says in report
+    assert all(name in page for name in METHODS.values()) and page.count("data:image/png") == len(FIGURES)
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert all(result.command in page for result in results.values())
+    before = {path: path.read_bytes() for path in tmp_path.glob("tables/*")}
+    drawing.draw(("table1",), results, tmp_path)
+    assert all(path.read_bytes() == content for path, content in before.items())

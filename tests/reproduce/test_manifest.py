@@ -1,0 +1,106 @@
+"""The manifest has the paper's tables and figures, and runs that share a program are planned together."""
+
+import pytest
+
+from infogoal_jax import presets
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import plan
+from infogoal_jax.reproduce.manifest import DESCRIPTIONS, METHODS, STUDIES, Choice, command_of, home_of, runs_of
+from infogoal_jax.reproduce.paper import TABLE, TASKS
+
+
+def table1(**chosen) -> list:
+    """The runs of Table I."""
+    return runs_of(("table1",), Choice(**chosen))
+
+
+def test_table_1_has_every_number_of_the_paper():
+    there = {(run.task, run.method) for run in table1()}
+    for tasks, rows in TABLE.values():
+        for method, values in rows.items():
+            for task, value in zip(tasks, values, strict=True):
+                assert value is None or (task, method) in there
+
+
+def test_the_bare_agent_of_the_shelf_is_not_relabelled_in_the_paper_s_way():
+    (bare,) = table1(tasks=("embodied_qa",), methods=("none",), sets=(0,))
+    (learner,) = table1(tasks=("embodied_qa",), methods=("infogoal",), sets=(0,))
+    assert presets.names_of(plan.config_of(bare))["relabelling"] == "none"
+    assert presets.names_of(plan.config_of(learner))["relabelling"] == "her"
+
+
+def test_with_her_every_learner_relabels():
+    runs = table1(ways=("her",), tasks=("fetch_push", "object_search"))
+    assert {presets.names_of(plan.config_of(run))["relabelling"] for run in runs} == {"her"}
+    assert {run.method for run in runs} == {"infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad", "her"}
+
+
+def test_no_run_is_planned_twice():
+    runs = runs_of(tuple(STUDIES), Choice(ways=("paper", "her")))
+    assert len({run.name for run in runs}) == len(runs) == len(set(runs))
+    assert STUDIES.keys() == DESCRIPTIONS.keys()
+
+
+def test_settings_of_floats_and_goal_sets_share_a_program():
+    programs = plan.programs_of(runs_of(("table1", "fig15"), Choice(methods=("infogoal",), tasks=("fetch_push",))))
+    assert [len(program.runs) for program in programs] == [6]  # The preset, four betas, no intrinsic reward.
+    cubes = plan.programs_of(table1(tasks=("object_manipulation",), methods=("her", "none")))
+    assert [len(program.runs) for program in cubes] == [3, 3]
+
+
+def test_a_run_takes_everything_from_its_preset():
+    (run,) = table1(tasks=("fetch_reach",), methods=("cogoal",))
+    config, preset = plan.config_of(run), presets.load("fetch_reach", "cogoal")
+    for field in ("env", "learner", "agent", "hyper", "updates_per_epoch", "rollout_steps", "batch_size"):
+        assert getattr(config, field) == getattr(preset, field)
+
+
+def test_goal_sets_are_seeds_of_the_data():
+    by_task = {task: table1(tasks=(task,), methods=("none",)) for task in TASKS}
+    assert [len(runs) for runs in by_task.values()] == [3, 3, 1, 1, 1, 3]
+    envs = [plan.config_of(run).env for run in by_task["object_manipulation"]]
+    assert [(env.generator_seed, env.goal_seed) for env in envs] == [(0, 0), (1, 1), (2, 2)]
+    assert len({plan.config_of(run).env.dataset for run in by_task["object_search"]}) == 3
+
+
+def test_further_goal_sets_of_fetch_come_from_a_folder(tmp_path):
+    (tmp_path / "1").mkdir()
+    assert plan.fetch_sets(tmp_path) == (0, 1) and plan.fetch_sets(None) == (0,)
+    runs = runs_of(("table1",), Choice(tasks=("fetch_push",), methods=("none",)), plan.fetch_sets(tmp_path))
+    assert plan.config_of(runs[1], tmp_path).env.goal_images == str(tmp_path / "1" / "fetch_push.npz")
+    with pytest.raises(UserError, match="goal_images"):
+        plan.config_of(runs[1])
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_the_command_of_a_run_makes_it(study):
+    """Tasks, methods, ways, sets and seeds of the command line choose the run, and its own study has it."""
+    for run in runs_of((study,), Choice(seeds=3))[:20]:
+        words = command_of(run)
+        flags = {word[2:]: value for word, value in zip(words, [*words[1:], ""], strict=True) if word.startswith("--")}
+        chosen = {"tasks": (flags["tasks"],), "methods": (flags["methods"],), "seeds": int(flags.get("seeds", 5))}
+        chosen |= {"ways": (flags["ways"],), "sets": (int(flags["sets"]),)} if "sets" in flags else {}
+        assert words[2] == home_of(run) and run in runs_of((words[2],), Choice(**chosen))
+
+
+def test_the_quick_way_has_something_for_every_figure():
+    for study in STUDIES:
+        assert runs_of((study,), Choice(toy=True, ways=("paper", "her"))), study
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"tasks": ("fetch",)}, "tasks"),
+        ({"methods": ("dqn",)}, "methods"),
+        ({"ways": ("his",)}, "ways"),
+        ({"seeds": 0}, "seeds"),
+    ],
+)
+def test_unknown_names_are_refused(chosen, words):
+    with pytest.raises(UserError, match=words):
+        table1(**chosen)
+
+
+def test_every_method_has_a_title():
+    assert set(METHODS) == set(TABLE["test_goal"][1])
