@@ -60,8 +60,10 @@ def small_programs(folder: Path):
         return whole_begin(batch)
 
     def save(folder, result):
+        new = not files.path_of(folder, result.run).exists()
         whole_save(folder, result)
-        logged(f"finished {result.run.name}")
+        if new:  # It is written again when it has been measured.
+            logged(f"finished {result.run.name}")
 
     whole_begin, whole_save = lanes.begin, files.save
     with contextlib.ExitStack() as patches:

@@ -48,7 +48,8 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
         "learner_share": 0.3,
         "measuring_failed": "",
         "episode_length": LENGTH,
-        "program": {"runs": [run.name], "lanes": 5, "compile_seconds": 10, "run_seconds": 20, "measure_seconds": 1},
+        "program": {"runs": [run.name], "lanes": 5, "compile_seconds": 10, "run_seconds": 20},
+        "measure_seconds": 1,
         "command": " ".join(command_of(run)),
     }
     return Result(

@@ -40,6 +40,9 @@ def study(
     lanes: int = 64,
     from_: Annotated[str, tyro.conf.arg(name="from")] = "",
     page: str = "",
+    processes: int = 1,
+    gpus: int = 0,
+    draw: bool = True,
 ) -> int:
     """A table or figure of the paper.
 
@@ -58,6 +61,10 @@ def study(
         goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
         lanes: Seeds, settings and goal sets that are trained side by side at most.
         from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
+        page: File that the verdicts are written to; empty: reproduction.md in the folder.
+        processes: How many work on the folder side by side, here.
+        gpus: GPUs over which the processes are spread; 0: each sees all devices.
+        draw: Draw what there are numbers for at the end.
 
     Returns:
         0 when all is done; 1 when a run failed; 130 when there is more to do.
@@ -81,6 +88,9 @@ def study(
             lanes,
             Path(from_) if from_ else None,
             Path(page) if page else None,
+            processes,
+            gpus,
+            draw,
         )
     )
 

@@ -9,6 +9,7 @@ from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.paper import TASKS
 from infogoal_jax.reproduce.plan import fetch_sets, programs_of
+from infogoal_jax.reproduce.processes import arguments_of, work_side_by_side
 from infogoal_jax.reproduce.work import Work, command_line, work_on
 from infogoal_jax.train.compilation import use_compilation_cache
 
@@ -34,6 +35,9 @@ class Asked:
     lanes: int = 64
     numbers: Path | None = None
     page: Path | None = None
+    processes: int = 1
+    gpus: int = 0
+    draw: bool = True
 
     @property
     def studies(self) -> tuple[str, ...]:
@@ -57,6 +61,8 @@ def reproduce(asked: Asked) -> int:
     """Train what is left, and draw. Returns the exit status."""
     require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
     require(asked.lanes > 0, "lanes", asked.lanes, "give at least 1")
+    require(0 < asked.processes <= 1000, "processes", asked.processes, "give 1 to 1000")
+    require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
     if asked.numbers is not None:
         draw(asked, numbers.load(asked.numbers))
@@ -65,6 +71,20 @@ def reproduce(asked: Asked) -> int:
     if asked.list_runs:
         list_programs(asked, runs)
         return DONE
+    stopped = work_alone(asked, runs, deadline) if asked.processes == 1 else work_together(asked, deadline)
+    print(progress.summary(asked.out, runs), flush=True)
+    states = {run: progress.state_of(asked.out, run) for run in runs}
+    for run, state in states.items():
+        if state.kind == "failed":
+            print(f"failed: {run.name}: {state.words[:300]} (--retry runs it again)")
+    kinds = {state.kind for state in states.values()}
+    if asked.draw and "done" in kinds and not stopped:
+        draw(asked, numbers.of_folder(asked.out / "runs"))
+    return FAILED if "failed" in kinds else DONE if kinds == {"done"} else MORE
+
+
+def work_alone(asked: Asked, runs: list[Run], deadline: float) -> bool:
+    """Train what is left in this process. Whether it stopped before the end."""
     use_compilation_cache()
     work = Work(
         asked.out,
@@ -75,17 +95,14 @@ def reproduce(asked: Asked) -> int:
         lambda run: command_line(command_of(run)),
         lambda words: print(words, flush=True),
     )
-    outcome = work_on(runs, work)
-    print(progress.summary(asked.out, runs), flush=True)
-    states = {run: progress.state_of(asked.out, run) for run in runs}
-    for run, state in states.items():
-        if state.kind == "failed":
-            print(f"failed: {run.name}: {state.words[:300]} (--retry runs it again)")
-    if any(state.kind == "done" for state in states.values()) and not outcome.stopped:
-        draw(asked, numbers.of_folder(asked.out / "runs"))
-    if any(state.kind == "failed" for state in states.values()):
-        return FAILED
-    return DONE if all(state.kind == "done" for state in states.values()) else MORE
+    return work_on(runs, work).stopped
+
+
+def work_together(asked: Asked, deadline: float) -> bool:
+    """Train what is left in several processes. Whether they stopped before the end."""
+    minutes = 0.0 if deadline == float("inf") else max(0.01, (deadline - time.time()) / 60)
+    status = work_side_by_side(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
+    return status not in (DONE, FAILED)
 
 
 def list_programs(asked: Asked, runs: list[Run]) -> None:

@@ -20,6 +20,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.reproduce import measure
 from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.padding import with_one_shape
 from infogoal_jax.reproduce.plan import build_data, config_of
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.train import host, memory
@@ -99,22 +100,6 @@ def shape_of(env: Any) -> tuple:
     return tree, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
-def pad_starts(envs: list[Any]) -> list[Any]:
-    """Environments on graphs, with as many columns of possible starts as the longest has: those behind the number of
-    starts are never drawn."""
-    inner = [env.unwrapped for env in envs]
-    if len(envs) == 1 or not all(hasattr(env, "num_starts") for env in inner):
-        return envs
-    longest = max(env.starts.shape[1] for env in inner)
-
-    def padded(env):
-        wanted = ((0, 0), (0, longest - env.unwrapped.starts.shape[1]))
-        walk = env.unwrapped.replace(starts=jnp.pad(env.unwrapped.starts, wanted))
-        return walk if env is env.unwrapped else env.replace(env=walk)
-
-    return [padded(env) for env in envs]
-
-
 def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> list[Batch]:
     """The runs of one program as batches: goal sets whose arrays have the same shapes and which need the same lanes go
     together, as many lanes at once as fit into the device's memory."""
@@ -125,7 +110,7 @@ def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> li
         build_data(lanes[number][0])
         configs[number] = config_of(lanes[number][0], goal_images)
         envs[number] = load_environment(configs[number])
-    envs = dict(zip(envs, pad_starts(list(envs.values())), strict=True))
+    envs = dict(zip(envs, with_one_shape(list(envs.values())), strict=True))
     together: dict[Any, list[int]] = {}
     for number in sets:
         needed = tuple((run.lane, run.seeds) for run in lanes[number])

@@ -172,11 +172,11 @@ def costs(results: Results) -> Table | None:
         programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
         if not own:
             continue
-        seconds = {
-            name: sum(program[f"{name}_seconds"] for program in programs.values())
-            for name in ("compile", "run", "measure")
-        }
-        numbers = np.array([len(own), len(programs), seconds["compile"] + seconds["measure"], seconds["run"]])
+        compiling, running = (
+            sum(program[f"{name}_seconds"] for program in programs.values()) for name in ("compile", "run")
+        )
+        measuring = sum(result.about["measure_seconds"] for result in own)
+        numbers = np.array([len(own), len(programs), compiling + measuring, running])
         totals += numbers
         body.append([TITLES[task], *(f"{number:,.0f}" for number in numbers), f"{numbers[2:].sum() / 60:,.0f}"])
         machines |= dict.fromkeys(result.about["machine"] for result in own)

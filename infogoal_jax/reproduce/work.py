@@ -12,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -30,6 +30,8 @@ from infogoal_jax.train.memory import bytes_of
 
 BYTES_A_SECOND = 2e8
 """At which a checkpoint is written, roughly, so that the clock can be kept."""
+BEGINNING, MEASURING = 45.0, 60.0
+"""Seconds that have to be left for a new program to be compiled, and for a run to be measured."""
 
 
 @dataclasses.dataclass
@@ -66,7 +68,7 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
     outcome = Outcome()
     with stop_on_signal() as stop:
         for program in programs_of(runs, work.goal_images):
-            if stop.requested or work.left() <= 0:
+            if stop.requested or work.left() < BEGINNING:
                 outcome.stopped = True
                 break
             with contextlib.ExitStack() as claims:
@@ -113,7 +115,7 @@ def train_program(program: Program, all_runs: list[Run], work: Work, stop: StopR
         report_failure(list(program.runs), error, work, outcome)
         return
     for batch in batches:
-        if stop.requested or work.left() <= 0:
+        if stop.requested or work.left() < BEGINNING:
             outcome.stopped = True
             return
         try:
@@ -167,12 +169,15 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
             work.say(f"{name}: evaluation {training.evaluations}, {rate:,.0f} updates/s; training, test goals:")
             for each, (train, test) in shown.items():
                 work.say(f"    {each.split('/', 1)[1]}: {train:.2f}, {test:.2f}")
-        for run, result in results_of(training, work):
-            files.save(work.folder, result)
+        for run in batch.places:
+            files.save(work.folder, result_of(training, run, work, Extras(why="no time was left to measure it")))
             files.path_of(work.folder, run, "failed.json").unlink(missing_ok=True)
             progress.forget(work.folder, run)
             outcome.finished.append(run)
         path.unlink(missing_ok=True)
+        for run in batch.places:
+            if not stop.requested and work.left() > MEASURING:
+                files.save(work.folder, result_of(training, run, work, extras(training, run, work)))
         seconds = training.compile_seconds + training.run_seconds
         progress.keep_times(work.folder, batch.config.task, len(batch.runs), seconds)
     finally:
@@ -208,44 +213,50 @@ def is_toy(training: lanes.Training) -> bool:
     return next(iter(training.batch.runs.values())).toy
 
 
-def results_of(training: lanes.Training, work: Work) -> list[tuple[Run, Result]]:
-    """What each run of a finished batch came to."""
-    batch, found = training.batch, []
-    started = time.perf_counter()
-    measured = {run: extras(training, run, work) for run in batch.places}
-    took = time.perf_counter() - started
-    for run, (place, which) in batch.places.items():
-        env = training.env_of(place)
-        share, arrays, failure = measured[run]
-        evaluations = {
-            name: curve_of(training, run, name).astype(float) for name in training.history if name != "first_reached"
-        }
-        about = {
-            "config": files.recorded_config(config_of(run, work.goal_images)),
-            "data": env.source,
-            "versions": describe(batch.config, env, [0]).versions,
-            "machine": describe_machine(),
-            "updates": batch.config.epochs_per_evaluation * batch.config.updates_per_epoch,
-            "diverged": [seed for seed, good in zip(run.seeds, training.finite[place, which], strict=True) if not good],
-            "learner": training.train.parts.name,
-            "learner_share": share,
-            "measuring_failed": failure,
-            "episode_length": env.episode_length,
-            "program": {
-                "runs": sorted(each.name for each in batch.runs.values()),
-                "lanes": len(batch.envs) * len(batch.lanes),
-                "compile_seconds": round(training.compile_seconds, 1),
-                "run_seconds": round(training.run_seconds, 1),
-                "measure_seconds": round(took, 1),
-            },
-            "command": work.command(run),
-        }
-        first = curve_of(training, run, "first_reached")
-        arrays["first_reached"] = first.astype(np.min_scalar_type(int(first.max())))
-        masks = [np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in masks_of(env)]
-        arrays["uses"] = np.select(masks, [0, 1, 2]).astype(np.int8)
-        found.append((run, Result(run, about, evaluations, arrays)))
-    return found
+class Extras(NamedTuple):
+    """What is measured of a run when its training has ended. share: of the learner's loss in the gradient, of the first
+    seed, None where it has none; arrays: of its pictures; why: they could not be had; seconds: that it took."""
+
+    share: float | None = None
+    arrays: dict[str, np.ndarray] = {}  # noqa: RUF012 (never written to)
+    why: str = ""
+    seconds: float = 0.0
+
+
+def result_of(training: lanes.Training, run: Run, work: Work, measured: Extras) -> Result:
+    """What a run of a finished batch came to."""
+    batch, (place, which) = training.batch, training.batch.places[run]
+    env = training.env_of(place)
+    evaluations = {
+        name: curve_of(training, run, name).astype(float) for name in training.history if name != "first_reached"
+    }
+    about = {
+        "config": files.recorded_config(config_of(run, work.goal_images)),
+        "data": env.source,
+        "versions": describe(batch.config, env, [0]).versions,
+        "machine": describe_machine(),
+        "updates": batch.config.epochs_per_evaluation * batch.config.updates_per_epoch,
+        "diverged": [seed for seed, good in zip(run.seeds, training.finite[place, which], strict=True) if not good],
+        "learner": training.train.parts.name,
+        "learner_share": measured.share,
+        "measuring_failed": measured.why,
+        "episode_length": env.episode_length,
+        "program": {
+            "runs": sorted(each.name for each in batch.runs.values()),
+            "lanes": len(batch.envs) * len(batch.lanes),
+            "compile_seconds": round(training.compile_seconds, 1),
+            "run_seconds": round(training.run_seconds, 1),
+        },
+        "measure_seconds": round(measured.seconds, 1),
+        "command": work.command(run),
+    }
+    first = curve_of(training, run, "first_reached")
+    masks = [np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in masks_of(env)]
+    arrays = {
+        "first_reached": first.astype(np.min_scalar_type(int(first.max()))),
+        "uses": np.select(masks, [0, 1, 2]).astype(np.int8),
+    }
+    return Result(run, about, evaluations, arrays | measured.arrays)
 
 
 def masks_of(env: Any) -> tuple:
@@ -253,9 +264,9 @@ def masks_of(env: Any) -> tuple:
     return env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask
 
 
-def extras(training: lanes.Training, run: Run, work: Work) -> tuple[float | None, dict[str, np.ndarray], str]:
-    """The share of the learner's loss in the gradient, of the first seed; the arrays of the run's pictures; and why
-    they could not be had, which costs a figure and not the run."""
+def extras(training: lanes.Training, run: Run, work: Work) -> Extras:
+    """Measure a run. What fails costs a figure, or a mark in a table, and not the run."""
+    started = time.perf_counter()
     place, which = training.batch.places[run]
     state, hyper = jax.tree.map(lambda leaf: leaf[place, which.start], (training.states, training.hyper))
     env, share, arrays = training.env_of(place), None, {}
@@ -269,8 +280,8 @@ def extras(training: lanes.Training, run: Run, work: Work) -> tuple[float | None
             arrays = measure.pictures(subject)
     except Exception as error:
         work.say(f"{run.name}: measuring failed, its numbers are kept: {traceback.format_exc()}")
-        return share, {}, f"{type(error).__name__}: {error}"[:500]
-    return share, arrays, ""
+        return Extras(share, {}, f"{type(error).__name__}: {error}"[:500], time.perf_counter() - started)
+    return Extras(share, arrays, "", time.perf_counter() - started)
 
 
 def command_line(words: list[str]) -> str:
