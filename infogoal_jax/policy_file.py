@@ -6,6 +6,7 @@ primitives; `constant_I` are its parameters; `about` (JSON) says what the policy
 of goals that are known by name.
 """
 
+import io
 import json
 
 import numpy as np
@@ -68,7 +69,9 @@ class ExportedPolicy:
     """A policy with discrete actions. about: dict; goals: float32 or uint8 [N, ...], or None."""
 
     def __init__(self, path):
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as file:
+            content = io.BytesIO(file.read())  # NumPy leaves a damaged file open.
+        with np.load(content, allow_pickle=False) as file:
             self.about, self.program = json.loads(str(file["about"])), json.loads(str(file["program"]))
             self.goals = file.get("goals")
             self.constants = [file[f"constant_{index}"] for index in range(self.program["constants"])]

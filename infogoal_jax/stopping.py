@@ -6,6 +6,7 @@ was being written beside goes with `temporary`.
 
 import contextlib
 import os
+import shutil
 import signal
 import stat
 import sys
@@ -18,7 +19,7 @@ STATUS = 130
 """Exit status of a command that was stopped."""
 NOTHING = "no file is half written"
 temporaries: set[Path] = set()
-"""Files that are there while something is done, and must not stay."""
+"""Files and folders that are there while something is done, and must not stay."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -125,18 +126,25 @@ def forget_terminal() -> None:
 
 @contextlib.contextmanager
 def temporary(path: Path) -> Iterator[None]:
-    """Inside, a file that must not stay is there; it is deleted at the end, if nobody renamed it."""
+    """Inside, a file or a folder that must not stay is there; it is deleted at the end, if nobody renamed it."""
     temporaries.add(path)
     try:
         yield
     finally:
-        with contextlib.suppress(OSError):  # What hinders the tidying up must not hide why it is needed.
-            path.unlink(missing_ok=True)
+        remove(path)
         temporaries.discard(path)
+
+
+def remove(path: Path) -> None:
+    """Delete a file, or a folder with all that is in it. What hinders the tidying up must not hide why it is needed."""
+    with contextlib.suppress(OSError):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def remove_temporaries() -> None:
     """Delete what `temporary` would, where a process ends without coming to that."""
     for path in list(temporaries):
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
+        remove(path)

@@ -6,17 +6,16 @@ poses as far as they are known. Rewards are 0, since goals are chosen later; the
 since nothing was reached or failed.
 """
 
-import contextlib
 import json
 import os
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
+from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError, require
 
@@ -85,18 +84,8 @@ def to_minari(dataset: FrameDataset, out: str | os.PathLike, progress: Callable[
     )
     require(not out.exists(), "out", str(out), "is there already; give a new folder")
     minari = import_minari()
-    beside = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    try:
-        beside.mkdir(parents=True)
+    with new_folder(out, "out") as beside:
         write_episodes(minari, dataset, beside / "data", out.name, progress)
-        beside.rename(out)
-    except OSError as error:
-        raise UserError(
-            f"out = {str(out)!r}: cannot be written ({error.strerror or error}); give another place"
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            shutil.rmtree(beside, ignore_errors=True)
     return out
 
 

@@ -10,6 +10,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.data_files import new_file, print_size, progress_bar
 from infogoal_jax.cli.folders import check_seed, empty_folder
+from infogoal_jax.data.archives import new_folder
 from infogoal_jax.errors import UserError, require
 
 
@@ -24,7 +25,8 @@ def house(path: Positional[str], seed: int = 0) -> int:
 
     check_seed(seed)
     folder = empty_folder(path, "path")
-    build_house(folder, seed=seed)
+    with new_folder(folder, "path") as beside:
+        build_house(beside, seed=seed)
     print(f"{folder}: built from seed {seed}")
     return 0
 

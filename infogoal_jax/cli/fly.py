@@ -108,10 +108,11 @@ def fly(
     from infogoal_jax.drone.mission import flown_policy, load_policy, read_question
 
     folder = empty_folder(out, "out") if out else new_folder("flight")
-    exported = load_policy(policy, folder)
+    exported, new = load_policy(policy)
     asked = read_question(exported, question, object, embeddings)
     print(f"question    {question}\nobject      {asked.object}\npolicy      {exported.about['method']}, {policy}")
-    return depart(folder, flown_policy(exported, asked, drone.seed), asked.object, drone, record, exported)
+    flown = flown_policy(exported, asked, drone.seed)._replace(file=new)
+    return depart(folder, flown, asked.object, drone, record, exported)
 
 
 def record(

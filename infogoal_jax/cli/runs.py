@@ -49,7 +49,7 @@ def report(
         captions: Write what stands above and below a figure into a text beside it, for a paper's captions.
         style: Style sheet of matplotlib that is applied after the package's own.
     """
-    if (Path(run) / "flight.jsonl").is_file():
+    if (Path(run) / "flight.jsonl").exists():
         from infogoal_jax.report.flight_figures import report_flight
 
         print(f"figure      {report_flight(Path(run), format, captions, style)}")

@@ -153,6 +153,30 @@ def replace_file(path: str | os.PathLike, write_content: Callable[[object], None
         os.replace(beside, path)
 
 
+@contextlib.contextmanager
+def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
+    """Inside, a folder to write into. At the end `path`, which is empty or not there, holds all that is in it; if
+    anything hinders that, nothing. What the disk refuses is a `UserError` that names it."""
+    path = Path(path)
+    there = path.is_dir()
+    beside = (
+        path / f".{os.getpid()}.partial" if there else path.absolute().with_name(f".{path.name}.{os.getpid()}.partial")
+    )
+    with temporary(beside):
+        try:
+            beside.mkdir(parents=True)
+            yield beside
+            if there:  # Somebody may be in that folder: it stays.
+                for child in beside.iterdir():
+                    child.rename(path / child.name)
+            else:
+                beside.rename(path)
+        except OSError as error:
+            raise UserError(
+                f"{what} = {str(path)!r}: cannot be written ({error.strerror or error}); give another place"
+            ) from error
+
+
 def content_of(*parts: np.ndarray) -> str:
     """What tells these arrays from others, in eight letters: for the words that say which data a run saw."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]

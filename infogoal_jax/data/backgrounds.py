@@ -17,6 +17,7 @@ import numpy as np
 
 from infogoal_jax.data.archives import regular, user_cache
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.stopping import temporary
 
 SIZE = 64
 CROP_SIZE = 32  # As in CIFAR-10, so that either is as blurred as the other when it is enlarged.
@@ -238,7 +239,7 @@ def download_cifar10(path: str | os.PathLike = "", url: str = CIFAR10_URL, sha25
         return batches
     try:
         existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-        with tempfile.TemporaryDirectory(prefix=".cifar-10-", dir=existing) as beside:
+        with tempfile.TemporaryDirectory(prefix=".cifar-10-", dir=existing) as beside, temporary(Path(beside)):
             archive = _download(url, Path(beside), sha256)
             unpacked = _unpack(archive, Path(beside) / CIFAR10_FOLDER)
             folder.mkdir(parents=True, exist_ok=True)

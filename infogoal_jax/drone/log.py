@@ -1,12 +1,14 @@
 """The log of a flight: a line of JSON for every image, command, answer, decision and fault, flushed as it happens."""
 
+import dataclasses
 import json
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from infogoal_jax.errors import UserError
+from infogoal_jax.runs.decoding import Place, decode, parse_lines, read_bytes
 
 NAME = "flight.jsonl"
 
@@ -48,16 +50,75 @@ class Log:
             self.file.close()
 
 
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """What every line has: seconds since the start, and what happened."""
+
+    time: float
+    event: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """Moves that are allowed in each direction."""
+
+    left: int
+    right: int
+    up: int
+    down: int
+
+
+@dataclasses.dataclass(frozen=True)
+class SettingsEvent(Event):
+    """What is read of the settings of a flight."""
+
+    target: str
+    host: str
+    simulated: bool
+    envelope: Bounds
+
+
+@dataclasses.dataclass(frozen=True)
+class StepEvent(Event):
+    """A move and what came of it. low, high: corners of the places that are possible after it; latency: seconds from
+    the image to the command."""
+
+    outcome: Literal["made", "refused", "unanswered"]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    latency: float
+
+
+@dataclasses.dataclass(frozen=True)
+class LandingEvent(Event):
+    """Why it landed."""
+
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class EndEvent(LandingEvent):
+    """How it ended."""
+
+    found: bool
+    landed: bool
+
+
+KINDS = {"settings": SettingsEvent, "step": StepEvent, "landing": LandingEvent, "end": EndEvent}
+"""What is read of an event by its name; of others when they happened."""
+
+
 def read(path: Path) -> list[dict[str, Any]]:
-    """The events of a log; a last line that was cut off is left out. Raises `UserError` for a file that is none."""
+    """The events of a log, at least one; a last line that was cut off is left out. Raises `UserError` for a file that
+    is none."""
+    place = Place(path, remedy="give the folder of a flight of `infogoal fly` or `infogoal record`")
     events = []
-    lines = path.read_text(encoding="utf-8").splitlines()
-    for number, line in enumerate(lines, 1):
-        try:
-            events.append(json.loads(line))
-        except ValueError as error:
-            if number < len(lines):
-                raise UserError(f"{path}: line {number} is no log of a flight ({error})") from error
+    for at, values in parse_lines(read_bytes(place, f"{path}: not there; give the folder of a flight"), place):
+        event = decode(Event, values, at)
+        decode(KINDS.get(event.event, Event), values, at)
+        events.append(values)
+    if not events:
+        raise place.refusal("it holds no event")
     return events
 
 

@@ -3,6 +3,9 @@ envelope, the detector and the log."""
 
 import contextlib
 import dataclasses
+import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -10,15 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.data import text
+from infogoal_jax.data.archives import regular
 from infogoal_jax.drone.detection import Detector, check_known, simulated_detector, yolo_detector
 from infogoal_jax.drone.envelope import MOVES, Envelope
 from infogoal_jax.drone.flight import Flight, Outcome, Policy
 from infogoal_jax.drone.limits import Limits
 from infogoal_jax.drone.link import Address, Link, import_djitellopy
 from infogoal_jax.drone.log import Log
-from infogoal_jax.drone.recording import Recorder
+from infogoal_jax.drone.recording import Recorder, check_recordings
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.policy_file import ExportedPolicy
+from infogoal_jax.runs import disk
+from infogoal_jax.runs.decoding import Place, decode
+from infogoal_jax.stopping import temporary
 
 
 class Asked(NamedTuple):
@@ -29,11 +36,13 @@ class Asked(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """A policy as it flies: its function, the names of its moves, and height and width of its pictures."""
+    """A policy as it flies: its function, the names of its moves, height and width of its pictures, and the content of
+    a file to keep beside the log."""
 
     policy: Policy
     moves: tuple[str, ...]
     size: tuple[int, int]
+    file: bytes = b""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,29 +81,51 @@ class Settings:
         return envelope
 
 
-def load_policy(path: str, folder: Path) -> ExportedPolicy:
-    """The exported policy at this path; that of a run's folder is exported into `folder` first.
+@dataclasses.dataclass(frozen=True)
+class About:
+    """What is read of what a policy's file says of it (`infogoal_jax.report.export`)."""
+
+    method: str
+    actions: tuple[str, ...]
+    code_size: int
+    samples_code: bool
+    generator_seed: int
+    goal_names: tuple[str, ...]
+    goal_objects: tuple[str, ...]
+
+
+def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
+    """The exported policy at this path, or that of a run's folder, which is exported now; and the file's content, where
+    it is new and to be kept.
 
     Raises `UserError` for a file that is none, and for a policy that does not move left, right, up and down by what a
     camera sees.
     """
-    file = Path(path)
-    if file.is_dir():
-        from infogoal_jax.report.export import export
-        from infogoal_jax.report.runs import load_run
+    if not Path(path).is_dir():
+        return read_policy(Path(path), path), b""
+    from infogoal_jax.report.export import export
+    from infogoal_jax.report.runs import load_run
 
-        run = load_run(file)
-        file = folder / "policy.npz"
+    run = load_run(Path(path))
+    with tempfile.TemporaryDirectory() as elsewhere, temporary(Path(elsewhere)):
+        file = Path(elsewhere) / "policy.npz"
         export(run, file, run.seeds[0])
+        return read_policy(file, path), file.read_bytes()
+
+
+def read_policy(file: Path, given: str) -> ExportedPolicy:
+    """The exported policy of this file. given: how the user named it. Raises `UserError` as `load_policy` does."""
     try:
-        policy = ExportedPolicy(file)
-    except (OSError, KeyError, ValueError) as error:
+        policy = ExportedPolicy(regular(file))
+        place = Place(file, remedy="export the policy again")
+        about = decode(About, policy.about, place)
+        shape, kind = policy.program["inputs"][1][0]
+    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(
-            f"policy = {path!r}: is no file of `infogoal export` ({error}); give one, or a run's folder"
+            f"policy = {given!r}: is no file of `infogoal export` ({error}); give one, or a run's folder"
         ) from error
-    shape, kind = policy.program["inputs"][1][0]
-    fits = set(policy.about["actions"]) == set(MOVES) and len(shape) == 3 and shape[-1] == 3 and kind == "uint8"
-    require(fits, "policy", path, f"cannot fly: it needs the moves {', '.join(MOVES)} and colour images")
+    fits = set(about.actions) == set(MOVES) and len(shape) == 3 and shape[-1] == 3 and kind == "uint8"
+    require(fits, "policy", given, f"cannot fly: it needs the moves {', '.join(MOVES)} and colour images")
     return policy
 
 
@@ -150,6 +181,8 @@ def run_mission(
     envelope = settings.envelope()
     require(settings.speed > 0, "speed", settings.speed, "give a number greater than 0")
     require(settings.simulate or settings.speed == 1, "speed", settings.speed, "a real drone has its own; leave it out")
+    if record:
+        check_recordings(Path(record), folder.name)
     import_djitellopy()
     if not settings.simulate:
         detect, address = real_detector(settings.weights, target), Address(settings.host, 8889, settings.ports)
@@ -205,6 +238,8 @@ def fly_at(
 ) -> Outcome:
     """Fly a drone at this address."""
     log = Log(folder)
+    if flown.file:
+        disk.write_atomically(folder / "policy.npz", lambda file: file.write(flown.file))
     recorder = Recorder(Path(record), folder.name, origin) if record else None
     log.write(
         "settings", target=target, host=address.host, simulated=settings.simulate, speed=settings.speed,

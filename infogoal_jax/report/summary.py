@@ -221,8 +221,6 @@ def evaluate_run(
         data=run.data,
         metrics={name: value.tolist() for name, value in scores.items()},
     )
-    remove_abandoned(folder)
-    results.write_evaluation(folder, found)
     protocol = (
         f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the "
         "actions random"
@@ -233,10 +231,8 @@ def evaluate_run(
     console.print(score_table(scores))
     for sentence in diverged_in_words(diverged):
         console.print(sentence, style="bold red", soft_wrap=True)
-    console.print(
-        f"data        {run.data}\nfile        {folder / 'evaluation.json'}",
-        soft_wrap=True,
-        highlight=False,
-        markup=False,
-    )
+    console.print(f"data        {run.data}", soft_wrap=True, highlight=False, markup=False)
+    remove_abandoned(folder)
+    results.write_evaluation(folder, found)  # After the table: a disk that refuses should not cost the numbers.
+    console.print(f"file        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
     return {name: value for name, value in scores.items() if name != "first_reached"}

@@ -2,7 +2,7 @@
 screen and no OpenGL needed."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from PIL import Image
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.runs.disk import disk_error
+from infogoal_jax.stopping import temporary
 
 Policy = Callable[[FetchState, jax.Array], jax.Array]
 """(state, key) -> action [4]."""
@@ -66,40 +68,63 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
     renamed: the file is whole or not there.
 
     25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is
-    another, or no frames are given.
+    another, no frames are given, or the disk refuses.
     """
     path = Path(path)
     require(path.suffix in ENDINGS, "path", str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
     require(path.parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
     require(fps > 0, "fps", fps, "give a number greater than 0")
     beside = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
-    writer, shape = None, None
-    try:
-        for number, frame in enumerate(frames):
-            frame = np.asarray(frame)
-            good = (
-                frame.dtype == np.uint8
-                and frame.ndim == 3
-                and frame.shape[2] == 3
-                and frame.shape == (shape or frame.shape)
-            )
-            require(
-                good,
-                f"frames[{number}]",
-                f"{frame.dtype} {frame.shape}",
-                f"give uint8 {shape or ('height', 'width', 3)}, all of one size",
-            )
-            if writer is None:
-                shape = frame.shape
-                writer = open_writer(beside, fps, (shape[1], shape[0]))
-            writer.write(frame[..., ::-1])
-        require(writer is not None, "frames", "none", "give at least one")
-        writer.release()
-        os.replace(beside, path)
-    finally:
-        if writer is not None:
+    writer, count = None, 0
+    with temporary(beside):
+        try:
+            for frame in of_one_size(frames):
+                if writer is None:
+                    height, width, _ = frame.shape
+                    writer = open_writer(beside, fps, (width, height))
+                writer.write(frame[..., ::-1])
+                count += 1
+            require(writer is not None, "frames", "none", "give at least one")
             writer.release()
-        beside.unlink(missing_ok=True)
+            require(  # OpenCV's writer says nothing of a full disk.
+                path.suffix == ".gif" or frames_in(beside) == count,
+                "path",
+                str(path),
+                "could not be written to its end; free some space, or choose another folder",
+            )
+            os.replace(beside, path)
+        except OSError as error:
+            raise disk_error(path, error) from error
+        finally:
+            if isinstance(writer, cv2.VideoWriter):
+                writer.release()
+
+
+def of_one_size(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """The frames as arrays. Raises `UserError` for one that is not uint8 [H, W, 3], or of another size than the
+    first."""
+    shape = None
+    for number, frame in enumerate(frames):
+        frame = np.asarray(frame)
+        require(
+            frame.dtype == np.uint8
+            and frame.ndim == 3
+            and frame.shape[2] == 3
+            and frame.shape == (shape or frame.shape),
+            f"frames[{number}]",
+            f"{frame.dtype} {frame.shape}",
+            f"give uint8 {shape or ('height', 'width', 3)}, all of one size",
+        )
+        shape = frame.shape
+        yield frame
+
+
+def frames_in(path: Path) -> int:
+    """How many frames a video has; 0 for a file that is none."""
+    video = cv2.VideoCapture(str(path))
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+    video.release()
+    return count
 
 
 def random_policy(state: FetchState, key: jax.Array) -> jax.Array:

@@ -29,6 +29,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.stand_ins import house_boxes, house_layout, house_render, house_textures
 from infogoal_jax.stand_ins.house_inventory import INSTANCE_IDS
 from infogoal_jax.stand_ins.house_layout import HEADINGS, House
+from infogoal_jax.stopping import temporary
 
 GENERATOR_VERSION = 1
 DIFFICULTY_SHARES = (0.9, 0.7, 0.5, 0.25)
@@ -68,7 +69,7 @@ def load(seed: int = 0, **reading) -> active_vision.SearchScenes:
             f"infogoal: {folder} cannot be written ({error.strerror or error}); it will be built again next time",
             file=sys.stderr,
         )
-        with tempfile.TemporaryDirectory() as elsewhere:
+        with tempfile.TemporaryDirectory() as elsewhere, temporary(Path(elsewhere)):
             build_house(elsewhere, seed)
             return active_vision.load(elsewhere, **{"cache_dir": elsewhere} | reading)
     return active_vision.load(folder, **reading)
@@ -83,7 +84,7 @@ def _build_cached(folder: Path, seed: int) -> None:
     """Build a house beside and rename it, so that `folder` always holds a whole one. Raises `OSError` if the disk
     refuses."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside:
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as beside, temporary(Path(beside)):
         whole = Path(beside) / folder.name
         build_house(whole, seed)
         if folder.exists() and check.check_active_vision(folder):

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.backgrounds import CROP_SIZE, CROPS_FILE
 from infogoal_jax.errors import UserError, require
 
@@ -157,18 +158,15 @@ def build_backgrounds(folder: Path, seed: int = 0, crops_of_each: int = 84) -> N
         crops[photograph.use].append(cut_crops(read(photograph), crops_of_each, np.random.default_rng([seed, number])))
         names[photograph.use] += [photograph.name] * crops_of_each
     train, test = (np.concatenate(crops[use]) for use in ("train", "test"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with new_folder(folder, "path") as beside:
         np.savez_compressed(
-            folder / CROPS_FILE,
+            beside / CROPS_FILE,
             train=train,
             test=test,
             train_photographs=names["train"],
             test_photographs=names["test"],
         )
-        (folder / "LICENCES.md").write_text(licences(), encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"path = {str(folder)!r}: cannot be written to: {error.strerror}") from error
+        (beside / "LICENCES.md").write_text(licences(), encoding="utf-8")
 
 
 def read(photograph: Photograph) -> np.ndarray:

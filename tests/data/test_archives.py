@@ -1,11 +1,13 @@
-"""What is no file, or unpacks to gigabytes, is refused at once."""
+"""What is no file, or unpacks to gigabytes, is refused at once; what is written is whole or not there."""
 
+import errno
 import os
 import zipfile
 
 import numpy as np
 import pytest
 
+from infogoal_jax import stopping
 from infogoal_jax.data import archives, frames
 from infogoal_jax.data.splits import load_split
 from infogoal_jax.data.text import load
@@ -34,3 +36,27 @@ def test_an_archive_of_kilobytes_that_unpacks_to_far_more_is_refused_unread(tmp_
 def test_an_archive_that_packs_well_is_read(tmp_path):
     archives.write(tmp_path / "zeros.npz", {"frames": np.zeros(10**6, np.uint8)}, zipfile.ZIP_DEFLATED)
     assert archives.read(tmp_path / "zeros.npz", "").sizes["frames"] > 10**6
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["new", "empty"])
+def test_a_folder_that_is_written_is_whole_or_not_there(there, tmp_path):
+    folder = tmp_path / "house"
+    if there:
+        folder.mkdir()
+    refused = pytest.raises(UserError, match="path = .*house.*No space left.*give another place")
+    with refused, archives.new_folder(folder, "path") as beside:
+        (beside / "half").write_text("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert list(tmp_path.rglob("*")) == [folder] * there
+    with archives.new_folder(folder, "path") as beside:
+        (beside / "whole").write_text("whole")
+        (beside / "images").mkdir()
+    assert {path.name for path in tmp_path.rglob("*")} == {"house", "whole", "images"}
+
+
+def test_a_folder_that_is_half_written_goes_when_the_process_stops_at_once(tmp_path):
+    with archives.new_folder(tmp_path / "house", "path") as beside:
+        (beside / "half").write_text("half")
+        stopping.remove_temporaries()
+        assert list(tmp_path.iterdir()) == []
+        beside.mkdir()  # For the end of the block.

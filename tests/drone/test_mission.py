@@ -1,5 +1,6 @@
 """Before the take-off: questions, policies, libraries and ports that cannot be used are refused."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -53,15 +54,21 @@ def test_a_question_that_cannot_be_embedded(policy, monkeypatch):
 
 def test_policies_that_cannot_fly(tmp_path):
     (tmp_path / "words.npz").write_text("words")
-    for path in (tmp_path / "words.npz", tmp_path / "nothing.npz", questions.SHIPPED_EMBEDDINGS):
+    os.mkfifo(tmp_path / "pipe.npz")
+    whole = flights.write_policy(tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    np.savez(tmp_path / "list.npz", about=np.array("[]"), program=np.array("5"))
+    np.savez(tmp_path / "few.npz", about=np.array('{"actions": 3}'), program=np.array('{"constants": 0}'))
+    paths = [tmp_path / f"{name}.npz" for name in ("words", "nothing", "pipe", "cut", "list", "few")]
+    for path in (*paths, questions.SHIPPED_EMBEDDINGS):
         with pytest.raises(UserError, match="no file of `infogoal export`"):
-            mission.load_policy(str(path), tmp_path)
+            mission.load_policy(str(path))
     with pytest.raises(UserError, match="cannot fly"):
         grey = flights.write_policy(tmp_path / "grey.npz")
         members = dict(np.load(grey))
         members["program"] = np.array(str(members["program"]).replace("64, 3]", "64, 1]"))
         np.savez(grey, **members)
-        mission.load_policy(str(grey), tmp_path)
+        mission.load_policy(str(grey))
 
 
 def test_without_the_libraries(tmp_path, monkeypatch, capsys):

@@ -7,6 +7,7 @@ from infogoal_jax.data import frames, frames_import
 from infogoal_jax.drone.envelope import MOVES, Whereabouts
 from infogoal_jax.drone.pictures import Picture
 from infogoal_jax.drone.recording import TABLE, Explorer, Recorder
+from infogoal_jax.errors import UserError
 
 
 def record(folder, name: str, moves, origin=(0, 0), seen_from: int = 1) -> int:
@@ -68,5 +69,30 @@ def test_the_explorer_stays_within_what_is_allowed():
 
 def test_a_name_is_not_used_twice(tmp_path):
     record(tmp_path, "monday", [("right", "made")])
-    with pytest.raises(FileExistsError):
+    with pytest.raises(UserError, match="holds monday already; give another folder"):
         Recorder(tmp_path, "monday")
+
+
+def test_a_table_of_others_is_not_added_to(tmp_path):
+    (tmp_path / TABLE).write_text("my,own,columns\n1,2,3\n")
+    with pytest.raises(UserError, match=f"its {TABLE} has other columns than image,trajectory"):
+        Recorder(tmp_path, "monday")
+    assert [path.name for path in tmp_path.iterdir()] == [TABLE]
+
+
+def test_a_picture_that_the_disk_refuses_is_an_error_that_ends_the_flight(tmp_path):
+    recorder, image = Recorder(tmp_path, "monday"), np.zeros((48, 64, 3), np.uint8)
+    recorder.visit(Picture(0.0, image, image), Whereabouts(), set(), "right")
+    (tmp_path / "monday").rename(tmp_path / "gone")
+    with pytest.raises(UserError, match="record = .*monday/0001.png was refused.*free some space"):
+        recorder.visit(Picture(0.0, image, image), Whereabouts().after("right", "made"), set(), "up")
+
+
+def test_a_disk_that_is_full_leaves_no_half_row(tmp_path, monkeypatch):
+    """/dev/full takes what is buffered and refuses to keep it."""
+    assert record(tmp_path, "monday", [("right", "made")]) == 1
+    (tmp_path / TABLE).unlink()
+    (tmp_path / TABLE).symlink_to("/dev/full")
+    monkeypatch.setattr("infogoal_jax.drone.recording.check_recordings", lambda folder, trajectory: None)
+    with pytest.raises(UserError, match="record = .*cannot be written .No space left"):
+        record(tmp_path, "tuesday", [("right", "made")])

@@ -1,12 +1,13 @@
 """The report of a flight says what its log says, and is drawn also where the program was killed."""
 
 import json
+import os
+import re
 
 import pytest
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.drone.log import NAME
-from infogoal_jax.errors import UserError
 from infogoal_jax.report import flight_figures
 
 SETTINGS = {
@@ -50,7 +51,26 @@ def test_a_program_that_was_killed(tmp_path, capsys):
     assert "was killed" in capsys.readouterr().out
 
 
-def test_a_file_that_is_no_log(tmp_path):
-    (tmp_path / NAME).write_text("words\nwords\n")
-    with pytest.raises(UserError, match="line 1"):
-        flight_figures.report_flight(tmp_path)
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"words\nwords\n", "line 1: .*not JSON"),
+        (b"[1]\n", "line 1: .*should be an object"),
+        (b"\xff\xfe\n", "line 1: .*not UTF-8"),
+        (b"", "it holds no event"),
+        (b'{"time": 1}\n', "event is missing"),
+        (b'{"time": "late", "event": "image"}\n', "time = 'late'"),
+        (b'{"time": 1, "event": "end", "reason": "r", "found": 3, "landed": true}\n', "found = 3"),
+        (b'{"time": 1, "event": "step", "outcome": "lost"}\n', "outcome = 'lost': give one of 'made', 'refused'"),
+    ],
+    ids=lambda value: value[:20] if isinstance(value, bytes) else "",
+)
+def test_a_file_that_is_no_log_is_named_with_line_and_field(content, message, tmp_path, capsys):
+    (tmp_path / NAME).write_bytes(content)
+    assert main(["report", str(tmp_path)]) == 2
+    assert re.search(f"{NAME}.*{message}", capsys.readouterr().err) and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_pipe_in_its_place_is_not_read(tmp_path, capsys):
+    os.mkfifo(tmp_path / NAME)
+    assert main(["report", str(tmp_path)]) == 2 and "no regular file" in capsys.readouterr().err
