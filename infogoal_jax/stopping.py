@@ -139,7 +139,8 @@ def remove(path: Path) -> None:
     """Delete a file, or a folder with all that is in it. What hinders the tidying up must not hide why it is needed."""
     with contextlib.suppress(OSError):
         if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
+            gone = path.rename(path.with_name(f"{path.name}.gone"))  # Another thread may still be writing into it.
+            shutil.rmtree(gone, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
 

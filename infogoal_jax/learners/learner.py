@@ -186,28 +186,39 @@ varied independently."""
 GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 MB.
 
 
-def encode_goals(
-    learner: Learner,
-    params: Any,
-    goals: GoalSet,
-    batch_size: int,
-    view: View | None = None,
-    key: jax.Array | None = None,
-) -> Encode:
-    """Encode any goals with these parameters. Fewer than `batch_size` goals are all encoded once; of more, only those
-    asked for.
+class GoalEncoding(NamedTuple):
+    """How goals are encoded: by these parameters of a learner, of a set in which fewer goals than `batch_size` are all
+    encoded once, and of more only those asked for.
 
     With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps
     its draw.
     """
-    if view is not None:
-        calls = itertools.count()
-        return lambda indices: learner.encode(
-            params, view(jax.random.fold_in(key, next(calls)), goals.inputs_of(indices))
-        )
-    if goals.num_goals <= batch_size:
-        return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
-    return lambda indices: learner.encode(params, goals.inputs_of(indices))
+
+    learner: Learner
+    params: Any
+    goals: GoalSet
+    batch_size: int
+    view: View | None = None
+    key: jax.Array | None = None
+
+    def of_any(self) -> Encode:
+        """Codes of any goals."""
+        learner, params, goals = self.learner, self.params, self.goals
+        if self.view is not None:
+            calls = itertools.count()
+            return lambda indices: learner.encode(
+                params, self.view(jax.random.fold_in(self.key, next(calls)), goals.inputs_of(indices))
+            )
+        if goals.num_goals <= self.batch_size:
+            return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
+        return lambda indices: learner.encode(params, goals.inputs_of(indices))
+
+    def of_commanded(self) -> Encode:
+        """Codes of training goals. They are few, so each is encoded once, however large the goal space is."""
+        if self.view is not None or self.goals.num_goals <= self.batch_size:
+            return self.of_any()
+        commanded = self.goals.commanded
+        return lookup(self.learner.encode(self.params, self.goals.inputs_of(commanded)), self.goals, commanded)
 
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:
@@ -236,17 +247,3 @@ def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     """Look up codes by goal, where `codes` are those of the goals `which`, in this order."""
     place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which)))
     return lambda indices: codes[place[indices]]
-
-
-def encode_commanded(
-    learner: Learner,
-    params: Any,
-    goals: GoalSet,
-    batch_size: int,
-    view: View | None = None,
-    key: jax.Array | None = None,
-):
-    """Encode training goals. They are few, so each is encoded once, however large the goal space is."""
-    if view is not None or goals.num_goals <= batch_size:
-        return encode_goals(learner, params, goals, batch_size, view, key)
-    return lookup(learner.encode(params, goals.inputs_of(goals.commanded)), goals, goals.commanded)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.learners.learner import InputSpec, Visited, encode_goals
+from infogoal_jax.learners.learner import GoalEncoding, InputSpec, Visited
 from infogoal_jax.report.canvas import Subject, in_words
 from infogoal_jax.train.evaluation import EVALUATION_SEED, draw_starts, run_side_by_side
 from infogoal_jax.train.settings import clean_view
@@ -87,7 +87,7 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
         env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells
     )
     state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
-    encode = encode_goals(learner, subject.params["goal"], env.goals, subject.train.config.batch_size)
+    encode = GoalEncoding(learner, subject.params["goal"], env.goals, subject.train.config.batch_size).of_any()
     achieved = env.goals_of(jnp.arange(env.num_observations))
     every = jnp.arange(env.num_observations)[None]
     visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), jnp.ones(every.shape))

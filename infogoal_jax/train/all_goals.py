@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from infogoal_jax import pairs
 from infogoal_jax.agents.agent import AllGoals
 from infogoal_jax.agents.all_goals import returns_of_all
-from infogoal_jax.learners.learner import encode_goals
+from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.encoding import training_view
@@ -54,7 +54,7 @@ def under_all_goals(
     reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
     view = training_view(parts, env, augmented=True)
     code, target_code = (
-        encode_goals(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)(goals)
+        GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()(goals)
         for given in (params, target_params)
     )
     if parts.config.stop_encoder_gradient:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.learners.learner import Encode, GoalCode, conditioned, encode_commanded, encode_goals
+from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.train.encoding import encode_states, training_view
 from infogoal_jax.train.rollout import Policy
 
@@ -27,14 +27,8 @@ def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mea
 def training_policy(parts, params, hyper, env, key) -> Policy:
     """The policy that collects: each goal under a background, where training corrupts goals, that stays for the
     epoch."""
-    encode = encode_commanded(
-        parts.learner,
-        params["goal"],
-        env.goals,
-        parts.config.batch_size,
-        training_view(parts, env, augmented=False),
-        key,
-    )
+    view = training_view(parts, env, augmented=False)
+    encode = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key).of_commanded()
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
 
@@ -45,6 +39,6 @@ def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False
     def encode(goal: jax.Array | GoalCode) -> GoalCode:
         return goal if isinstance(goal, GoalCode) else encode_index(goal)
 
-    encode_index = encode_goals(parts.learner, params["goal"], env.goals, parts.config.batch_size)
+    encode_index = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size).of_any()
     exploration = Exploration(hyper.test_epsilon, 0.0)
     return policy(parts, params, exploration, env, encode, use_mean | parts.learner.mean_at_test)

@@ -11,7 +11,7 @@ from jax.flatten_util import ravel_pytree
 
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.exploration.explorer import Moves
-from infogoal_jax.learners.learner import LearnerBatch, Steps, Visited, conditioned, encode_commanded, encode_goals
+from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.all_goals import spec_of, under_all_goals
@@ -27,7 +27,8 @@ def returns(
     Then the learner's state, and metrics."""
     batch, external = drawn.transitions, drawn.external
     if experience.codes is None:
-        encode = encode_goals(parts.learner, jax.lax.stop_gradient(params["goal"]), env.goals, parts.config.batch_size)
+        frozen = jax.lax.stop_gradient(params["goal"])
+        encode = GoalEncoding(parts.learner, frozen, env.goals, parts.config.batch_size).of_any()
     else:
         encode = experience.codes.__getitem__
     visited = Visited(batch.goal, drawn.achieved, env.cell_of(batch.records), batch.mask)
@@ -60,12 +61,14 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     see, see_by_target = (
         encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
     )
-    # Relabelled goals are any, and not among those commanded.
-    encoded = encode_commanded if parts.relabelling is None else encode_goals
     view = training_view(parts, env, augmented=True)
-    code, target_code = (
-        encoded(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)(batch.goal)
+    encodings = [
+        GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)
         for given in (params, target_params)
+    ]
+    code, target_code = (  # Relabelled goals are any, and not among those commanded.
+        (encoding.of_commanded() if parts.relabelling is None else encoding.of_any())(batch.goal)
+        for encoding in encodings
     )
     features, next_features, target_features = (
         see(batch.observation),
@@ -146,14 +149,8 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
 
     def total_loss(vector):
         params = restore(vector)
-        encode = encode_goals(
-            learner,
-            params["goal"],
-            env.goals,
-            parts.config.batch_size,
-            training_view(parts, env, augmented=True),
-            view_key,
-        )
+        view = training_view(parts, env, augmented=True)
+        encode = GoalEncoding(learner, params["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
         if spec_of(parts) is not None:
             known, noise_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)

@@ -1,7 +1,9 @@
 """What is no file, or unpacks to gigabytes, is refused at once; what is written is whole or not there."""
 
+import contextlib
 import errno
 import os
+import threading
 import zipfile
 
 import numpy as np
@@ -55,8 +57,21 @@ def test_a_folder_that_is_written_is_whole_or_not_there(there, tmp_path):
 
 
 def test_a_folder_that_is_half_written_goes_when_the_process_stops_at_once(tmp_path):
+    """Although another thread is still writing into it."""
+
+    def write():
+        number = 0
+        with contextlib.suppress(OSError):
+            while number < 10**6:
+                (beside / f"{number}.jpg").write_bytes(bytes(1000))
+                number += 1
+
     with archives.new_folder(tmp_path / "house", "path") as beside:
-        (beside / "half").write_text("half")
+        thread = threading.Thread(target=write)
+        thread.start()
+        while not (beside / "20.jpg").exists():
+            assert thread.is_alive()
         stopping.remove_temporaries()
         assert list(tmp_path.iterdir()) == []
+        thread.join()
         beside.mkdir()  # For the end of the block.

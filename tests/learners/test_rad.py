@@ -13,7 +13,7 @@ from infogoal_jax import learners, make_train
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
-from infogoal_jax.learners.learner import encode_goals
+from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.registry import Entry
 from infogoal_jax.train.encoding import training_view
 
@@ -139,8 +139,8 @@ def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
         SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True
     )
     same_goal = jnp.zeros(10, jnp.int32)
-    varied = encode_goals(learner, params, env.goals, 32, view, jax.random.key(1))(same_goal).mean
-    plain = encode_goals(learner, params, env.goals, 32)(same_goal).mean
+    varied = GoalEncoding(learner, params, env.goals, 32, view, jax.random.key(1)).of_any()(same_goal).mean
+    plain = GoalEncoding(learner, params, env.goals, 32).of_any()(same_goal).mean
     assert len(np.unique(varied, axis=0)) == 10 and len(np.unique(plain, axis=0)) == 1
 
 

@@ -23,7 +23,7 @@ from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
-from infogoal_jax.learners.learner import GoalCode, encode_all, encode_commanded, encode_goals
+from infogoal_jax.learners.learner import GoalCode, GoalEncoding, encode_all
 from infogoal_jax.train.encoding import training_view
 from infogoal_jax.train.low_level.file import shipped
 
@@ -47,16 +47,6 @@ def grid(request):
 @pytest.fixture(scope="module")
 def env():
     return hand_made_points.points()
-
-
-@pytest.fixture(scope="module")
-def train():
-    return make_train(hand_made_points.config(), hand_made_points.steered())
-
-
-@pytest.fixture(scope="module")
-def params(train):
-    return hand_made_points.random_params(train)
 
 
 def test_a_position_counts_as_the_nearest_goal_of_the_grid(grid):
@@ -134,9 +124,9 @@ def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(meth
 
     def every_way(params):
         ways = [
-            encode(learner, params, env.goals, limit)(goals)
+            encode(GoalEncoding(learner, params, env.goals, limit))(goals)
             for limit in (1, 1000)
-            for encode in (encode_commanded, encode_goals)
+            for encode in (GoalEncoding.of_commanded, GoalEncoding.of_any)
         ]
         return [*ways, encode_all(learner, params, env.goals)[goals]]
 
@@ -157,14 +147,15 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
         is None
     )
     view = training_view(parts, env, augmented=True)
-    for encode in (encode_commanded, encode_goals):
-        seen = encode(pixels, None, env.goals, 1000, view, jax.random.key(0))(goals).mean
+    encoding = GoalEncoding(pixels, None, env.goals, 1000, view, jax.random.key(0))
+    for encode in (encoding.of_commanded(), encoding.of_any()):
+        seen = encode(goals).mean
         behind = np.asarray(2 * seen - env.goals.inputs[goals].astype(jnp.float32))
         level = behind.mean((1, 2, 3))
         assert (behind.max((1, 2, 3)) - behind.min((1, 2, 3)) <= 2).all()  # One background each, up to rounding.
         assert (abs(level - 10 * np.round(level / 10)) <= 1).all() and level.max() < 200
         assert len(set(np.round(level / 10))) > 15
-    assert not np.array_equal(encode_goals(pixels, None, env.goals, 1000, view, jax.random.key(1))(goals).mean, seen)
+    assert not np.array_equal(encoding._replace(key=jax.random.key(1)).of_any()(goals).mean, seen)
 
 
 def test_corruption_of_weight_0_is_the_image_and_of_weight_1_the_background(env):
