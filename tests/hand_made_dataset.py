@@ -1,10 +1,18 @@
-"""An image dataset of six frames, as records and as a file with faults planted in it."""
+"""Datasets made by hand: an image dataset of six frames, as records and as a file with faults planted in it; CIFAR-10
+in its own format, with a few records of noise; and the sizes of a house that is built in a moment."""
+
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from infogoal_jax.data import frames
+from infogoal_jax.data import backgrounds, frames
 from infogoal_jax.data.frames import FrameDataset
+
+TINY_HOUSE = {"node_spacing": 1.2, "image_width": 64}
+"""Images of 64 x 36 pixels, nodes 1.2 m apart."""
+BATCHES = (*backgrounds.TRAIN_BATCHES, *backgrounds.TEST_BATCHES)
+"""Of CIFAR-10."""
 
 
 def small(**changes) -> FrameDataset:
@@ -40,3 +48,15 @@ def planted(path, **changes) -> None:
     """A file of `small` with other members; None leaves one out."""
     members = frames.members_of(small()) | changes
     np.savez(path, **{name: value for name, value in members.items() if value is not None})
+
+
+def write_cifar10(folder: Path, records: int = 3) -> np.ndarray:
+    """Six batches in the format of the binary version; the images of the first, uint8 [records, 32, 32, 3]."""
+    folder.mkdir(parents=True)
+    generator = np.random.default_rng(0)
+    for name in reversed(BATCHES):
+        pictures = generator.integers(0, 256, (records, 32, 32, 3), np.uint8)
+        labels = generator.integers(0, 10, (records, 1), np.uint8)
+        planes = pictures.transpose(0, 3, 1, 2).reshape(records, -1)
+        (folder / name).write_bytes(np.concatenate([labels, planes], 1).tobytes())
+    return pictures

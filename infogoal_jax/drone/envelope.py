@@ -1,4 +1,5 @@
-"""Where the drone may be: an envelope of steps around the place where it hovered first, and which moves stay inside.
+"""Where the drone may be: an envelope of steps around the place where it hovered first, and which moves stay inside;
+and what ends a flight, apart from its object.
 
 An answer that never came leaves open whether the move was made. The place is therefore kept as an interval, and a move
 is allowed only if it stays inside from wherever the drone may be.
@@ -79,3 +80,21 @@ def allowed(envelope: Envelope, place: Whereabouts, moves: Sequence[str], below:
         return inside and not (move == "down" and below is not None and below - STEP < LOWEST)
 
     return np.array([stays(move) for move in moves])
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What ends a flight."""
+
+    steps: int = 50
+    """Moves that are tried at most [P]."""
+    battery_floor: int = 25
+    """Per cent of the battery at which it lands."""
+    confidence: float = 0.5
+    """Of the detector, from which an object counts as seen."""
+
+    def check(self) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.steps > 0, "steps", self.steps, "give a whole number greater than 0")
+        require(15 <= self.battery_floor < 100, "battery_floor", self.battery_floor, "give 15 to 99 per cent")
+        require(0 < self.confidence <= 1, "confidence", self.confidence, "give a number in (0, 1]")

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.drone.detection import Detector, seen
-from infogoal_jax.drone.envelope import STEP, Envelope, Whereabouts, allowed
-from infogoal_jax.drone.limits import Limits
+from infogoal_jax.drone.envelope import STEP, Envelope, Limits, Whereabouts, allowed
 from infogoal_jax.drone.link import Answer, Link
 from infogoal_jax.drone.log import Log
 from infogoal_jax.drone.pictures import Picture, fault_of

@@ -15,9 +15,8 @@ import numpy as np
 from infogoal_jax.data import text
 from infogoal_jax.data.archives import regular
 from infogoal_jax.drone.detection import Detector, check_known, simulated_detector, yolo_detector
-from infogoal_jax.drone.envelope import MOVES, Envelope
+from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
 from infogoal_jax.drone.flight import Flight, Outcome, Policy
-from infogoal_jax.drone.limits import Limits
 from infogoal_jax.drone.link import Address, Link, import_djitellopy
 from infogoal_jax.drone.log import Log
 from infogoal_jax.drone.recording import Recorder, check_recordings

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.angles import geodesic, orientation_classes
 from infogoal_jax.data import backgrounds, frames
-from infogoal_jax.data.rotations import geodesic, orientation_classes
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.joints import JointSpace

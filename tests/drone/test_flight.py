@@ -9,9 +9,8 @@ import pytest
 
 from infogoal_jax.drone import flight as flight_module
 from infogoal_jax.drone.detection import Detection
-from infogoal_jax.drone.envelope import MOVES, Envelope
+from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
 from infogoal_jax.drone.flight import Flight
-from infogoal_jax.drone.limits import Limits
 from infogoal_jax.drone.link import Answer
 from infogoal_jax.drone.log import NAME, Log, events_of, read
 from infogoal_jax.drone.pictures import Picture

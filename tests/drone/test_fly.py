@@ -1,7 +1,17 @@
-"""`infogoal fly` over the real protocol: djitellopy as it is published, a simulated Tello in a process of its own."""
+"""`infogoal fly` over the real protocol: djitellopy as it is published, a simulated Tello in a process of its own.
+
+In two hundred and more flights in which something goes wrong the drone ends on the ground, inside of its envelope, and
+the log says why; and a trained policy answers as many test questions as in the evaluation inside of the program.
+"""
+
+import json
+import os
+import subprocess
+import sys
 
 import flights
 import pytest
+from places import ROOT
 
 pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
 pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
@@ -9,6 +19,11 @@ pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/dro
 from infogoal_jax.data import frames_import
 from infogoal_jax.drone import log, simulated_tello
 from infogoal_jax.drone.recording import TABLE
+
+TIMES, ATTEMPTS = 20, 3
+NAMES = {fault.name: fault for fault in (*flights.FAULTS, *flights.MORE_FAULTS)}
+FLIGHTS, WITHIN = 100, 0.05
+SCRIPT = ROOT / "benchmarks" / "fidelity" / "drone_flights.py"
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +63,38 @@ def test_ctrl_c_lands(drone, tmp_path):
     policy = flights.write_policy(tmp_path / "policy.npz")
     fault = next(fault for fault in flights.FAULTS if fault.name == "Ctrl-C")
     assert flights.fly_with(fault, tmp_path / "flight", policy, drone, 0) == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", NAMES)
+def test_every_flight_with_this_fault_ends_on_the_ground(drone, tmp_path, name):
+    policy = flights.write_policy(tmp_path / "policy.npz")
+    found = {}
+    for seed in range(TIMES):
+        for attempt in range(ATTEMPTS):
+            folder = tmp_path / f"flight_{seed}_{attempt}"
+            found[seed] = flights.fly_with(NAMES[name], folder, policy, drone, seed)
+            if found[seed] != [flights.NOT_TRIED]:
+                break
+    assert not {seed: broken for seed, broken in found.items() if broken}
+
+
+@pytest.mark.long
+def test_a_hundred_flights_beside_the_evaluation(tmp_path):
+    """The same questions from the same starts; the difference may be off by its standard error."""
+    train = "train embodied_qa --method none --env.hovering --num-epochs 30 --no-figures --out"
+    words = [sys.executable, "-m", "infogoal_jax", *train.split(), str(tmp_path / "run")]
+    subprocess.run(words, check=True, env=os.environ | {"XLA_FLAGS": ""}, stdout=subprocess.DEVNULL)
+    words = [
+        sys.executable,
+        str(SCRIPT),
+        str(tmp_path / "run"),
+        "--flights",
+        str(FLIGHTS),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    result = json.loads((tmp_path / "out" / "flights.json").read_text())
+    assert result["landed"] == FLIGHTS
+    assert abs(result["difference"]) <= WITHIN + result["difference_standard_error"]

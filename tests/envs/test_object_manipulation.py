@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax import make_train, presets
-from infogoal_jax.angles import wrapped
-from infogoal_jax.data.rotations import geodesic
+from infogoal_jax.angles import geodesic, wrapped
 from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from hand_made_house import TINY
+from hand_made_dataset import TINY_HOUSE
 
 from infogoal_jax.stand_ins import house
 
@@ -12,7 +12,7 @@ from infogoal_jax.stand_ins import house
 def tiny(tmp_path_factory):
     """Folder of a tiny house: 64 x 36 pixels, nodes 1.2 m apart."""
     root = tmp_path_factory.mktemp("tiny_house")
-    house.build_house(root, seed=3, **TINY)
+    house.build_house(root, seed=3, **TINY_HOUSE)
     return root
 
 

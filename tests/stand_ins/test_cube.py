@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from infogoal_jax.data.rotations import geodesic, orientation_classes
+from infogoal_jax.angles import geodesic, orientation_classes
 from infogoal_jax.stand_ins import cube, cube_render
 
 SEED, LARGE = 3, 256

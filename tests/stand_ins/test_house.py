@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.io
-from hand_made_house import TINY
+from hand_made_dataset import TINY_HOUSE
 
 from infogoal_jax import envs
 from infogoal_jax.data import archives, scene_images
@@ -25,7 +25,7 @@ def files_of(root):
 
 
 def test_the_same_seed_writes_the_same_bytes(tiny, tmp_path):
-    house.build_house(tmp_path, seed=3, **TINY)
+    house.build_house(tmp_path, seed=3, **TINY_HOUSE)
     assert files_of(tmp_path) == files_of(tiny)
 
 
@@ -136,7 +136,7 @@ def test_bad_arguments_are_named(tmp_path, argument, match):
 
 def test_a_scene_is_not_overwritten(tiny):
     with pytest.raises(UserError, match="exists already"):
-        house.build_house(tiny, **TINY)
+        house.build_house(tiny, **TINY_HOUSE)
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def cache(tmp_path, monkeypatch):
 
     def build_tiny(folder, seed):
         built.append(seed)
-        build(folder, seed, **TINY)
+        build(folder, seed, **TINY_HOUSE)
 
     monkeypatch.setattr(archives, "user_cache", lambda: tmp_path / "cache")
     monkeypatch.setattr(house, "build_house", build_tiny)

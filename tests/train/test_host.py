@@ -1,10 +1,11 @@
 """Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in
-distribution."""
+distribution; a log file says that a program is being compiled, that it still is, and how long everything took."""
 
 import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import hand_made
@@ -15,13 +16,16 @@ import scipy.stats
 from places import TESTS
 
 from infogoal_jax import make_train
-from infogoal_jax.train import host
+from infogoal_jax.train import host, progress
+from infogoal_jax.train.listeners import make_listeners
 
 ON_TWO_DEVICES = """
 import sys
+import time
 from pathlib import Path
 import hand_made, jax
-from infogoal_jax.train import host
+from infogoal_jax.train import host, progress
+from infogoal_jax.train.listeners import make_listeners
 assert len(jax.devices()) == 2
 epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
 if at_once < 2:
@@ -94,3 +98,30 @@ def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
     alone = np.asarray([single(key).metrics["test_goal/success_rate"][-1] for key in keys])
     assert together.std() > 0  # Not all at the ceiling: the comparison could fail.
     assert scipy.stats.ks_2samp(together, alone).pvalue > 0.01
+
+
+def test_a_log_says_what_takes_long(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "SIGN_OF_LIFE", 0.05)
+    with progress.progress_line("fetch_reach infogoal x 2", 4) as line:
+        line.compiling()
+        time.sleep(0.3)
+        line.advance(2, "train 0.50")
+        before = capsys.readouterr().out.splitlines()
+        time.sleep(0.2)
+        line.advance(4, "train 0.75")
+    assert before[0] == "fetch_reach infogoal x 2: compiling, some minutes the first time"
+    assert len(before) > 2 and all(
+        words == "fetch_reach infogoal x 2: still compiling, 0:00:00" for words in before[1:-1]
+    )
+    assert before[-1] == "epoch 2/4  0:00:00  train 0.50"
+    assert capsys.readouterr().out == "epoch 4/4  0:00:00  train 0.75\n"
+
+
+@pytest.mark.parametrize(("rate", "shown"), [(1000.0, True), (0.0, False)])
+def test_who_learns_offline_has_no_rate_of_steps(rate, shown, tmp_path, capsys):
+    row = {"seed": 0, "epoch": 2, "train_goal/success_rate": 0.5}
+    with make_listeners(tmp_path, hand_made.config(), 1) as listeners:
+        for listen in listeners.progress:
+            listen(host.Progress(2, 4, 1.0, 1.0, rate, 7.0, [row], [row]))
+    printed = capsys.readouterr().out
+    assert ("1,000 env steps/s" in printed) == ("env steps" in printed) == shown and "7 updates/s" in printed
