@@ -18,7 +18,7 @@ import trial_numbers
 import trials
 import tuning_study
 
-MOST_FILES, MOST_BYTES = 60, 3_000_000
+MOST_FILES, MOST_BYTES = 60, 6_000_000
 
 
 @pytest.fixture(scope="module")
