@@ -65,10 +65,10 @@ def verdicts(found: list) -> str:
     rows = []
     for claim, finding in found:
         why = f"; not counted: {'; '.join(finding.faults)}" if finding.faults else ""
-        words = [claim.says, claim.where, claim.test, finding.shown, finding.words + why]
-        kind = KINDS[finding.verdict]
-        rows.append([*map(cell, words), f'<td class="{kind}">{finding.verdict}</td>'])
-    head = ["claim", "in the paper", "test", "effect [95 %]", "details", "verdict"]
+        verdict = f'<td class="{KINDS[finding.verdict]}">{finding.verdict}</td>'
+        effect = f'<td class="number">{html.escape(finding.shown)}</td>'
+        rows.append([cell(claim.says), verdict, effect, cell(finding.words + why), cell(claim.test), cell(claim.where)])
+    head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
     return f"<h2>Verdicts</h2>{table_of(head, rows, 'verdicts')}"
 
 

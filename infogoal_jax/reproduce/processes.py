@@ -67,16 +67,19 @@ def environment(number: int, processes: int, gpus: int) -> dict[str, str]:
     if not gpus:
         return dict(os.environ)
     on_one = -(-processes // gpus)
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    names = visible.split(",") if visible else [str(gpu) for gpu in range(gpus)]
     return os.environ | {
-        "CUDA_VISIBLE_DEVICES": str(number % gpus),
+        "CUDA_VISIBLE_DEVICES": names[number % min(gpus, len(names))],
         "XLA_PYTHON_CLIENT_MEM_FRACTION": f"{MEMORY / on_one:.3f}",
     }
 
 
 def repeat(number: int, child: subprocess.Popen, say) -> None:
     """Print what a process prints."""
-    for line in child.stdout:
-        say(f"{number}: {line.rstrip()}", flush=True)
+    with child.stdout:
+        for line in child.stdout:
+            say(f"{number}: {line.rstrip()}", flush=True)
 
 
 def arguments_of(asked, minutes: float) -> list[str]:

@@ -39,7 +39,8 @@ class Bounds(NamedTuple):
 
     def show(self, decimals: int = 2) -> str:
         """`0.52 [0.48, 0.55]`."""
-        return f"{self.value:.{decimals}f} [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
+        value, low, high = (f"{round(number, decimals) + 0.0:.{decimals}f}" for number in self)  # No -0.00.
+        return f"{value} [{low}, {high}]"
 
 
 def over_seeds_and_sets(scores: Scores) -> TwoIntervals:

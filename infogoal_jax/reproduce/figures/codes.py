@@ -63,7 +63,7 @@ def ways_panel(axes: Axes, result: Result, view: int, goal: int | None = None, n
         if not angles:
             star = picture[f"{name}_goal"][number]
             axes.plot(*star, "*", markersize=11, color=colour, markeredgecolor="black", zorder=4)
-    axes.set_aspect("auto" if angles else "equal", adjustable="datalim")
+    axes.set_aspect("auto" if angles else "equal", adjustable="box" if "place" in picture else "datalim")
     if angles:
         axes.set_ylim(0, 184)
     axes.tick_params(labelsize=6)
