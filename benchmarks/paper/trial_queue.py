@@ -246,6 +246,23 @@ QUEUE = {
     # InfoBot claims that its reward leads to where decisions are made. Its authors' beta of 0.01 is beside rewards of
     # 10; the preset's is 3e-5.
     "house_infobot": Trial("object_search", "infobot", None, HOUSE, SEARCHING),
+    # The maze of InfoGoal's authors rewards goals first seen in an episode, which does not fade with training.
+    "house_infobot_first_seen": Trial(
+        "object_search",
+        "infobot",
+        None,
+        HOUSE | {"learner.reward": "first_seen"},
+        {
+            f"reward {weight}, beta {beta:.0e}": {"intrinsic_weight": weight, "learner.beta": beta}
+            for weight in (0.1, 1.0, 10.0)
+            for beta in (3e-5, 3e-4)
+        },
+        seeds=3,
+    ),
+    "house_ghrl_first_occurrence": Trial(
+        "object_search", "ghrl", None, HOUSE | {"relabelling.choice": "first_occurrence"}, {"preset": {}}, seeds=3
+    ),
+    "house_ghrl": Trial("object_search", "ghrl", None, HOUSE, {"preset": {}}, seeds=3),
     # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss
     # help, and is it loss or bonus?
     "house_sse_db": Trial("object_search", "sse_db", None, HOUSE, {"preset": {}} | NO_EXPLORER | BONUSES),

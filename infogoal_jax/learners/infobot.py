@@ -6,7 +6,7 @@ paper, the encoder sees the goal alone. `state_conditioned` is the original form
 """
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, Literal
 
 import flax.struct
 import jax
@@ -17,7 +17,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, NewSteps, Visited
+from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, NewSteps, SampleSpec, Visited
 
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward, as InfoGoal's.
 
@@ -33,9 +33,15 @@ class InfoBotConfig(GoalEncoderConfig):
     """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would
     collapse for good."""
 
+    reward: Literal["rarity", "first_seen"] = "rarity"
+    """Intrinsic reward. `rarity`: for goals whose code says much, in cells that were rarely visited; `first_seen`: 1
+    for each known goal that the episode sees for the first time, as in the maze of InfoGoal's authors [A]. The latter
+    does not fade with training, and does not depend on the code."""
+
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
+        require(self.reward in ("rarity", "first_seen"), "learner.reward", self.reward, "give rarity or first_seen")
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
 
 
@@ -112,7 +118,11 @@ def make(config: InfoBotConfig) -> Learner:
         The reward is of the order of 1 in a new cell. Its weight kappa is `intrinsic_weight / episode_length`: 0.01 for
         weight 1 and 100 steps. The KL of the state-conditioned form would need the features of every state. Its mean is
         taken instead, so that only visits count.
+
+        With `reward = "first_seen"` it is the number of goals first seen instead.
         """
+        if config.reward == "first_seen":
+            return visited.first_seen, state
         rarity = jax.lax.rsqrt(state.counts[visited.cell] + 1.0)
         if config.state_conditioned:
             return rarity, state
@@ -127,6 +137,7 @@ def make(config: InfoBotConfig) -> Learner:
         init,
         encode,
         loss,
+        sample_spec=SampleSpec(first_seen=config.reward == "first_seen"),
         intrinsic_reward=intrinsic_reward,
         observe=observe,
         condition=condition if config.state_conditioned else None,

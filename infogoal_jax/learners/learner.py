@@ -55,6 +55,8 @@ class SampleSpec(NamedTuple):
     """Draw negatives from the dissimilarity matrix; False: from all known goals."""
     num_goals: int = 0
     """Known goals."""
+    first_seen: bool = False
+    """How many known goals each step saw first in its episode: `Visited.first_seen`."""
     relabelling: Relabelling | None = None
     """Gives the transitions that the loss sees other desired goals. The agent sees them unchanged. None: the loss sees
     what the agent sees."""
@@ -114,6 +116,9 @@ class Visited:
     """int32 [B, n], the environment's cell that each step led to."""
     mask: jax.Array
     """float32 [B, n], 1 for steps that were taken."""
+    first_seen: jax.Array | None = None
+    """float32 [B, n], known goals that each step was the first of its episode to achieve; None unless the learner asks
+    for them."""
 
 
 class NewSteps(NamedTuple):

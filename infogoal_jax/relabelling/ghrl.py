@@ -1,10 +1,12 @@
 """GHRL, generalized hindsight (Li, Pinto, Abbeel 2020), by approximate inverse reinforcement learning.
 
 An episode gets the goal that it demonstrates best: not the goal that it reached first, but the goal that it reached
-sooner than most other episodes. The agent learns from the original goal and from this one.
+sooner than most other episodes. The agent learns from the original goal and from this one. InfoGoal's authors compare
+with something simpler under this name, `choice = "first_occurrence"`.
 """
 
 import dataclasses
+import functools
 from typing import Literal
 
 import flax.struct
@@ -29,6 +31,9 @@ class GHRLConfig:
     random_share: float = 0.0
     """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere
     else."""
+    choice: Literal["best", "first_occurrence"] = "best"
+    """`best`: the goal that the episode demonstrates best; `first_occurrence`: any goal that it achieved, each equally
+    likely, at its first occurrence [A]."""
     filter: Literal["none", "advantage"] = "none"
     """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its
     start."""
@@ -45,7 +50,19 @@ class GHRLConfig:
             self.random_share,
             f"must leave room for share = {self.share}: together at most 1",
         )
+        require(
+            self.choice in ("best", "first_occurrence"),
+            "relabelling.choice",
+            self.choice,
+            "give best or first_occurrence",
+        )
         require(self.filter in ("none", "advantage"), "relabelling.filter", self.filter, "give none or advantage")
+        require(
+            self.choice == "best" or self.filter == "none",
+            "relabelling.filter",
+            self.filter,
+            "goes with relabelling.choice = best alone: give none",
+        )
 
 
 @flax.struct.dataclass
@@ -150,9 +167,24 @@ def accepted(context: Context, table: Table) -> jax.Array:
     return jax.lax.fori_loop(0, chunks, some, jnp.zeros(count.shape[0], bool)).reshape(shape)
 
 
+def relabel_at_first_occurrence(
+    config: GHRLConfig, key: jax.Array, table: her.Prefixes, row: jax.Array, step: jax.Array, goal: jax.Array
+) -> jax.Array:
+    """Goals int32 [B] of the transitions at these rows and steps: a share of them that the episode achieves later, at
+    their first occurrence."""
+    first_key, random_key, choose_key = jax.random.split(key, 3)
+    later = her.prefix_goal(first_key, table, row, step, first_occurrence=True)
+    anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+    share = jax.random.uniform(choose_key, goal.shape)
+    goal = jnp.where((share < config.share) & (later >= 0), later, goal)
+    return jnp.where(share >= 1.0 - config.random_share, anything, goal)
+
+
 def make(config: GHRLConfig) -> Relabelling:
     """GHRL for goals that are indices. Transitions after the episode first reached the goal keep their own: reaching a
     goal ends an episode."""
+    if config.choice == "first_occurrence":
+        return Relabelling(her.prefixes, functools.partial(relabel_at_first_occurrence, config))
 
     def prepare(context):
         table = best_goals(context)

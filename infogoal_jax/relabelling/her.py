@@ -134,9 +134,11 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
     return Occurrences(goal, step, size, episode_starts(rows))
 
 
-def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array) -> jax.Array:
-    """Draw a goal that the episode achieved, each equally likely, and one of its occurrences: int32 [B]; -1 if it does
-    not lie after `step`."""
+def prefix_goal(
+    key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array, first_occurrence: bool = False
+) -> jax.Array:
+    """Draw a goal that the episode achieved, each equally likely, and one of its occurrences, or take the first: int32
+    [B]; -1 if it does not lie after `step`."""
     choose_goal, choose_occurrence = jax.random.split(key)
     seen, (length, width) = table.occurrences, (table.occurrences.start.shape[1], table.occurrences.goal.shape[1])
     several = width // length
@@ -145,7 +147,8 @@ def prefix_goal(key: jax.Array, table: Prefixes, row: jax.Array, step: jax.Array
     before, until = jnp.where(begin > 0, table.count[begin - 1], 0), table.count[end - 1]
     rank = jax.random.randint(choose_goal, row.shape, before, jnp.maximum(until, before + 1))
     first = jnp.minimum(jnp.searchsorted(table.count, rank, side="right"), table.count.shape[0] - 1)
-    place = first + jax.random.randint(choose_occurrence, row.shape, 0, jnp.maximum(seen.size.reshape(-1)[first], 1))
+    size = jnp.maximum(seen.size.reshape(-1)[first], 1)
+    place = first if first_occurrence else first + jax.random.randint(choose_occurrence, row.shape, 0, size)
     return jnp.where((until > before) & (seen.step.reshape(-1)[place] > step), seen.goal.reshape(-1)[place], -1)
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import replay
 from infogoal_jax.learners.learner import GoalCode, conditioned, encode_all
+from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.encoding import encode_states
@@ -27,6 +28,8 @@ class Experience:
     encode in every update; or None.
     relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus:
     float32 [K, A] of each observation and action; None without such a part.
+    first_seen: float32 [R, T + 1], known goals that each step was the first of its episode to achieve; None unless the
+    learner asks for them.
     """
 
     buffer: Trajectories
@@ -40,6 +43,7 @@ class Experience:
     relabelling: Any = None
     learner_relabelling: Any = None
     bonus: jax.Array | None = None
+    first_seen: jax.Array | None = None
 
 
 def usable_mask(config, env) -> jax.Array:
@@ -108,7 +112,16 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         relabelling=table,
         learner_relabelling=learner_table,
         bonus=bonus,
+        first_seen=first_seen(goals, buffer, env.goals.num_goals) if parts.learner.sample_spec.first_seen else None,
     ), state
+
+
+def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
+    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
+    padded with -1."""
+    seen = occurrences(goals, rows, num_goals)
+    row = jnp.arange(goals.shape[0])[:, None]
+    return jnp.zeros(goals.shape[:2]).at[row, seen.step].add(seen.size > 0)
 
 
 def relabelling_context(

@@ -38,6 +38,7 @@ class Sample:
     transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K],
     the known goals that were achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known
     ones, as many as the learner asks for.
+    first_seen: float32 [B, n], as in `Visited`; None unless the learner asks for it.
     bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B];
     None without an explorer.
     all_goals: int32 [G], the goals that the agent learns every transition from; None without, or for all of the task.
@@ -50,6 +51,7 @@ class Sample:
     achieved: jax.Array
     pairs: GoalPairs | None
     goals: jax.Array | None = None
+    first_seen: jax.Array | None = None
     bonus: jax.Array | None = None
     move: tuple | None = None
     relabelled: RelabelledBatch | None = None
@@ -80,6 +82,9 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(
             all_goals=all_goals.draw_goals(all_goals.spec_of(parts), known, drawn.achieved, goals_key)
         )
+    if spec.first_seen:
+        led_to = jnp.minimum(step[:, None] + 1 + jnp.arange(num_steps), buffer.valid.shape[1])
+        drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
     if spec.relabelling is not None:
         other = spec.relabelling.relabel(
             jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal

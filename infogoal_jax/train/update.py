@@ -31,7 +31,7 @@ def returns(
         encode = GoalEncoding(parts.learner, frozen, env.goals, parts.config.batch_size).of_any()
     else:
         encode = experience.codes.__getitem__
-    visited = Visited(batch.goal, drawn.achieved, env.cell_of(batch.records), batch.mask)
+    visited = Visited(batch.goal, drawn.achieved, env.cell_of(batch.records), batch.mask, drawn.first_seen)
     intrinsic, learner_state = parts.learner.intrinsic_reward(learner_state, encode, visited)
     step_reward = external + hyper.intrinsic_weight / env.episode_length * intrinsic
     if drawn.bonus is not None:

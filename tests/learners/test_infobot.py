@@ -6,12 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from hand_made_rows import rows_of
 
 from infogoal_jax import UserError, make_train
 from infogoal_jax.learners import infobot
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import GoalCode, Visited
+from infogoal_jax.train.collection import collect_epoch
+from infogoal_jax.train.experience import first_seen
+from infogoal_jax.train.sampling import sample
 
 FEATURES, GOALS = 4, 8
 
@@ -218,6 +222,35 @@ def test_a_run_is_finite_and_counts_every_collected_step():
     assert result.state.learner.counts.sum() == result.state.env_steps > 0
     assert result.epochs["agent/intrinsic_reward"][0] > 0
     np.testing.assert_allclose(result.epochs["infobot/beta"], config.hyper.learner.beta, rtol=1e-5)
+
+
+def test_reward_for_goals_first_seen_is_one_for_each():
+    """Counted by hand: two episodes in a row; a goal at the start of an episode, and one that comes again, say
+    nothing."""
+    rows = rows_of([[1, 1, 1, 0, 1, 1]], [[[1, -1], [1, 2], [3, 4], [2, 5], [1, 2], [2, 3], [1, 3]]])
+    np.testing.assert_array_equal(first_seen(rows.record, rows, 6), [[1, 1, 2, 1, 2, 1, 0]])
+    learner = infobot.make(infobot.InfoBotConfig(reward="first_seen"))
+    seen = jnp.asarray([[1.0, 0.0], [2.0, 1.0]])
+    visited = Visited(None, None, jnp.zeros((2, 2), jnp.int32), jnp.ones((2, 2)), seen)
+    reward, _ = learner.intrinsic_reward(None, None, visited)
+    np.testing.assert_array_equal(reward, seen)
+
+
+def test_goals_first_seen_are_those_of_the_step_that_is_learned_from():
+    """One update of a run: the sampled rewards are those of the steps after each drawn observation."""
+    config = hand_made.config("infobot", learner=infobot.InfoBotConfig(reward="first_seen"))
+    train = make_train(config, hand_made.environment())
+
+    def drawn(key):
+        state, _ = collect_epoch(train.parts, train.initial(key, config.hyper, train.env), 0, config.hyper, train.env)
+        experience, _ = train.experience_of(state, jnp.asarray(0), config.hyper, train.env)
+        found = sample(train.parts, train.env, experience, jax.random.key(1))
+        return experience.first_seen, experience.buffer, found.achieved, found.first_seen, found.transitions.mask
+
+    table, buffer, achieved, found, mask = jax.tree.map(np.asarray, jax.jit(drawn)(jax.random.key(0)))
+    assert table.sum() > 0 and (found <= (achieved >= 0).sum(-1))[mask > 0].all()
+    led_to = np.pad(buffer.valid, ((0, 0), (1, 0)))
+    assert (found * mask).sum() > 0 and (found[mask > 0].max() <= table[led_to].max())
 
 
 def test_the_state_conditioned_form_fits_the_program():

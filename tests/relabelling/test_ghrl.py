@@ -169,6 +169,28 @@ def test_share_of_the_transitions_before_the_hit():
     np.testing.assert_allclose([(goals == goal).mean() for goal in (A, 8, 0)], [0.5, 0.2, 0.3], atol=0.06)
 
 
+@pytest.mark.parametrize("several", [1, 3])
+def test_first_occurrences_are_given_to_what_lies_before_them(several):
+    """`first_occurrence`: each goal of the episode is equally likely, and a transition that comes after its first
+    occurrence keeps its own, even if the goal is achieved again."""
+    rows, times = random_rows(several), 2000
+    relabelling = ghrl.make(ghrl.GHRLConfig(share=1.0, choice="first_occurrence"))
+    places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
+    row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
+    table = jax.jit(lambda rows: relabelling.prepare(context(rows)))(rows)
+    drawn = np.asarray(relabelling.relabel(jax.random.key(2), table, row, step, jnp.zeros_like(row)))
+    rows = jax.tree.map(np.asarray, rows)
+    for (r, t, first, last), goals in zip(places, drawn.reshape(-1, times), strict=True):
+        begin, expected = {}, np.zeros(GOALS)
+        for when in range(first, last + 1):
+            for goal in rows.record[r, when][rows.record[r, when] >= 0]:
+                begin.setdefault(int(goal), when)
+        for goal, when in begin.items():
+            expected[goal if when > t else 0] += 1 / len(begin)
+        expected[0] += not begin
+        np.testing.assert_allclose(np.bincount(goals, minlength=GOALS) / times, expected, atol=0.06)
+
+
 @pytest.mark.parametrize(("value", "passes"), [(0.9**3 - 0.01, True), (0.9**3 + 0.01, False)])
 def test_filter_accepts_what_is_no_worse_than_the_policy(value, passes):
     """A goal reached by the fourth transition is worth discount^3; the value asked for is that of the episode's start
@@ -200,7 +222,16 @@ def test_filter_goes_through_all_episodes(monkeypatch):
     assert any(with_rewards) and not all(with_rewards) and len(with_rewards) > 8
 
 
-@pytest.mark.parametrize("fields", [{"share": 1.5}, {"random_share": -0.1}, {"filter": "value"}])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"share": 1.5},
+        {"random_share": -0.1},
+        {"filter": "value"},
+        {"choice": "last"},
+        {"filter": "advantage", "choice": "first_occurrence"},
+    ],
+)
 def test_fields_that_cannot_be(fields):
     with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
         ghrl.GHRLConfig(**fields).check(None)
