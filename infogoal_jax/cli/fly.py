@@ -75,10 +75,25 @@ def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -
     from infogoal_jax.report.runs import load_run
 
     require(Path(out).suffix == ".npz", "out", out, "is an npz file; let it end in .npz")
+    require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
     print(f"{out}: {about['task']}, {about['method']}, seed {seed}; {about['action_size']} actions; {size:.1f} MB")
     return 0
+
+
+def may_be_replaced(file: Path) -> bool:
+    """Whether nothing but an earlier policy is lost where a policy is written here."""
+    from infogoal_jax.data import archives
+
+    try:
+        return {"about", "program"} <= archives.read(file, "").sizes.keys()
+    except FileNotFoundError:
+        return True
+    except UserError:  # Something else than an npz.
+        return False
+    except OSError:  # What is written will say so.
+        return True
 
 
 def fly(

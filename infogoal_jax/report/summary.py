@@ -164,7 +164,7 @@ def evaluate_run(
     `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or damaged
     parameters.
     """
-    require(0 < starts <= LARGEST_WHOLE, "starts", starts, "give a whole number greater than 0, such as 50")
+    require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
     require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
     require(
         test_epsilon <= 1,

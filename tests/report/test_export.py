@@ -14,6 +14,7 @@ import pytest
 from places import ROOT
 
 from infogoal_jax import make_train, policy_file
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import export, runs
 from infogoal_jax.train.program import Train
@@ -137,3 +138,12 @@ def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
     seen, noise = np.asarray(shelf.train.env.images[0]), np.zeros(exported.about["code_size"], np.float32)
     expected = exported.values(seen, exported.goals[0], noise)
     np.testing.assert_allclose(program.call(seen, exported.goals[0], noise), expected, rtol=WITHIN, atol=WITHIN)
+
+
+@pytest.mark.parametrize("content", [{"frames": np.zeros(3)}, b"somebody's own"], ids=["dataset", "text"])
+def test_what_is_no_policy_is_not_written_over(content, tmp_path, capsys):
+    file = tmp_path / "mine.npz"
+    np.savez(file, **content) if isinstance(content, dict) else file.write_bytes(content)
+    before = file.read_bytes()
+    assert main(["export", str(tmp_path), "--out", str(file)]) == 2
+    assert "is there already and is no exported policy" in capsys.readouterr().err and file.read_bytes() == before
