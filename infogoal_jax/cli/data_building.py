@@ -10,7 +10,6 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.data_files import new_file, print_size, progress_bar
 from infogoal_jax.cli.folders import check_seed, empty_folder
-from infogoal_jax.data.archives import new_folder
 from infogoal_jax.errors import UserError, require
 
 
@@ -21,6 +20,7 @@ def house(path: Positional[str], seed: int = 0) -> int:
         path: Folder to write to; must not exist yet, or be empty.
         seed: Seed of the generator: rooms, furniture, objects and textures.
     """
+    from infogoal_jax.data.archives import new_folder
     from infogoal_jax.stand_ins.house import build_house
 
     check_seed(seed)
