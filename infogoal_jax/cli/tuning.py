@@ -70,11 +70,12 @@ def tasks(arguments: list[str]) -> TaskCommands:
     """`tune` for each task; for one that is named, or known from a search to go on with, with the configuration that is
     chosen as its defaults."""
     from infogoal_jax.cli.by_task import all_tasks, of_task
-    from infogoal_jax.train.tune import same_budget
 
     task, choice = read_choice(arguments, "infogoal tune")
     if not task and not choice.resume:
         return all_tasks(tune, HELP, arguments, choice)
+    from infogoal_jax.train.tune import same_budget
+
     config = config_of_run(choice.resume, task, choice) if choice.resume else same_budget(preset_of(task, choice))
     return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
 

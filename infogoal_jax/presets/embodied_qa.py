@@ -1,6 +1,5 @@
 """Embodied question answering: a drone learns from recorded flights; goals are texts."""
 
-from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 0, "num_pairs": 128}
@@ -15,13 +14,13 @@ PRESET = Preset(
     agent="cql",  # [P]
     relabelling="her",  # [P]
     relabellings={"her": SHARES, "cher": SHARES, "ghrl": {"share": 0.6, "random_share": 0.2}},
+    state_encoder={"features": 128},
     training={
         "updates_per_epoch": 500,
         "batch_size": 256,
         "num_epochs": 60,
         "epochs_per_evaluation": 10,
         "evaluation_starts": 5,
-        "state_encoder": StateEncoderConfig(features=128),
     },
     hyper={"discount": 0.95, "intrinsic_weight": 0.0, "agent.conservative_weight": 0.02},  # [M]
     methods={

@@ -1,6 +1,5 @@
 """The Fetch tasks with goal images, tuned on goal sets of other seeds than those that results are shown on."""
 
-from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 TRAINING = {
@@ -11,7 +10,6 @@ TRAINING = {
     "num_epochs": 60,
     "epochs_per_evaluation": 20,
     "evaluation_starts": 5,
-    "state_encoder": StateEncoderConfig(features=128),
 }
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
 
@@ -34,6 +32,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         learner={"standardise_images": True},  # For corrupted goals (docs/hrac.md).
         # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
         relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
+        state_encoder={"features": 128},
         training=training,
         hyper=HYPER,
         methods={

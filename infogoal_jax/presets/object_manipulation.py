@@ -2,7 +2,6 @@
 
 import math
 
-from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 3, "num_pairs": 256}
@@ -17,6 +16,7 @@ PRESET = Preset(
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
     agents={"hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6}},  # [M]
     relabellings={"all_goals": {"num_goals": 512}},  # [M]
+    state_encoder={"features": 256},
     training={
         "num_envs": 128,
         "rollout_steps": 100,
@@ -26,7 +26,6 @@ PRESET = Preset(
         "num_epochs": 120,
         "epochs_per_evaluation": 10,
         "evaluation_starts": 5,
-        "state_encoder": StateEncoderConfig(features=256),
     },
     hyper={"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},  # [M]
     methods={

@@ -26,7 +26,7 @@ class Preset:
     """The tuned configuration of a task.
 
     agent, relabelling: names of the task's own. env: fields of the environment that training sets. learner: fields of
-    every learner that has them.
+    every learner that has them. state_encoder: fields of the state encoder.
     agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for
     every method.
     methods: what each method, or learner, changes. description: the task in a line, for the help of the command line.
@@ -40,6 +40,7 @@ class Preset:
     description: str = ""
     env: dict[str, Any] = dataclasses.field(default_factory=dict)
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
+    state_encoder: dict[str, int] = dataclasses.field(default_factory=dict)
     agents: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     relabellings: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
 

@@ -1,0 +1,136 @@
+"""The configuration of a task and a method: what the presets say, put together with the parts' own defaults."""
+
+import dataclasses
+from typing import Any
+
+from infogoal_jax import agents, envs, exploration, learners, relabelling
+from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.errors import nearest, require
+from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.presets import registry
+from infogoal_jax.presets.methods import AGENT_FIELDS, METHODS, Method, method_named
+from infogoal_jax.presets.preset import Preset
+
+REGISTRIES = {
+    "learner": learners.registry,
+    "agent": agents.registry,
+    "relabelling": relabelling.registry,
+    "explorer": exploration.registry,
+}
+"""The parts of a configuration, by the field that holds them."""
+
+
+def preset_of(task: str) -> Preset:
+    """The preset of a task, or a `UserError`."""
+    envs.registry.entry(task)
+    require(
+        task in registry,
+        "task",
+        task,
+        f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
+    )
+    return registry[task]
+
+
+def part(registered, asked: Any, fields: dict[str, Any]) -> Any:
+    """The configuration of a part: the one that was given, or that of the part of this name with these fields."""
+    return registered.entry(asked).config(**fields) if isinstance(asked, str) else asked
+
+
+def load(
+    task: str,
+    method: str = "infogoal",
+    *,
+    learner: Any = None,
+    agent: Any = None,
+    relabelling: Any = None,
+    explorer: Any = None,
+    **changes: Any,
+) -> TrainConfig:
+    """The configuration for a task and a method. Raises `UserError` for an unknown name.
+
+    learner, agent, relabelling, explorer: another part than the method's and the task's own, by its name or as its
+    configuration.
+    changes: fields of `TrainConfig`.
+    """
+    preset, named = preset_of(task), method_named(method)
+    fields = [field.name for field in dataclasses.fields(TrainConfig)]
+    for name in changes:
+        require(name in fields, name, changes[name], f"no such field of TrainConfig.{nearest(name, fields)}")
+    asked = {
+        "learner": learner or named.learner,
+        "agent": agent or preset.agent,
+        "relabelling": relabelling or named.relabelling or preset.relabelling,
+        "explorer": explorer or named.explorer,
+    }
+    names = {
+        kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()
+    }
+    changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
+    fields = {
+        "learner": fields_of("learner", names, preset.learner) | of_learner,
+        "agent": preset.agents.get(names["agent"], {})
+        | fields_of(
+            "agent", names, AGENT_FIELDS.get(names["relabelling"], {}) | AGENT_FIELDS.get(names["learner"], {})
+        ),
+        "relabelling": preset.relabellings.get(names["relabelling"], {}),
+        "explorer": {},
+    }
+    parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}
+    hyper = default_hyperparameters(parts["learner"], parts["agent"])
+    floats = {name: value for name, value in (preset.hyper | changed.hyper).items() if belongs(name, hyper)}
+    env = envs.registry.entry(task).config(**preset.env)
+    settings = {
+        "task": task,
+        "env": env,
+        **parts,
+        "state_encoder": StateEncoderConfig(**preset.state_encoder),
+        "hyper": with_values(hyper, floats),
+        **preset.training,
+        **changed.training,
+    }
+    return TrainConfig(**(settings | changes))
+
+
+def fields_of(kind: str, names: dict[str, str], wanted: dict[str, Any]) -> dict[str, Any]:
+    """Those of the wanted fields that the part of this kind has."""
+    config = REGISTRIES[kind].entry(names[kind]).config
+    return {name: value for name, value in wanted.items() if name in config.__dataclass_fields__}
+
+
+def default_hyperparameters(learner: Any, agent: Any) -> Hyperparameters:
+    """The defaults of the float hyperparameters, with those of the parts of these configurations."""
+    return Hyperparameters(
+        learner=learners.registry.entry_of(learner).hyper(), agent=agents.registry.entry_of(agent).hyper()
+    )
+
+
+def belongs(name: str, hyper: Hyperparameters) -> bool:
+    """Whether a float of a preset is one of these: a preset may hold one of the task's own agent, where another agent
+    was asked for."""
+    kind, _, field = name.partition(".")
+    return not field or hasattr(getattr(hyper, kind), field)
+
+
+def method_of(task: str, names: dict[str, str]) -> str:
+    """The name of the method that parts of these names make on a task; of a combination without one, that of its
+    learner."""
+    own = names["relabelling"] == preset_of(task).relabelling
+    parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"])
+    return next((name for name, known in METHODS.items() if known == parts), names["learner"])
+
+
+def names_of(config: TrainConfig) -> dict[str, str]:
+    """The name of each part of a configuration."""
+    return {kind: registered.name_of(getattr(config, kind)) for kind, registered in REGISTRIES.items()}
+
+
+def name_of(config: TrainConfig) -> str:
+    """The name of the method that a configuration is made of; a combination without one is named by its parts."""
+    names = names_of(config)
+    own = registry[config.task].relabelling if config.task in registry else "none"
+    if Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS["leo"]:
+        return "leo"
+    name = names["relabelling"]
+    relabelled = "none" if name == own else "unrelabelled" if name == "none" else name
+    return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"
