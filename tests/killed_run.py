@@ -1,12 +1,11 @@
-"""Runs of the hand-made task in processes of their own, to be killed: `python killed_run.py FOLDER`, or `start` below.
-A run that is there goes on, and says what it is doing at each moment."""
+"""Runs of the hand-made task in processes of their own, to be killed. A run that is there goes on, and says what it is
+doing at each moment."""
 
 import contextlib
 import dataclasses
 import functools
 import multiprocessing
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -149,16 +148,23 @@ def short(folder: Path) -> bool:
     return not host.run(config, [0], folder, env=hand_made.environment()).stopped
 
 
+def real(folder: Path) -> bool:
+    """A run of two seeds with InfoGoal's own program."""
+    resume = (folder / "config.json").exists()
+    return not host.run(chunk_config(), [0, 1], folder, resume, env=hand_made.environment()).stopped
+
+
 def child(kind: str, folder: str, shared) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
     global moment
     moment = shared
-    jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
+    if kind != "real":
+        jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
+        host.make_train = search.make_train = small_train
     watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
     watched(tables, "append_rows", WRITING)
     watched(archives, "replace_file", WRITING)
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-        host.make_train = search.make_train = small_train
         try:
             finished = globals()[kind](Path(folder))
         except UserError:
@@ -169,17 +175,11 @@ def child(kind: str, folder: str, shared) -> None:
 
 
 def start(kind: str, folder: Path) -> tuple[multiprocessing.Process, Callable[[], str]]:
-    """A process that runs `train`, `tune`, `final` or `short` in this folder, and what tells which of `MOMENTS` it is
-    at; one that has everything imported forks it, which saves seconds."""
+    """A process that runs `train`, `tune`, `final`, `short` or `real` in this folder, and what tells which of `MOMENTS`
+    it is at; one that has everything imported forks it, which saves seconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["killed_run"])
     shared = context.Value("i", 0, lock=False)
     process = context.Process(target=child, args=(kind, str(folder), shared))
     process.start()
     return process, lambda: MOMENTS[shared.value]
-
-
-if __name__ == "__main__":
-    print("starting", flush=True)
-    folder = Path(sys.argv[1])
-    host.run(chunk_config(), [0, 1], folder, resume=(folder / "config.json").exists(), env=hand_made.environment())

@@ -170,10 +170,10 @@ def test_python_blocks_compile(page):
 
 
 def test_the_readme_s_python_trains_one_seed_and_sixteen(monkeypatch):
-    """The block as it stands, on the hand-made rooms for one epoch instead of in a house."""
+    """The block as it stands, for one epoch of the bare agent on the hand-made rooms instead of InfoGoal in a house."""
     (block,), load, names = blocks(PAGES[0], "python"), presets.load, {}
     sizes = hand_made.sizes(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1)
-    monkeypatch.setattr(presets, "load", lambda task, method: load(task, method, **sizes))
+    monkeypatch.setattr(presets, "load", lambda task, method: load(task, method, learner="none", **sizes))
     monkeypatch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
     exec(compile(block, "README", "exec"), names)
     assert names["result"].metrics["test_goal/success_rate"].shape == (1,)

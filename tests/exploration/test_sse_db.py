@@ -248,7 +248,8 @@ def test_nothing_collected_gives_no_endless_bonus():
     assert np.isfinite(bonus).all() and after.scale == 0  # The next compute_bonus is the first.
 
 
-@pytest.mark.parametrize("method", ["none", pytest.param("infogoal", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["none", "infogoal"])
 def test_a_run_with_the_explorer(method):
     """Beside any learner: every number is finite, the explorer's have their names, and the scale is that of moves that
     were made."""

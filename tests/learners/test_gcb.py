@@ -226,6 +226,7 @@ def test_wrong_settings_are_refused():
             hand_made.config("gcb", learner=gcb.GCBConfig(**{field: value}))
 
 
+@pytest.mark.long
 def test_trains_on_the_hand_made_rooms():
     train = make_train(hand_made.config("gcb", num_epochs=1, epochs_per_evaluation=1), hand_made.environment())
     result = jax.jit(train)(jax.random.key(0))

@@ -129,7 +129,8 @@ def test_contrast_counts_for_nothing_where_images_are_standardised(method, stand
     assert np.isclose(error_of(IMAGES), error_of(faint), rtol=0.02) == standardise
 
 
-@pytest.mark.parametrize("method", [pytest.param("vae", marks=pytest.mark.long), "dgrl"])
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["vae", "dgrl"])
 def test_trains_on_the_hand_made_task(method):
     config = hand_made.config(
         method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3, batch_size=8, rollout_steps=20

@@ -206,13 +206,10 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     np.testing.assert_array_equal(steps.features, features)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "changes"),
-    [
-        ("cher", {}),
-        pytest.param("ghrl", {"relabelling": GHRLConfig(filter="advantage")}, marks=pytest.mark.long),
-        pytest.param("infogoal", {"relabelling": "her"}, marks=pytest.mark.long),
-    ],
+    [("cher", {}), ("ghrl", {"relabelling": GHRLConfig(filter="advantage")}), ("infogoal", {"relabelling": "her"})],
 )
 def test_training_goes_through(method, changes):
     """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are

@@ -14,7 +14,7 @@ import pytest
 from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
-from infogoal_jax.errors import UserError
+from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.report import house_figures, tables, walks
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
@@ -132,6 +132,29 @@ def test_evaluation_refuses_what_makes_no_sense(sweep, env):
             evaluate_run(sweep.folder, starts, seed, epsilon, env=env)
     with pytest.raises(UserError, match="goals of object_search are not images"):
         evaluate_run(sweep.folder, 5, 1, 0.0, 0.4, env=env)
+
+
+@pytest.fixture
+def rooms_for_a_house(env, monkeypatch):
+    """The registered task is the hand-made one, as where a user has put a task of the same name in its place."""
+    entry = envs.registry["object_search"]._replace(make=lambda config: env)
+    monkeypatch.setitem(envs.registry, "object_search", entry)
+
+
+def test_a_run_gives_its_policy_and_an_episode(sweep, rooms_for_a_house):
+    """The same key gives the same episode; seeds of the run act differently."""
+    run = load_run(sweep.folder)
+    goal = int(np.asarray(run.env.goals.evaluated)[-1])
+    play = jax.jit(lambda env, key: [rollout(env, run.policy(seed), goal, key) for seed in run.seeds])
+    first, *others = play(run.env, jax.random.key(0))
+    assert first.observations.shape == (run.env.episode_length + 1,) and 0 < first.steps <= run.env.episode_length
+    np.testing.assert_array_equal(first.observations, play(run.env, jax.random.key(0))[0].observations)
+    assert not all(np.array_equal(first.observations, other.observations) for other in others)
+
+
+def test_a_seed_that_was_not_trained_is_named(sweep, rooms_for_a_house):
+    with pytest.raises(UserError, match="seed = 7: the run has the seeds 3, 4, 5"):
+        load_run(str(sweep.folder)).policy(seed=7)
 
 
 def test_every_figure_is_drawn_and_shows_something(sweep, env):

@@ -1,4 +1,4 @@
-"""Videos, files that are whole or not there; and the way back from a run to an episode."""
+"""Videos, files that are whole or not there."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from infogoal_jax import UserError, envs, load_run, rollout
+from infogoal_jax import UserError, envs
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.report import image_goal_episodes
@@ -150,19 +150,3 @@ def test_a_video_of_a_run_refuses_what_it_cannot_draw(reach_run, tmp_path):
     ):
         with pytest.raises(UserError, match=message):
             image_goal_episodes.policy_video(subject, tmp_path / "a.mp4", **changes)
-
-
-def test_a_run_gives_its_policy_and_an_episode(reach_run):
-    """The same key gives the same episode; seeds of the run act differently."""
-    run = load_run(reach_run.folder)
-    goal = int(np.asarray(run.env.goals.evaluated)[-1])
-    play = jax.jit(lambda env, key: [rollout(env, run.policy(seed), goal, key) for seed in run.seeds])
-    first, second = play(run.env, jax.random.key(0))
-    assert first.observations.shape == (run.env.episode_length + 1, 10) and 0 < first.steps <= run.env.episode_length
-    np.testing.assert_array_equal(first.observations, play(run.env, jax.random.key(0))[0].observations)
-    assert not np.array_equal(first.observations, second.observations)
-
-
-def test_a_seed_that_was_not_trained_is_named(reach_run):
-    with pytest.raises(UserError, match="seed = 7: the run has the seeds 0, 1"):
-        load_run(str(reach_run.folder)).policy(seed=7)

@@ -25,6 +25,11 @@ def training(method: str, **changes):
     return make_train(hand_made.config(method, relabelling=relabelling, **changes), hand_made.environment())
 
 
+def initial(train):
+    """The state of one seed before the first epoch."""
+    return jax.jit(train.initial)(jax.random.key(0), train.config.hyper, train.env)
+
+
 def run(train):
     """What training of one seed returns."""
     return jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
@@ -33,7 +38,7 @@ def run(train):
 def test_leo_learns_nothing_of_goals_that_are_held_out():
     """Outputs of test goals keep the bits they started with; those of training goals do not."""
     train = training("leo", known_goals="held_out")
-    before = train.initial(jax.random.key(0), train.config.hyper, train.env).params["agent"]
+    before = initial(train).params["agent"]
     result = run(train)
     assert result.state.seen[TEST].any()
     for name in ("weights", "biases"):
@@ -46,9 +51,9 @@ def test_leo_learns_nothing_of_goals_that_are_held_out():
 def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
     """Though every goal was achieved."""
     train = training("infogoal", known_goals=known_goals)
-    state = train.initial(jax.random.key(0), train.config.hyper, train.env)
+    state = initial(train)
     seen = state.replace(seen=jnp.ones_like(state.seen))
-    experience, _ = train.experience_of(seen, jnp.asarray(0), train.config.hyper, train.env)
+    experience, _ = jax.jit(train.experience_of)(seen, jnp.asarray(0), train.config.hyper, train.env)
     assert experience.known[TRAIN].all() and experience.usable[TRAIN].all()
     assert experience.known[TEST].all() == experience.usable[TEST].all() == enter
     assert experience.known[TEST].any() == experience.usable[TEST].any() == enter
@@ -77,7 +82,7 @@ def test_rewards_are_those_of_each_goal_alone(goals):
     """As the environment decides, for every goal and transition."""
     train = make_train(hand_made.config("none", relabelling="all_goals"), hand_made.environment())
     env, hyper = train.env, train.config.hyper
-    params = train.initial(jax.random.key(0), hyper, env).params
+    params = initial(train).params
     start = jnp.arange(env.num_observations)
     arrived = env.next_node[start, 0]
     count = len(start)

@@ -3,6 +3,7 @@ on disk is lost."""
 
 import dataclasses
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -14,10 +15,10 @@ from pathlib import Path
 import hand_made
 import jax
 import jax.numpy as jnp
+import killed_run
 import numpy as np
 import pytest
 from killed_run import chunk_config
-from places import TESTS
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, tables
@@ -32,21 +33,27 @@ def env():
     return hand_made.environment()
 
 
-def start(folder: Path) -> subprocess.Popen:
+def start(folder: Path) -> multiprocessing.Process:
     """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not
     the compiler."""
-    environment = os.environ | {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
-    command = [sys.executable, str(TESTS / "killed_run.py"), str(folder)]
-    return subprocess.Popen(command, env=environment, cwd=TESTS, stdout=subprocess.DEVNULL)
+    process, _ = killed_run.start("real", folder)
+    return process
+
+
+def finish(folder: Path) -> None:
+    """Run to the end."""
+    process = start(folder)
+    process.join()
+    assert process.exitcode == 0
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
     """A run that was never killed, and the seconds that it took with everything compiled."""
     folder = tmp_path_factory.mktemp("whole")
-    assert start(folder / "first").wait() == 0
+    finish(folder / "first")
     started = time.monotonic()
-    assert start(folder / "second").wait() == 0
+    finish(folder / "second")
     return folder / "second", time.monotonic() - started
 
 
@@ -65,16 +72,15 @@ def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
     `kills` were killed."""
     whole, seconds = uninterrupted
     killed, runs, process = 0, 0, None
-    while killed < kills or process.returncode != 0:
+    while killed < kills or process.exitcode != 0:
         process, started = start(folder / str(runs)), time.perf_counter()
-        try:
-            process.wait(timeout=random.uniform(0.4, 1.0) * seconds if killed < kills else None)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
+        process.join(random.uniform(0.4, 1.0) * seconds if killed < kills else None)
+        if process.is_alive():
+            process.kill()
+            process.join()
             killed += 1
         else:
-            assert process.returncode == 0 and same_run(folder / str(runs), whole)
+            assert process.exitcode == 0 and same_run(folder / str(runs), whole)
             runs += 1
             # The machine may be less busy than when the whole run was timed.
             seconds = min(seconds, time.perf_counter() - started)
@@ -229,13 +235,13 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
     whole, _ = uninterrupted
     process = start(tmp_path / "run")
     while not (tmp_path / "run" / "checkpoint").exists():
-        assert process.poll() is None
+        assert process.is_alive()
         time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(timeout=60) == 0
+    os.kill(process.pid, signal.SIGINT)
+    process.join()
     reached = json.loads((tmp_path / "run" / "checkpoint").read_bytes().partition(b"\n")[0])["epoch"]
-    assert 2 <= reached <= 12
-    assert start(tmp_path / "run").wait() == 0
+    assert 2 <= reached <= 12 and process.exitcode == (0 if reached == 12 else killed_run.STOPPED)
+    finish(tmp_path / "run")
     assert same_run(tmp_path / "run", whole)
 
 

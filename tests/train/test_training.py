@@ -113,8 +113,21 @@ def test_first_five_updates_of_vmapped_seeds_equal_single_runs():
     np.testing.assert_allclose(same.epochs["agent/loss"], alone.epochs["agent/loss"], atol=1e-4)
 
 
+def test_an_environment_that_is_passed_is_not_compiled_in(train):
+    """Large datasets travel as arguments: no array of theirs is a constant of the program."""
+    passed = jax.make_jaxpr(train)(jax.random.key(0), train.config.hyper, train.env)
+    closed_over = jax.make_jaxpr(train)(jax.random.key(0), train.config.hyper)
+    images = train.env.images.size
+    assert (
+        max(constant.size for constant in closed_over.consts)
+        == images
+        > max((np.size(constant) for constant in passed.consts), default=0)
+    )
+
+
+@pytest.mark.long
 def test_the_environment_may_travel_as_an_argument(train, sweep):
-    """Large datasets are passed, not compiled in; the result is the same run."""
+    """The result is the same run."""
     hyper = repeated(train.config.hyper, 3)
     passed = jax.jit(jax.vmap(train, in_axes=(0, 0, None)))(jax.random.split(jax.random.key(0), 3), hyper, train.env)
     np.testing.assert_allclose(passed.epochs["agent/loss"][:, :1], sweep.epochs["agent/loss"][:, :1], rtol=1e-4)
