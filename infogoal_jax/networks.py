@@ -43,7 +43,8 @@ def standardised(images: jax.Array) -> jax.Array:
     """Standardise each image [..., H, W, C] to mean 0 and standard deviation 1. A background takes away contrast
     first."""
     axes = (-3, -2, -1)
-    return (images - images.mean(axes, keepdims=True)) / (images.std(axes, keepdims=True) + 1e-3)
+    centred = images - images.mean(axes, keepdims=True)
+    return centred / (jnp.sqrt(jnp.square(centred).mean(axes, keepdims=True)) + 1e-3)
 
 
 class ImageLayers(nn.Module):

@@ -83,7 +83,7 @@ def parts(env: Fetch, batch: int, repeats: int = 40) -> dict[str, float]:
         return timed(run, states.motion)[1] / repeats * 1e3
 
     def dynamics(motion):
-        thing = physics.thing_at(motion.position)
+        thing = physics.shapes.thing_at(motion.position)
         return thing, physics.multibody.dynamics(motion.frames, thing, motion.position, motion.velocity)
 
     def rows(motion, target, quaternion):

@@ -76,7 +76,7 @@ def links(state: FetchPipelineState) -> tuple[Transform, Motion]:
     body_of_joint = physics.mujoco_model.jnt_bodyid
 
     def one(position, velocity):
-        frames, thing = physics.multibody.frames(position), physics.thing_at(position)
+        frames, thing = physics.multibody.frames(position), physics.shapes.thing_at(position)
         axes = physics.multibody.axes(frames)
         turning, moving, *_ = physics.multibody.rates(axes.angular, axes.linear, velocity[: physics.joints])
         moving = moving + turning.cross(frames.position - physics.multibody.origin)

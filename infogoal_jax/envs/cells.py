@@ -47,7 +47,11 @@ class Cells:
         shape = jnp.array(self.shape)
         place = place % shape if self.periodic else place
         inside = ((place >= 0) & (place < shape)).all(-1)
-        flat = jnp.zeros(place.shape[:-1], jnp.int32)
-        for axis, count in enumerate(self.shape):
-            flat = flat * count + place[..., axis]
-        return jnp.where(inside, flat, -1)
+        return jnp.where(inside, flattened(place, self.shape), -1)
+
+
+def flattened(place: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+    """The numbers of cells, int32 [...], that stand at these places int32 [..., D] of a grid, counted along its last
+    axis first."""
+    steps = np.cumprod([1, *shape[:0:-1]])[::-1].astype(np.int32)
+    return (place * steps).sum(-1)

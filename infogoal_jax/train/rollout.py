@@ -29,7 +29,7 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
         actions = policy(env.observe(states), states.goal, act_key)
         stepped = jax.vmap(env.step)(states, actions)
         fresh = jax.vmap(env.reset)(jax.random.split(reset_key, num_envs))
-        following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
+        following = chosen(finished, fresh, stepped)
         outcome = {
             "observation": env.observe(states),
             "record": env.achieved(states),
@@ -75,9 +75,13 @@ def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
     return jax.eval_shape(row, env_states)
 
 
-def expand(mask: jax.Array, like: jax.Array) -> jax.Array:
-    """The mask [E] with trailing axes of length 1, so that it broadcasts against `like` [E, ...]."""
-    return mask.reshape(mask.shape + (1,) * (like.ndim - mask.ndim))
+def chosen(mask: jax.Array, first, second):
+    """The first tree's leaves [E, ...] where the mask [E] holds, else the second's."""
+
+    def select(one, other):
+        return jax.lax.select(jax.lax.broadcast_in_dim(mask, one.shape, (0,)), one, other)
+
+    return jax.tree.map(select, first, second)
 
 
 @flax.struct.dataclass
@@ -107,7 +111,7 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
     def step(states, step_key):
         finished = states.terminated | states.truncated
         stepped = jax.vmap(env.step)(states, policy(env.observe(states), states.goal, step_key))
-        following = jax.tree.map(lambda old, new: jnp.where(expand(finished, old), old, new), states, stepped)
+        following = chosen(finished, states, stepped)
         return following, env.observe(following)
 
     states, observations = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))

@@ -64,24 +64,26 @@ def box_on_box(first: Box, second: Box, handicap: Vector) -> Contacts:
     handicap: taken from the separation (m) along the first box's axes, to keep some of its faces out (or, if negative,
     in).
     """
-    of_first = separation(first, second) - handicap
-    of_second = separation(second, first)
+    of_first, of_second = separations(first, second)
+    of_first = of_first - handicap
     on_first = largest(of_first) >= largest(of_second)
     reference, incident = chosen(on_first, first, second), chosen(on_first, second, first)
     found = face_contacts(reference, incident, chosen(on_first, of_first, of_second))
     return found.replace(normal=found.normal * jnp.tile(jnp.where(on_first, 1.0, -1.0), 4))
 
 
-def separation(reference: Box, other: Box) -> Vector:
-    """How far the other box is from each pair of the reference box's faces (m), by the box's axes: negative where they
-    overlap along that axis."""
-    middle = reference.rotation.inverse(other.center - reference.center)
-    columns = (reference.rotation.inverse(axis) for axis in (other.rotation.x, other.rotation.y, other.rotation.z))
-    reach = [
-        absolute(column) * half
-        for column, half in zip(columns, (other.half.x, other.half.y, other.half.z), strict=True)
-    ]
-    return absolute(middle) - reference.half - (reach[0] + reach[1] + reach[2])
+def separations(first: Box, second: Box) -> tuple[Vector, Vector]:
+    """How far each box is from each pair of the other's faces (m), by the axes of the first and of the second: negative
+    where they overlap along that axis."""
+    offset = second.center - first.center
+    axes, others = ((box.rotation.x, box.rotation.y, box.rotation.z) for box in (first, second))
+    along = [[jnp.abs(axis.dot(other)) for other in others] for axis in axes]
+
+    def separation(reference: Box, half: Vector, turned: list) -> Vector:
+        reach = Vector(*(x * half.x + y * half.y + z * half.z for x, y, z in turned))
+        return absolute(reference.rotation.inverse(offset)) - reference.half - reach
+
+    return separation(first, second.half, along), separation(second, first.half, list(zip(*along, strict=True)))
 
 
 def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contacts:

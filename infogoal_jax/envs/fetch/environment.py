@@ -4,6 +4,8 @@
 A record of pure functions over the state of one robot; batch it with `jax.vmap`. Goals are positions here, [3] in m.
 """
 
+from functools import partial
+
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -167,17 +169,15 @@ class Fetch(Environment):
             state.motion, state.gripper, state.gripper_quaternion, jnp.clip(action, -1.0, 1.0)
         )
         pose = self.physics.pose(motion, 0.0 if self.task.blocks_fingers else LATE)
-        moved = state.replace(
-            motion=motion,
-            observation=self._observation(motion, pose),
-            gripper=pose.gripper,
-            gripper_quaternion=pose.gripper_quaternion,
-        )
+        observation = self._observation(motion, pose)
         finite = jnp.isfinite(
-            jnp.concatenate([motion.position, motion.velocity, motion.acceleration, moved.observation])
+            jnp.concatenate([motion.position, motion.velocity, motion.acceleration, observation])
         ).all()
         diverged = ~(finite & (jnp.abs(motion.position) < WORLD).all() & (jnp.abs(motion.velocity) < FASTEST).all())
-        state = jax.tree.map(lambda old, new: jnp.where(diverged, old, new), state, moved)
+        moved = motion, observation, pose.gripper, pose.gripper_quaternion
+        kept = state.motion, state.observation, state.gripper, state.gripper_quaternion
+        motion, observation, gripper, quaternion = jax.tree.map(partial(jax.lax.select, diverged), kept, moved)
+        state = state.replace(motion=motion, observation=observation, gripper=gripper, gripper_quaternion=quaternion)
         time = state.time + 1
         terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved(state), state.goal)
         return state.replace(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import archives, backgrounds, goal_images
-from infogoal_jax.envs.cells import Cells
+from infogoal_jax.envs.cells import Cells, flattened
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import environment, targets
 from infogoal_jax.envs.fetch.tasks import FetchConfig
@@ -139,8 +139,8 @@ class ImageGoals(Environment):
         place = (record - self.grid_low) / self.spacing
         last = jnp.array(self.grid_shape) - 1
         near = ((place > -1.0) & (place < last + 1.0)).all(-1)
-        x, y, z = jnp.moveaxis(jnp.clip(jnp.round(place), 0, last).astype(jnp.int32), -1, 0)
-        return jnp.where(near, (x * self.grid_shape[1] + y) * self.grid_shape[2] + z, -1)[..., None]
+        nearest = jnp.clip(jnp.round(place), 0, last).astype(jnp.int32)
+        return jnp.where(near, flattened(nearest, self.grid_shape), -1)[..., None]
 
     def action_mask(self, observation: jax.Array) -> jax.Array:
         """Legal actions, bool [..., A]: all."""

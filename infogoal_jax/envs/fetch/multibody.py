@@ -84,10 +84,12 @@ class Multibody:
         assert not model.jnt_pos[:joints].any() and (model.body_quat[bodies] == [1, 0, 0, 0]).all()
         self.origin, self.joints, self.has_object = Vector.of(np.asarray(origin, np.float32)), joints, has_object
         index = {int(body): joint for joint, body in enumerate(bodies)}
-        self.parents = np.array([index.get(int(model.body_parentid[body]), -1) for body in bodies])  # -1: the world.
+        world = joints
+        self.parents = np.array([index.get(int(model.body_parentid[body]), world) for body in bodies])
         self.lineage = np.eye(joints, dtype=np.float32)  # [i, j]: whether joint j moves the body of joint i.
         for joint, parent in enumerate(self.parents):
-            self.lineage[joint] += self.lineage[parent] * (parent >= 0)
+            if parent != world:
+                self.lineage[joint] += self.lineage[parent]
         self.jumps = jumps_to_the_root(self.parents)
         self.hinge = np.float32(model.jnt_type[:joints] == mujoco.mjtJoint.mjJNT_HINGE)
         self.axis, self.rest = vectors(model.jnt_axis[:joints]), np.float32(model.qpos0[:joints])
@@ -166,17 +168,20 @@ class Multibody:
         shared = np.maximum(self.lineage, self.lineage.T)
         return jnp.where(self.lineage > 0, products, products.T) * shared + np.diag(self.armature[: self.joints])
 
+    def velocities(self, turn: Vector, move: Vector, velocity: jax.Array) -> tuple[Vector, Vector]:
+        """Angular velocity of each body, and velocity of its point at the origin."""
+        return summed(self.lineage, (turn * velocity, move * velocity))
+
     def rates(self, turn: Vector, move: Vector, velocity: jax.Array) -> tuple[Vector, Vector, Vector, Vector]:
-        """Angular velocity of each body, velocity of its point at the origin, and the rates of change of both at
-        constant joint velocities."""
-        turning, moving = summed(self.lineage, (turn * velocity, move * velocity))
+        """`velocities`, and their rates of change at constant joint velocities."""
+        turning, moving = self.velocities(turn, move, velocity)
         changes = turning.cross(turn) * velocity, (turning.cross(move) + moving.cross(turn)) * velocity
         return turning, moving, *summed(self.lineage, changes)
 
-    def body_rates(self, frames: Frames, velocity: jax.Array, body: int) -> list[Vector]:
-        """`rates` of one body, at this velocity [nv]."""
-        axes = self.axes(frames)
-        return [rate[body] for rate in self.rates(axes.angular, axes.linear, velocity[: self.joints])]
+    def body_rates(self, frames: Frames, velocity: jax.Array, body: int, changes: bool) -> list[Vector]:
+        """`velocities` or, with their changes, `rates` of one body, at this velocity [nv]."""
+        axes, of_bodies = self.axes(frames), self.rates if changes else self.velocities
+        return [rate[body] for rate in of_bodies(axes.angular, axes.linear, velocity[: self.joints])]
 
     def bias(self, inertia: Inertia, turn: Vector, move: Vector, velocity: jax.Array) -> jax.Array:
         """The forces [joints] that keep the robot at this velocity [joints], against gravity."""
@@ -217,14 +222,15 @@ def summed(weights: np.ndarray, tree):
     """Sums of the tree's arrays [n] under constant weights [m, n], all of them in one matrix product: arrays [m]."""
     leaves, structure = jax.tree.flatten(tree)
     sums = jnp.matmul(jnp.stack(leaves), weights.T, precision=jax.lax.Precision.HIGHEST)
-    return structure.unflatten(list(sums))
+    return structure.unflatten([row[0] for row in jax.lax.split(sums, [1] * len(leaves))])
 
 
 def jumps_to_the_root(parents: np.ndarray) -> list[np.ndarray]:
-    """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world: products along them reach
+    """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world as it does in `parents`:
+    products along them reach
     from the root to every tip."""
     size = len(parents)
-    ancestor = np.array([*np.where(parents < 0, size, parents), size])
+    ancestor = np.array([*parents, size])
     jumps = []
     while (ancestor < size).any():
         jumps.append(ancestor[:size])

@@ -1,6 +1,6 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-A physics step puts together the multibody dynamics (multibody.py), contacts (contacts.py), constraint rows
+A physics step puts together the multibody dynamics (multibody.py), the shapes that touch (shapes.py), constraint rows
 (constraints.py) and their solver (solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the
 reference.
 """
@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from infogoal_jax.envs.fetch import constraints, contacts, model, multibody, solver
-from infogoal_jax.envs.fetch.constraints import ContactKind, FrictionPyramids, Limits, RowKinds, Softness, Weld
-from infogoal_jax.envs.fetch.contacts import Box, Capsule, Contacts
+from infogoal_jax.envs.fetch import constraints, model, solver
+from infogoal_jax.envs.fetch.constraints import Limits, RowKinds, Softness, Weld
+from infogoal_jax.envs.fetch.contacts import Box
 from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
+from infogoal_jax.envs.fetch.shapes import Shapes, joint_of, moving_dofs
 from infogoal_jax.envs.fetch.tasks import Task
-from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, joined, once, vectors
+from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, once, vectors
 
 GRIPPER_TURN = np.array([1.0, 0.0, 1.0, 0.0], np.float32)
 FINGER_GAIN = 30000.0
@@ -61,70 +62,21 @@ class Physics:
         self.has_object = task.object_height is not None
         self.multibody = Multibody(mj, self.has_object, task.start_grip)
         self.joints = self.multibody.joints  # The object's free joint comes after those of the robot.
-        self.one_hand = task.blocks_fingers and not setting.whole_body
+        self.shapes = Shapes(mj, task, setting)
         self.fingers = slice(self.joints - 2, self.joints)
-        self.wrist = self.joint_of("wrist_roll")
+        self.wrist = joint_of(mj, "wrist_roll")
         self.gripper_place, self.grip_place = (vectors(mj.site(name).pos) for name in ("gripper", "grip"))
         self.damping = np.float32(setting.timestep * mj.dof_damping)
         self.start_frames, self.start_hand = self.start_by_mujoco()
-        self.place_geoms()
         self.make_constraints()
-
-    def joint_of(self, body: str | int) -> int:
-        """The joint that moves this body of the robot."""
-        return int(self.mujoco_model.body(body).jntadr[0])
-
-    def place_geoms(self) -> None:
-        """The shapes that can touch something, by the bodies that they belong to."""
-        mj = self.mujoco_model
-        right, left = (mj.geom(name) for name in model.FINGERS)
-        place, half = np.float32([right.pos, left.pos]), np.float32([right.size, left.size])
-        if self.one_hand:  # One block, as wide as both.
-            place, half = place.mean(0, keepdims=True), half[:1] + np.abs(place[:1] - place[1:]) / 2
-        self.hands = slice(self.wrist, self.wrist + 1) if self.one_hand else self.fingers
-        self.hand_place, self.hand_half = Vector.of(place), Vector.of(half)
-        palm = mj.geom("palm")
-        self.palm_place, self.palm_radius = vectors(palm.pos), float(palm.size[0])
-        self.table = contacts.block(model.table_of(self.task))
-        self.robot_pairs = model.ROBOT_PAIRS if self.setting.whole_body else ()
-        self.capsules = [[self.capsule(name) for name in names] for names in zip(*self.robot_pairs, strict=True)]
-
-    def capsule(self, name: str) -> tuple[int, Capsule]:
-        """A capsule of the robot: the joint that moves it, and where it lies on its body."""
-        geom = self.mujoco_model.geom(name)
-        axis = multibody.matrix_of(geom.quat)[:, 2] * geom.size[1]
-        return self.joint_of(geom.bodyid[0]), Capsule(vectors(geom.pos), vectors(axis), np.float32(geom.size[0]))
 
     def make_constraints(self) -> None:
         """The constants of all constraint rows, in the order in which `rows` lists them."""
         mj, timestep = self.mujoco_model, self.setting.timestep
-
-        def chain(body: int) -> np.ndarray:
-            mask = np.zeros(mj.nv, np.float32)
-            while body:
-                first, count = mj.body_dofadr[body], mj.body_dofnum[body]
-                mask[first : first + count] = 1
-                body = mj.body_parentid[body]
-            return mask
-
-        def kind(pair: model.Pair, first: str, second: str) -> ContactKind:
-            weight = sum(model.INVERSE_WEIGHT[geom][0] for geom in (first, second))
-            if self.one_hand and not {first, second}.isdisjoint(model.FINGERS):
-                weight = weight / 2  # One block is as stiff as two fingers side by side.
-            dofs = chain(mj.geom(second).bodyid[0]) - chain(mj.geom(first).bodyid[0])
-            return ContactKind(
-                dofs,
-                pair.friction,
-                pair.torsion,
-                pair.margin,
-                weight,
-                Softness(pair.reference, pair.impedance, timestep),
-            )
-
         weld = Softness(tuple(mj.eq_solref[0]), tuple(mj.eq_solimp[0]), model.REFERENCE_TIMESTEP)
         if timestep != model.REFERENCE_TIMESTEP:
             weld = constraints.lengthened(weld, timestep, model.CONTROL_STEP)
-        self.weld = Weld(chain(mj.body("wrist_roll").id), weld, model.INVERSE_WEIGHT["gripper"])
+        self.weld = Weld(moving_dofs(mj, mj.body("wrist_roll").id), weld, model.INVERSE_WEIGHT["gripper"])
         limited = np.flatnonzero(mj.jnt_limited)
         self.limits = Limits(
             limited,
@@ -138,21 +90,7 @@ class Physics:
             ],
             mj.nv,
         )
-        fingers = model.FINGERS[:1] if self.one_hand else model.FINGERS
-        boxes = [kind(model.FINGER_AND_THING, "table", finger) for finger in fingers]
-        rounded = [kind(model.MESH_AND_TABLE, "table", "palm")] + [
-            kind(model.ROBOT_AND_ROBOT, *pair) for pair in self.robot_pairs
-        ]
-        if self.has_object:
-            on_fingers = [kind(model.FINGER_AND_THING, finger, "object") for finger in fingers]
-            on_ground = kind(model.PUCK_AND_TABLE if self.task.puck else model.THING_AND_GROUND, "table", "object")
-            boxes, rounded = (
-                ([*boxes, on_ground], on_fingers + rounded)
-                if self.task.puck
-                else ([*boxes, *on_fingers, on_ground], rounded)
-            )
-        self.pyramids = FrictionPyramids(boxes * 4 + rounded)
-        self.row_kinds = RowKinds(*self.weld.kinds, *self.limits.kinds, *self.pyramids.kinds)
+        self.row_kinds = RowKinds(*self.weld.kinds, *self.limits.kinds, *self.shapes.pyramids.kinds)
 
     def start_by_mujoco(self) -> tuple[Frames, tuple[np.ndarray, ...]]:
         """Where the robot's bodies are at the start of every episode, and the gripper's and the grip's part of its
@@ -205,9 +143,14 @@ class Physics:
     def finger_state(self, motion: Motion) -> tuple[jax.Array, jax.Array]:
         """Positions [2] (m) and velocities [2] (m/s) of the right and the left finger; zero for fingers that are one
         block."""
-        if self.one_hand:
+        if self.shapes.one_hand:
             return jnp.zeros(2), jnp.zeros(2)
         return motion.position[self.fingers], motion.velocity[self.fingers]
+
+    def hand(self, frames: Frames) -> tuple[Frames, Vector]:
+        """The frame of the wrist, and where the gripper is (m)."""
+        hand = frames[self.wrist]
+        return hand, hand.point(self.gripper_place)
 
     def pose(self, motion: Motion, age: float) -> Pose:
         """The pose `age` seconds ago (the reference reads its positions one substep late), with the velocities of now.
@@ -215,18 +158,22 @@ class Physics:
         It is worked out from where the bodies are now, their velocities and accelerations: within a micrometre for an
         age of 2 ms.
         """
-        turning, moving, turn_rate, move_rate = self.multibody.body_rates(motion.frames, motion.velocity, self.wrist)
-        hand = motion.frames[self.wrist]
+        turning, moving, *changes = self.multibody.body_rates(
+            motion.frames, motion.velocity, self.wrist, changes=age > 0
+        )
+        hand, gripper = self.hand(motion.frames)
 
-        def point(place: Vector) -> tuple[Vector, Vector]:
-            now = hand.point(place)
+        def aged(now: Vector) -> tuple[Vector, Vector]:
             lever = now - self.multibody.origin
             velocity = moving + turning.cross(lever)
+            if not age:
+                return now, velocity
+            turn_rate, move_rate = changes
             acceleration = move_rate + turn_rate.cross(lever) + turning.cross(velocity)
             return now - velocity * age + acceleration * (0.5 * age**2), velocity - acceleration * age
 
-        gripper, _ = point(self.gripper_place)
-        grip, grip_velocity = point(self.grip_place)
+        gripper, _ = aged(gripper)
+        grip, grip_velocity = aged(hand.point(self.grip_place))
         quaternion = hand.quaternion.array
         if age:
             quaternion -= 0.5 * age * (Quaternion(0.0, turning) * hand.quaternion).array
@@ -246,67 +193,20 @@ class Physics:
         rotation = Quaternion.of(place[3:]).rotation()
         return place[:3], rotation.array, velocity[:3], (rotation @ Vector.of(velocity[3:])).array
 
-    def contacts(self, frames: Frames, thing: Box) -> Contacts:
-        """All contact points, in the order of `pyramids`. thing: the object, or None."""
-        at_wrist, hands = frames[self.wrist].point(self.palm_place), frames[self.hands]
-        fingers = Box(hands.point(self.hand_place), hands.rotation, self.hand_half)
-        pairs = [(*contacts.table_under(self.table, fingers), fingers)]
-        rounded = [contacts.sphere_on_box(self.table, at_wrist[None], self.palm_radius)]
-        if self.has_object:
-            beside = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(self.hand_half.x)), thing)
-            if self.task.puck:
-                rounded.insert(
-                    0,
-                    contacts.box_on_puck(
-                        fingers, beside.center, beside.rotation.z, model.PUCK_RADIUS, model.PUCK_HALF_HEIGHT
-                    ),
-                )
-            else:
-                pairs.append((fingers, jax.tree.map(jnp.zeros_like, fingers.center), beside))
-            pairs.append((*contacts.ground_under(self.table, thing), thing))
-        if self.robot_pairs:
-            rounded.append(contacts.capsule_on_capsule(*(self.placed(frames, capsules) for capsules in self.capsules)))
-        first, handicap, second = (joined(*parts) for parts in zip(*pairs, strict=True))
-        return joined(contacts.box_on_box(first, second, handicap), *rounded)
-
-    def placed(self, frames: Frames, capsules: list[tuple[int, Capsule]]) -> Capsule:
-        """Capsules of the robot where they are now, side by side."""
-        joints, shapes = (
-            np.array([joint for joint, _ in capsules]),
-            jax.tree.map(lambda *leaves: np.stack(leaves), *[shape for _, shape in capsules]),
-        )
-        bodies = frames[joints]
-        return Capsule(bodies.point(shapes.center), bodies.rotation @ shapes.half, shapes.radius)
-
-    def thing_at(self, position: jax.Array) -> Box | None:
-        """The object at this position [nq], as one of P = 1: a cube, or the box whose lower corners are the points that
-        a puck stands on."""
-        if not self.has_object:
-            return None
-        center, quaternion = (
-            Vector.of(position[None, self.joints : self.joints + 3]),
-            Quaternion.of(position[None, self.joints + 3 :]),
-        )
-        return Box(
-            center,
-            quaternion.rotation(),
-            Vector.of(model.PUCK_BLOCK_HALF[None] if self.task.puck else model.CUBE_HALF[None]),
-        )
-
     def rows(
         self, motion: Motion, axes: Axes, thing: Box | None, target: jax.Array, target_quaternion: jax.Array
     ) -> solver.ConstraintRows:
         """All constraint rows at this position and velocity."""
-        frames, origin, hand = motion.frames, self.multibody.origin, motion.frames[self.wrist]
-        gripper = hand.point(self.gripper_place)
+        frames, origin, pyramids = motion.frames, self.multibody.origin, self.shapes.pyramids
+        hand, gripper = self.hand(frames)
         weld, off = self.weld.wrench_and_violation(
             gripper - origin, hand.quaternion, Vector.of(target) - gripper, Quaternion.of(target_quaternion)
         )
         limits, beyond = self.limits.jacobian_and_violation(motion.position)
-        touch, depth = self.pyramids.wrench_and_violation(origin, self.contacts(frames, thing))
+        touch, depth = pyramids.wrench_and_violation(origin, self.shapes.contacts(frames, thing))
         welded, limited, touching = once((weld, limits, touch))
         jacobian = jnp.concatenate(
-            [welded.jacobian(axes) * self.weld.dofs, limited, touching.jacobian(axes) * self.pyramids.dofs], axis=1
+            [welded.jacobian(axes) * self.weld.dofs, limited, touching.jacobian(axes) * pyramids.dofs], axis=1
         )
         violation = jnp.concatenate([off, beyond, depth])
         equality = np.arange(len(violation)) < solver.EQUALITIES
@@ -316,7 +216,7 @@ class Physics:
 
     def substep(self, motion: Motion, target: jax.Array, target_quaternion: jax.Array, grasp: jax.Array) -> Motion:
         """One physics step with the mocap body at the target pose and the fingers' servos at `grasp` [2] (m)."""
-        thing = self.thing_at(motion.position)
+        thing = self.shapes.thing_at(motion.position)
         axes, inertia, force = self.multibody.dynamics(motion.frames, thing, motion.position, motion.velocity)
         rows = self.rows(motion, axes, thing, target, target_quaternion)
         if not self.task.blocks_fingers:
@@ -339,7 +239,7 @@ class Physics:
         motion = jax.lax.fori_loop(
             0, self.setting.substeps, lambda _, state: self.substep(state, target, target_quaternion, grasp), motion
         )
-        return self.closed(motion) if self.task.blocks_fingers and not self.one_hand else motion
+        return self.closed(motion) if self.task.blocks_fingers and not self.shapes.one_hand else motion
 
     def closed(self, motion: Motion) -> Motion:
         """The motion with both fingers where they are closed."""

@@ -41,7 +41,7 @@ class Vector:
         return Vector(self.x * factor, self.y * factor, self.z * factor)
 
     def __getitem__(self, index) -> "Vector":
-        return Vector(self.x[index], self.y[index], self.z[index])
+        return Vector(*(entries(part, index) for part in (self.x, self.y, self.z)))
 
     def dot(self, other: "Vector") -> jax.Array:
         """Inner products."""
@@ -108,7 +108,7 @@ class Quaternion:
         return jnp.stack([self.w, self.vector.x, self.vector.y, self.vector.z], axis=-1)
 
     def __getitem__(self, index) -> "Quaternion":
-        return Quaternion(self.w[index], self.vector[index])
+        return Quaternion(entries(self.w, index), self.vector[index])
 
     def __mul__(self, other: "Quaternion") -> "Quaternion":
         """Hamilton's product."""
@@ -130,6 +130,14 @@ class Quaternion:
             Vector(xy - wz, 1 - xx - zz, yz + wx),
             Vector(xz + wy, yz - wx, 1 - xx - yy),
         )
+
+
+def entries(array: jax.Array, index) -> jax.Array:
+    """The entries of an array at an index, a slice or constant indices [m]; none is negative, so that the program need
+    not ask."""
+    if isinstance(index, np.ndarray) and isinstance(array, jax.Array):
+        return array.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
+    return array[index]
 
 
 def joined(*parts):

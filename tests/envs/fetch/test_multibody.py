@@ -32,7 +32,7 @@ def compared(request):
     @jax.jit
     def work_out(position, velocity):
         motion = ours.motion(position, velocity)
-        return motion.frames, ours.multibody.dynamics(motion.frames, ours.thing_at(position), position, velocity)
+        return motion.frames, ours.multibody.dynamics(motion.frames, ours.shapes.thing_at(position), position, velocity)
 
     results = []
     for _ in range(8):
