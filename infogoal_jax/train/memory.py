@@ -154,8 +154,15 @@ def scanned_by(equation: JaxprEqn) -> list[Var]:
     """The variables that a scan reads an element of at each step; none of another operation."""
     if equation.primitive.name != "scan":
         return []
-    first = equation.params["num_consts"] + equation.params["num_carry"]
-    return [variable for variable in equation.invars[first:] if not isinstance(variable, Literal)]
+    body = equation.params["jaxpr"]
+    inside = getattr(body, "jaxpr", body).invars
+    # What is read step by step has an axis of steps outside; constants and what is carried look alike on both sides.
+    # (How parameters of a scan are named changes between versions of JAX.)
+    return [
+        variable
+        for variable, element in zip(equation.invars, inside, strict=True)
+        if not isinstance(variable, Literal) and variable.aval.ndim > element.aval.ndim
+    ]
 
 
 def needed_bytes(train: Train, num_seeds: int) -> float:
