@@ -195,8 +195,10 @@ def to_blame(train: Train, num_seeds: int, memory: int, needs: str, name: str) -
         Larger(field, value, usual, lambda field=field, usual=usual: with_usual(train, field, usual, num_seeds))
         for field, value, usual in larger_fields(train.config, preset)
     ]
-    if num_seeds > 1 and needed_bytes(train, 1) <= MEMORY_SHARE * memory:  # Otherwise no number of seeds would do.
-        fields.insert(0, Larger(name, num_seeds, 1, lambda: needed_bytes(train, 1)))
+    if num_seeds > 1:
+        alone = needed_bytes(train, 1)
+        if alone <= MEMORY_SHARE * memory:  # Otherwise no number of seeds would do.
+            fields.insert(0, Larger(name, num_seeds, 1, lambda: alone))
     return refusal(fields, train.config.task, memory, needs)
 
 
