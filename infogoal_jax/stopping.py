@@ -102,10 +102,13 @@ def note_then_raise() -> Callable[[StopRequest], None]:
 def leave(request: StopRequest) -> None:
     """End the process, wherever its threads are, and say what is on disk."""
     say(f"infogoal: stopped; {request.advice}")
-    remove_temporaries()
     with contextlib.suppress(OSError, ValueError, RuntimeError):
         if sys.stdout.isatty():
             os.write(1, b"\x1b[?25h")  # A progress bar hides the cursor.
+    with contextlib.suppress(OSError), open(os.devnull, "w") as nowhere:
+        for stream in (1, 2):  # What another thread misses from now on is no news.
+            os.dup2(nowhere.fileno(), stream)
+    remove_temporaries()
     os._exit(STATUS)
 
 

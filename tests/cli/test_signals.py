@@ -85,6 +85,21 @@ def test_while_it_is_imported_too():
     assert status == 130 and "infogoal: stopped; no file is half written" in errors and "Traceback" not in errors
 
 
+def test_a_folder_that_is_being_written_goes_and_the_thread_that_writes_it_says_nothing(tmp_path):
+    wait = f"""
+        from infogoal_jax.data import archives
+        with archives.new_folder({str(tmp_path / "house")!r}, "path") as beside:
+            for number in range(10**6):
+                (beside / str(number)).write_bytes(bytes(1000))
+"""
+    process = started(COMMAND.format(finishing="", wait=wait))
+    while not list(tmp_path.glob(".house*/9")):
+        assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    status, _, errors = ended(process)
+    assert status == 130 and "cannot be written" not in errors and list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_loop_finishes_its_chunk_first(number):
     process = started(COMMAND.format(finishing="this chunk, with a checkpoint", wait=IN_A_LOOP))
@@ -128,8 +143,9 @@ def test_a_terminal_that_was_closed_is_no_error():
     code = COMMAND.format(finishing="this chunk", wait=f"{IN_A_LOOP}; print('to nobody', flush=True)")
     process = subprocess.Popen([sys.executable, "-c", code], stdout=ours, stderr=ours, env=os.environ)
     os.close(ours)
-    while b"ready" not in os.read(terminal, 100):
-        pass
+    seen = b""
+    while not seen.endswith(b"\n"):  # The whole line: what is still being written would be an error.
+        seen += os.read(terminal, 100)
     os.close(terminal)
     process.send_signal(signal.SIGHUP)
     assert process.wait(timeout=30) == 130
