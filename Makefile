@@ -9,8 +9,9 @@ COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitt
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv
 READY := $(ENVIRONMENT)/.ready
+READY_FOR_DOCS := $(ENVIRONMENT)/.ready-for-docs
 
-.PHONY: train test test-long lint clean
+.PHONY: train test test-long lint docs clean
 
 train: $(READY)
 	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
@@ -18,11 +19,19 @@ train: $(READY)
 test: $(READY) lint
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
 
-test-long: $(READY)
+test-long: $(READY) $(READY_FOR_DOCS)
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .
+
+# The documentation site, in site/: it opens without a server. A warning or a broken link is an error.
+docs: $(READY_FOR_DOCS)
+	NO_MKDOCS_2_WARNING=1 $(ENVIRONMENT)/bin/mkdocs build --quiet
+
+$(READY_FOR_DOCS): $(READY)
+	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	touch $@
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(ENVIRONMENT)
@@ -31,4 +40,4 @@ $(READY): pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(ENVIRONMENT) build *.egg-info
+	rm -rf $(ENVIRONMENT) build site *.egg-info

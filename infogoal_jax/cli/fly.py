@@ -63,18 +63,24 @@ Flags = Annotated[DroneFlags, OmitArgPrefixes]
 
 
 def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -> int:
-    """Write the policy of a run as one file that runs with NumPy alone.
+    """Write the policy of a run as one file that runs with NumPy alone, or its parameters for orbax.
 
     Args:
-        run: Folder of the run.
-        out: File to write; must end in .npz.
+        run: Folder of the run, a packed run, or shipped/NAME.
+        out: File to write, which ends in .npz; or a folder for a checkpoint of orbax, which ends in .orbax.
         seed: Seed of the run whose policy it is.
         stablehlo: File to write the same as StableHLO for `jax.export.deserialize`; empty: none. Needs flatbuffers.
     """
     from infogoal_jax.report.export import export as write
+    from infogoal_jax.report.export import export_orbax
     from infogoal_jax.report.runs import load_run
 
-    require(Path(out).suffix == ".npz", "out", out, "is an npz file; let it end in .npz")
+    require(Path(out).suffix in (".npz", ".orbax"), "out", out, "let it end in .npz, or in .orbax")
+    if Path(out).suffix == ".orbax":
+        require(not stablehlo, "stablehlo", stablehlo, "goes together with an npz; let --out end in .npz")
+        export_orbax(load_run(run).params(seed), Path(out))
+        print(f"{out}: parameters of seed {seed}; orbax.checkpoint.StandardCheckpointer().restore reads them")
+        return 0
     require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6

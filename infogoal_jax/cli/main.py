@@ -14,7 +14,7 @@ from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.methods import methods
 from infogoal_jax.cli.pretraining import pretrain
 from infogoal_jax.cli.reproduce import REPRODUCE
-from infogoal_jax.cli.runs import check_fetch, compare, evaluate, report, video
+from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError
@@ -31,6 +31,7 @@ COMMANDS = Group(
         "compare": compare,
         "video": video,
         "export": export,
+        "pack": pack,
         "fly": fly,
         "record": record,
         "methods": methods,

@@ -1,4 +1,4 @@
-"""Commands that look at what is there: evaluate, report, compare, video, check-fetch."""
+"""Commands that look at what is there: evaluate, report, compare, video, pack, check-fetch."""
 
 import os
 from pathlib import Path
@@ -20,7 +20,7 @@ def evaluate(
     """Evaluate the last parameters of a run again, every goal from several starts.
 
     Args:
-        run: Folder of the run.
+        run: Folder of the run, a file of `infogoal pack`, or a shipped policy such as shipped/object_search.
         starts: Start states for each goal.
         start_seed: Seed of the start states; training's own evaluations use others.
         test_epsilon: Share of random actions; negative: the run's own.
@@ -87,6 +87,21 @@ def compare(
     return 0
 
 
+def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
+    """Write one seed of a run as one small file, which every command takes in place of a run's folder.
+
+    Args:
+        run: Folder of the run.
+        out: File to write; must end in .zip.
+        seed: Seed of the run; none: its first.
+    """
+    from infogoal_jax.runs import description, packed
+
+    packed.pack(Path(run), Path(out), description.read(Path(run)).seeds[0] if seed is None else seed)
+    print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {out}")
+    return 0
+
+
 def check_fetch(
     file: Positional[str], faithful: FlagCreatePairsOff[bool] = False, kinds: str = "", out: str = ""
 ) -> int:
@@ -136,7 +151,7 @@ def video(
     require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
     size = height, height * 4 // 3
     use_compilation_cache()
-    if subject not in TASKS and (Path(subject).is_dir() or os.sep in subject):
+    if subject not in TASKS and (Path(subject).exists() or os.sep in subject):
         from infogoal_jax.report.figures import read_subject
         from infogoal_jax.report.image_goal_episodes import policy_video
 

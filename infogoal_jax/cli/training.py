@@ -65,20 +65,37 @@ def train(
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
         sweep = host.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
-    from infogoal_jax.report.summary import print_summary
+        listeners.end_progress()
+        from infogoal_jax.report.summary import print_summary
 
-    with stop_on_signal() as stop:
-        stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {folder}"
-        print_summary(sweep)
-        if sweep.stopped:
-            print(f"Stopped. Go on with: infogoal train --resume {folder}")
-            return STATUS
-        if figures:
-            from infogoal_jax.report.figures import draw_figures
+        with stop_on_signal() as stop:
+            stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {folder}"
+            print_summary(sweep)
+            if sweep.stopped:
+                print(f"Stopped. Go on with: infogoal train --resume {folder}")
+                return STATUS
+            if figures:
+                from infogoal_jax.report.figures import draw_figures
 
-            for path in draw_figures(folder):
-                print(f"figure      {path}")
-        return 0
+                paths = draw_figures(folder, sweep.train.env)
+                for path in paths:
+                    print(f"figure      {path}")
+                video = [draw_video(folder, sweep.train.env)] if tensorboard or wandb else []
+                listeners.pictures([*paths, *filter(None, video)])
+            return 0
+
+
+def draw_video(folder: Path, env: Any) -> Path | None:
+    """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are no images."""
+    from infogoal_jax.report.figures import read_subject
+    from infogoal_jax.report.image_goal_episodes import policy_video
+    from infogoal_jax.train.settings import has_image_goals
+
+    subject, path = read_subject(folder, env), folder / "figures" / "episode.gif"
+    if not has_image_goals(env) or subject.params is None or "test" not in env.goals.groups:
+        return None
+    policy_video(subject, path, size=(180, 240))
+    return path
 
 
 def run_to_go_on_with(config: Any, seeds: range, out: str) -> str:

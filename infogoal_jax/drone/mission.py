@@ -24,6 +24,7 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.policy_file import ExportedPolicy
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.decoding import Place, decode
+from infogoal_jax.runs.packed import find_run
 from infogoal_jax.stopping import temporary
 
 
@@ -100,12 +101,13 @@ def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
     Raises `UserError` for a file that is none, and for a policy that does not move left, right, up and down by what a
     camera sees.
     """
-    if not Path(path).is_dir():
-        return read_policy(Path(path), path), b""
+    found = find_run(path)
+    if not found.is_dir():
+        return read_policy(found, path), b""
     from infogoal_jax.report.export import export
     from infogoal_jax.report.runs import load_run
 
-    run = load_run(Path(path))
+    run = load_run(found)
     with tempfile.TemporaryDirectory() as elsewhere, temporary(Path(elsewhere)):
         file = Path(elsewhere) / "policy.npz"
         export(run, file, run.seeds[0])

@@ -82,7 +82,9 @@ def draw_comparison(
 
 def read_compared(folder: Path) -> Compared:
     """The run in this folder. Raises `UserError` if it has no evaluation of a seed that did not diverge."""
-    run, diverged = load_run(folder), tables.diverged_seeds(folder)
+    run = load_run(folder)
+    folder = run.folder
+    diverged = tables.diverged_seeds(folder)
     evaluations = tables.read(folder, "evaluations", diverged)
     require(
         bool(evaluations.values), "run", str(folder), "has no evaluation of a seed that did not diverge; leave it out"

@@ -1,4 +1,5 @@
-"""Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO.
+"""Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO; or
+its parameters as a checkpoint of orbax.
 
 The policy is traced once and its operations are written down as they are, so that every learner and every agent with
 discrete actions can be exported, those of a user too.
@@ -65,6 +66,17 @@ def export_params(
     if stablehlo is not None:
         write_stablehlo(stablehlo, values, examples)
     return policy_file.ExportedPolicy(out)
+
+
+def export_orbax(params: Any, out: Path) -> None:
+    """Write parameters as a checkpoint that orbax reads: `orbax.checkpoint.StandardCheckpointer().restore(folder)`, on
+    any devices. Raises `UserError` where something stands there already."""
+    import orbax.checkpoint
+
+    require(not out.exists(), "out", str(out), "is there already; give a new folder")
+    disk.make_folder(out.parent)
+    with orbax.checkpoint.StandardCheckpointer() as checkpointer:
+        checkpointer.save(out.resolve(), params)
 
 
 def write_stablehlo(path: Path, function, examples) -> None:

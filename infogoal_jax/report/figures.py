@@ -56,7 +56,8 @@ def draw_figures(
     """
     require(format in FORMATS, "format", format, f"give one of {', '.join(FORMATS)}")
     with figure_style(style):
-        return draw_all(read_subject(folder, env), folder, format, captions)
+        subject = read_subject(folder, env)
+        return draw_all(subject, subject.run.folder, format, captions)
 
 
 def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> list[Path]:
@@ -77,7 +78,9 @@ def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> lis
 
 def read_subject(folder: Path, env: Any = None) -> Subject:
     """The run in this folder with its tables, and the parameters of its first seed that did not diverge."""
-    run, diverged = load_run(folder), tables.diverged_seeds(folder)
+    run = load_run(folder)
+    folder = run.folder
+    diverged = tables.diverged_seeds(folder)
     train, evaluations = make_train(run.config, env), tables.read(folder, "evaluations", diverged)
     params, seed = None, -1
     if (folder / "policy").exists() and evaluations.seeds:

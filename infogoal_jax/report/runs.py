@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from infogoal_jax.errors import require
 from infogoal_jax.runs import checkpoint, description
 from infogoal_jax.runs.description import Description
+from infogoal_jax.runs.packed import find_run
 from infogoal_jax.train.evaluation import GoalView
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
@@ -58,8 +59,11 @@ class Run(Description):
 
 
 def load_run(folder: str | Path) -> Run:
-    """The run in this folder. Raises `UserError` if there is none, or its config.json cannot be read."""
-    folder = Path(folder)
+    """The run in this folder, in this packed file, or of this name (`shipped/object_search`).
+
+    Raises `UserError` if there is none, or its config.json cannot be read.
+    """
+    folder = find_run(folder)
     return Run(**vars(description.read(folder)), folder=folder)
 
 

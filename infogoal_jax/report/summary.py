@@ -79,7 +79,8 @@ def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
 
 def print_run(folder: Path, console: Console | None = None) -> None:
     """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
-    show(load_run(folder), tables.diverged_seeds(folder), console or Console())
+    run = load_run(folder)
+    show(run, tables.diverged_seeds(run.folder), console or Console())
 
 
 def show(run: Run, diverged: dict[int, int], console: Console) -> None:
@@ -179,6 +180,7 @@ def evaluate_run(
         "give a weight from 0 to 1, for example 0.4",
     )
     run, console = load_run(folder), console or Console()
+    folder = run.folder
     train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
     has_images = has_image_goals(train.env)
     require(

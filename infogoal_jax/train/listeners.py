@@ -1,7 +1,7 @@
 """What watches a run: the progress bar, and TensorBoard or Weights & Biases when asked for (imported only then)."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from statistics import fmean
 from typing import NamedTuple
@@ -16,10 +16,14 @@ SHOWN = {"train_goal/success_rate": "train", "test_goal/success_rate": "test"}
 
 
 class Listeners(NamedTuple):
-    """compiling: called before the program is compiled; progress: called after each chunk."""
+    """compiling: called before the program is compiled; progress: called after each chunk; end_progress: called after
+    the last, so that what is printed stands below the bar; pictures: called with files of figures (PNG) and videos
+    (GIF), which TensorBoard and Weights & Biases are to show."""
 
     compiling: Callable[[], None]
     progress: tuple[host.Listener, ...]
+    end_progress: Callable[[], None]
+    pictures: Callable[[Sequence[Path]], None]
 
 
 def seed_means(rows: list[dict]) -> dict[str, float]:
@@ -28,12 +32,24 @@ def seed_means(rows: list[dict]) -> dict[str, float]:
     return {name: fmean(row[name] for row in rows) for name in names}
 
 
+def add_picture(writer, path: Path, epoch: int) -> None:
+    """Add a PNG or a GIF to TensorBoard as it is: the browser plays a GIF."""
+    from PIL import Image
+    from tensorboardX.proto.summary_pb2 import Summary
+
+    with Image.open(path) as picture:
+        width, height = picture.size
+    encoded = Summary.Image(encoded_image_string=path.read_bytes(), width=width, height=height, colorspace=3)
+    value = Summary.Value(tag=f"figures/{path.stem}", image=encoded)
+    writer.file_writer.add_summary(Summary(value=[value]), epoch)
+
+
 @contextmanager
 def make_listeners(
     folder: Path, config: TrainConfig, num_seeds: int, tensorboard: bool = False, wandb: str = ""
 ) -> Iterator[Listeners]:
     """The listeners of a run, closed at its end. Raises `UserError` if one that was asked for is not installed."""
-    closing, listeners = [], []
+    closing, listeners, showing = [], [], []
     if tensorboard:
         try:
             from tensorboardX import SummaryWriter
@@ -52,7 +68,12 @@ def make_listeners(
                         writer.add_scalar(f"seed_{row['seed']}/{name}", value, row["epoch"])
             writer.flush()
 
+        def show(paths: Sequence[Path]):
+            for path in paths if writers else ():
+                add_picture(writers[0], path, config.num_epochs)
+
         listeners.append(write)
+        showing.append(show)
     if wandb:
         try:
             import wandb as weights_and_biases
@@ -68,9 +89,21 @@ def make_listeners(
                 seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch
             )
 
-        listeners.append(log)
+        def upload(paths: Sequence[Path]):
+            if sessions and paths:
+                kinds = {".gif": weights_and_biases.Video, ".png": weights_and_biases.Image}
+                sessions[0].log({f"figures/{path.stem}": kinds[path.suffix](str(path)) for path in paths})
 
-    with progress_line(f"{config.task} {presets.name_of(config)} x {num_seeds}", config.num_epochs) as line:
+        listeners.append(log)
+        showing.append(upload)
+
+    def pictures(paths: Sequence[Path]):
+        for show in showing:
+            show(paths)
+
+    with ExitStack() as bar:
+        words = f"{config.task} {presets.name_of(config)} x {num_seeds}"
+        line = bar.enter_context(progress_line(words, config.num_epochs))
 
         def advance(progress: host.Progress):
             means = seed_means(progress.evaluations)
@@ -81,7 +114,7 @@ def make_listeners(
 
         listeners.append(advance)
         try:
-            yield Listeners(line.compiling, tuple(listeners))
+            yield Listeners(line.compiling, tuple(listeners), bar.close, pictures)
         finally:
             for close in closing:
                 close()

@@ -25,7 +25,13 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 CHANGELOG = ROOT / "CHANGELOG.md"
 LONGEST_README = 150
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
-OTHERS_FLAGS = {"--help", "--no-deps", "--requeue", "--signal"}  # Of argparse and tyro; of pip; of Slurm.
+OTHERS_FLAGS = {
+    "--help",
+    "--no-deps",
+    "--inplace",
+    "--requeue",
+    "--signal",
+}  # Of argparse and tyro, pip, Jupyter, Slurm.
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 

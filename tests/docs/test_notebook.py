@@ -1,45 +1,99 @@
-"""The notebook of the README runs from top to bottom, at toy size, and draws its figures."""
+"""The notebooks: saved with their pictures, and run from top to bottom at toy size."""
+
+import base64
+import re
 
 import pytest
+from pages import block_of
 from places import ROOT
 
 nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
 
-NOTEBOOK = ROOT / "notebooks" / "quickstart.ipynb"
-DRAWS = ("env", "curves", "codes", "path", "sweep")  # Cells that end in a figure.
+DRAWS = {
+    "quickstart": ("env", "curves", "codes", "path", "sweep"),
+    "fetch_image_goals": ("curves", "goals", "corrupt", "video"),
+    "seed_sweeps": ("curves", "enough", "pairs"),
+    "your_own": ("task-figure", "compare", "dataset", "dataset-train"),
+}
+"""The cells of each notebook that end in a picture."""
+PICTURES = ("image/png", "image/gif")
+LARGEST = 600_000
+"""Bytes of a saved notebook."""
+WITHOUT_PICTURES = ("fetch_image_goals", "seed_sweeps")
+"""Notebooks without outputs, which wait for a run at full size: `jupyter execute --inplace notebooks/NAME.ipynb`."""
+each_notebook = pytest.mark.parametrize("name", DRAWS)
 
 
-@pytest.fixture(scope="module")
-def written():
-    """The notebook as it is in the repository."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+def read(name: str):
+    """A notebook as it is in the repository."""
+    notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
     nbformat.validate(notebook)
     return notebook
 
 
-def test_no_outputs_are_stored(written):
-    code = [cell for cell in written.cells if cell.cell_type == "code"]
-    assert code and all(not cell.outputs and cell.execution_count is None for cell in code)
+def code_cells(notebook) -> dict:
+    """The cells with code, by their names."""
+    return {cell.id: cell for cell in notebook.cells if cell.cell_type == "code"}
 
 
-def test_runs_without_error_or_warning_and_draws_its_figures(written, monkeypatch, tmp_path):
-    for name in (
-        "IPYTHONDIR",
-        "JUPYTER_CONFIG_DIR",
-        "JUPYTER_DATA_DIR",
-        "JUPYTER_RUNTIME_DIR",
-    ):  # The user's own Jupyter is left alone.
-        monkeypatch.setenv(name, str(tmp_path / name))
+def pictures(cell) -> list[str]:
+    """The pictures that a cell shows, in base64."""
+    data = [output.data for output in cell.outputs if "data" in output]
+    return [one[kind] for one in data for kind in PICTURES if kind in one]
+
+
+def printed(notebook) -> str:
+    """What all cells print."""
+    return "".join(output.text for cell in code_cells(notebook).values() for output in cell.outputs if "text" in output)
+
+
+def test_every_notebook_is_tested():
+    assert {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")} == set(DRAWS)
+
+
+@each_notebook
+def test_saved_as_it_ran_with_its_pictures(name):
+    """From top to bottom in one session, at full size, without warnings or anybody's paths; small enough for git."""
+    notebook = read(name)
+    cells = code_cells(notebook)
+    if name in WITHOUT_PICTURES:
+        assert not any(cell.outputs or cell.execution_count for cell in cells.values())
+        return
+    assert [cell.execution_count for cell in cells.values()] == list(range(1, len(cells) + 1))
+    assert [cell for cell, own in cells.items() if pictures(own)] == list(DRAWS[name])
+    assert (ROOT / "notebooks" / f"{name}.ipynb").stat().st_size < LARGEST
+    assert not [output for cell in cells.values() for output in cell.outputs if output.get("name") == "stderr"]
+    assert not re.search(r"/home/|/root/|/tmp/|/work/|Warning", printed(notebook))
+
+
+@each_notebook
+def test_begins_by_installing_and_says_how_long_it_takes(name):
+    notebook = read(name)
+    title, install = notebook.cells[:2]
+    assert "minutes on two CPU cores" in title.source and "GPU" in title.source
+    assert "%pip install" in install.source and "RESTART" in install.source
+    assert install.source == read("quickstart").cells[1].source
+
+
+def test_the_task_and_the_learner_are_those_of_the_docs():
+    cells = code_cells(read("your_own"))
+    for page, cell in (("own_task.md", "task"), ("own_learner.md", "learner")):
+        lines = [line.rstrip() for line in block_of(page).splitlines()]
+        assert set(cells[cell].source.splitlines()) <= set(lines), page
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "quickstart" else pytest.param(name, marks=pytest.mark.long) for name in DRAWS]
+)
+def test_runs_without_error_or_warning_and_draws_its_figures(name, monkeypatch, tmp_path):
+    folders = ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR")
+    for folder in folders:  # The user's own Jupyter is left alone.
+        monkeypatch.setenv(folder, str(tmp_path / folder))
     monkeypatch.setenv("INFOGOAL_TOY", "1")
-    notebook = nbclient.NotebookClient(
-        written, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
-    ).execute()
-    outputs = {cell.id: cell.outputs for cell in notebook.cells if cell.cell_type == "code"}
-    printed = "".join(
-        output.text for of_cell in outputs.values() for output in of_cell if output.output_type == "stream"
-    )
-    assert "stand-in" in printed and "Warning" not in printed
-    for name in DRAWS:
-        images = [output.data["image/png"] for output in outputs[name] if "image/png" in output.get("data", {})]
-        assert len(images) == 1 and len(images[0]) > 5000, name
+    resources = {"metadata": {"path": str(tmp_path)}}
+    notebook = nbclient.NotebookClient(read(name), timeout=600, kernel_name="python3", resources=resources).execute()
+    assert "Warning" not in printed(notebook)
+    for cell in DRAWS[name]:
+        shown = pictures(code_cells(notebook)[cell])
+        assert len(shown) == 1 and len(base64.b64decode(shown[0])) > 3000, cell

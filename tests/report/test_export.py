@@ -131,6 +131,20 @@ def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
         export.export(run, tmp_path / "policy.npz", 7)
 
 
+def test_orbax_reads_the_parameters(shelf, tmp_path):
+    """As its users do, with nothing of this package."""
+    orbax = pytest.importorskip("orbax.checkpoint")
+    export.export_orbax(shelf.params, tmp_path / "seed.orbax")
+    with orbax.StandardCheckpointer() as checkpointer:
+        restored = checkpointer.restore(tmp_path / "seed.orbax")
+    plain = jax.tree_util.tree_flatten_with_path(shelf.params)[0]
+    assert len(plain) == len(jax.tree.leaves(restored)) > 5
+    for (path, value), found in zip(plain, jax.tree.leaves(restored), strict=True):
+        np.testing.assert_array_equal(found, value, err_msg=str(path))
+    with pytest.raises(UserError, match="is there already"):
+        export.export_orbax(shelf.params, tmp_path / "seed.orbax")
+
+
 def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
     pytest.importorskip("flatbuffers", reason="JAX writes StableHLO by flatbuffers, which is not installed")
     export.export_params(*shelf, tmp_path / "policy.npz", {}, tmp_path / "policy.stablehlo")

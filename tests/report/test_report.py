@@ -5,6 +5,8 @@ import io
 import json
 import math
 import shutil
+import zipfile
+from pathlib import Path
 
 import hand_made
 import jax
@@ -15,11 +17,15 @@ from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
 from infogoal_jax import UserError, envs, load_run, rollout
+from infogoal_jax.cli.main import main
+from infogoal_jax.data import archives
 from infogoal_jax.report import house_figures, tables, walks
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
+from infogoal_jax.report.runs import read_params
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
+from infogoal_jax.runs.packed import pack, shipped
 from infogoal_jax.train import host
 from infogoal_jax.train.program import make_train
 
@@ -209,6 +215,56 @@ def test_principal_components_find_the_plane_of_the_points():
         ((3.0 + coordinates @ plane) - centre) @ axes.T @ axes + centre, 3.0 + coordinates @ plane, atol=1e-12
     )
     assert shares.sum() == pytest.approx(1) and shares[0] > shares[1]
+
+
+@pytest.fixture
+def packed(sweep, tmp_path, monkeypatch):
+    """Seed 4 of the run as one file, with a cache of its own."""
+    monkeypatch.setattr(archives, "user_cache", lambda: tmp_path / "cache")
+    assert main(["pack", str(sweep.folder), "--out", str(tmp_path / "four.zip"), "--seed", "4"]) == 0
+    return tmp_path / "four.zip"
+
+
+def test_a_packed_run_is_a_run_of_one_seed(sweep, env, packed, tmp_path):
+    """The same parameters and numbers, and figures; small, and the same file whenever it is written."""
+    run, whole = load_run(packed), load_run(sweep.folder)
+    assert (run.seeds, run.config, run.data) == ([4], whole.config, whole.data)
+    params = (read_params(one, sweep.train) for one in (run, whole))
+    jax.tree.map(lambda own, all_seeds: np.testing.assert_array_equal(own[0], all_seeds[1]), *params)
+    last = [tables.read(one.folder, "evaluations").last()["first_reached"] for one in (run, whole)]
+    np.testing.assert_array_equal(last[0][0], last[1][1])
+    assert "1 seed" in printed(print_run, packed)
+    drawn = draw_figures(packed, env)
+    assert {path.stem for path in drawn} == FIGURES and drawn[0].parent.parent == run.folder
+    pack(sweep.folder, tmp_path / "again.zip", 4)
+    assert (tmp_path / "again.zip").read_bytes() == packed.read_bytes()
+    assert packed.stat().st_size < (sweep.folder / "policy").stat().st_size
+    assert load_run(packed).folder == run.folder and not list(run.folder.parent.glob(".*"))
+
+
+def test_what_is_no_packed_run_is_refused(sweep, packed, tmp_path, capsys):
+    with pytest.raises(UserError, match="seed = 9: the run has the seeds 3, 4, 5"):
+        pack(sweep.folder, tmp_path / "nine.zip", 9)
+    with pytest.raises(UserError, match=r"out = .* ends in \.zip"):
+        pack(sweep.folder, tmp_path / "four.tar", 4)
+    (tmp_path / "damaged.zip").write_bytes(packed.read_bytes()[:-100])
+    with pytest.raises(UserError, match=r"damaged.zip': is no file of `infogoal pack`"):
+        load_run(tmp_path / "damaged.zip")
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
+        other.writestr("../outside", "no")
+    with pytest.raises(UserError, match="is no file of"):
+        load_run(tmp_path / "other.zip")
+    assert not (tmp_path / "outside").exists()
+    assert main(["evaluate", "shipped/object_serch"]) == 2
+    assert "Did you mean 'shipped/object_search'" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_policies_reach_most_training_goals(name):
+    """They are evaluated without training, with starts that training did not see."""
+    scores = evaluate_run(Path(name), 5, 7, -1.0)
+    assert scores["train_goal/success_rate"].shape == (1,) and scores["train_goal/success_rate"][0] > 0.7
 
 
 def test_method_without_beta_and_intrinsic_reward_has_no_such_figures(sweep, env):
