@@ -9,7 +9,7 @@ COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitt
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv
 READY := $(ENVIRONMENT)/.ready
-READY_FOR_DOCS := $(ENVIRONMENT)/.ready-for-docs
+READY_FOR_ALL := $(ENVIRONMENT)/.ready-for-all
 
 .PHONY: train test test-long lint docs clean
 
@@ -19,18 +19,19 @@ train: $(READY)
 test: $(READY) lint
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
 
-test-long: $(READY) $(READY_FOR_DOCS)
+test-long: $(READY) $(READY_FOR_ALL)
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .
 
 # The documentation site, in site/: it opens without a server. A warning or a broken link is an error.
-docs: $(READY_FOR_DOCS)
+docs: $(READY_FOR_ALL)
 	NO_MKDOCS_2_WARNING=1 $(ENVIRONMENT)/bin/mkdocs build --quiet
 
-$(READY_FOR_DOCS): $(READY)
-	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
+# What the site and the long tests need besides.
+$(READY_FOR_ALL): $(READY)
+	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs,wandb]'
 	touch $@
 
 $(READY): pyproject.toml constraints.txt
