@@ -20,7 +20,7 @@ DRAWS = {
 PICTURES = ("image/png", "image/gif")
 LARGEST = 600_000
 """Bytes of a saved notebook."""
-WITHOUT_PICTURES = ("fetch_image_goals", "seed_sweeps")
+WITHOUT_PICTURES = ("fetch_image_goals",)
 """Notebooks without outputs, which wait for a run at full size: `jupyter execute --inplace notebooks/NAME.ipynb`."""
 each_notebook = pytest.mark.parametrize("name", DRAWS)
 
