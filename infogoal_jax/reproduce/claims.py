@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
+from infogoal_jax.reproduce.code_evidence import grouped, reward_near_goal
 from infogoal_jax.reproduce.evidence import (
     COMPARABLE,
     RELABELLINGS,
@@ -11,11 +12,9 @@ from infogoal_jax.reproduce.evidence import (
     compare,
     first_of_task,
     fixed_against_adaptive,
-    grouped,
     less_information,
     near,
     own_loss,
-    reward_near_goal,
     shorter_paths,
     sse_db_gain,
     sse_db_less_than_infogoal,

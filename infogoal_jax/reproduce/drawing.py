@@ -58,10 +58,8 @@ def verdict_table(found: list) -> Table:
     rows = []
     for claim, finding in found:
         why = f"; not counted: {'; '.join(finding.faults)}" if finding.faults else ""
-        rows.append(
-            [claim.says, claim.where, claim.test, finding.shown, f"{finding.words}{why}", f"**{finding.verdict}**"]
-        )
-    head = ["claim", "in the paper", "test", "effect [95 %]", "details", "verdict"]
+        rows.append([claim.says, f"**{finding.verdict}**", finding.shown, finding.words + why, claim.test, claim.where])
+    head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
     return Table("verdicts", "Verdicts", head, rows)
 
 

@@ -11,16 +11,14 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.reproduce.figures import sse_db
 from infogoal_jax.reproduce.figures.beta import by_task
-from infogoal_jax.reproduce.figures.codes import picture_of
 from infogoal_jax.reproduce.manifest import FETCH, FIXED_BETAS, METHODS, PRESET, fixed
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
-from infogoal_jax.reproduce.scores import MARKS, TITLES, Row, row_of, scores_of
+from infogoal_jax.reproduce.scores import MARKS, NOT_COUNTED, TITLES, Row, row_of, scores_of
 from infogoal_jax.reproduce.statistics import Bounds, over_seeds_and_sets
 
 Verdict = Literal["holds", "fails", "cannot be told"]
@@ -84,8 +82,8 @@ def of_seeds(result, seeds: list[int], metric: str) -> np.ndarray:
 
 
 def faults_of(*rows: Row | None) -> tuple[str, ...]:
-    """What is wrong with these rows, in words. Seeds that diverged are left out, and no fault here."""
-    found = {fault for row in rows if row is not None for fault in row.faults() if fault != "diverged"}
+    """Why some of these rows do not count, in words."""
+    found = {fault for row in rows if row is not None for fault in row.faults()} & NOT_COUNTED
     return tuple(MARKS[fault][1] for fault in sorted(found))
 
 
@@ -113,19 +111,22 @@ def compare(
     second, if it is not the same."""
 
     def find(results: Results) -> Finding:
-        differences, used, on = [], [], []
+        differences, left_out, on = [], [], []
         for task in tasks:
             for one in first:
                 for two in second:
                     rows = [row_of(results, "paper", task, method) for method in (one, two)]
-                    if all(row is not None and row.mean(kind) and row.mean(other or kind) for row in rows):
-                        differences += paired(rows[0], rows[1], kind, other)
-                        used += rows
-                        on.append(task)
+                    if not all(row is not None and row.mean(kind) and row.mean(other or kind) for row in rows):
+                        continue
+                    if faults_of(*rows):
+                        left_out.append(f"{METHODS[one]} and {METHODS[two]} on {TITLES[task]}")
+                        continue
+                    differences += paired(rows[0], rows[1], kind, other)
+                    on.append(TITLES[task])
+        without = f"; left out, because a row does not count: {', '.join(left_out)}" if left_out else ""
         if not differences:
-            return Finding(None, "no runs")
-        words = f"mean difference over {', '.join(TITLES[task] for task in dict.fromkeys(on))}"
-        return Finding(bounds_of(differences), words, above, faults_of(*used))
+            return Finding(None, f"no runs that count{without}")
+        return Finding(bounds_of(differences), f"mean over {', '.join(dict.fromkeys(on))}{without}", above)
 
     return find
 
@@ -240,64 +241,12 @@ def less_information(results: Results) -> Finding:
     return Finding(bounds_of([difference]), words)
 
 
-def closeness(result) -> np.ndarray:
-    """How much nearer the clean codes of each goal are to those of its region than to the others, [M]: the silhouette
-    by region, of training and test goals."""
-    use = result.arrays["picture/code_use"]
-    kept = (use == 0) | (use == 2)
-    mean, region = result.arrays["picture/code_mean"][0][kept].astype(float), result.arrays["picture/code_region"][kept]
-    apart = np.linalg.norm(mean[:, None] - mean, axis=-1)
-    same = region[:, None] == region
-    alone = same.sum(1) < 2
-    own = (apart * same).sum(1) / np.maximum(same.sum(1) - 1, 1)
-    others = np.stack([(apart * (region == each)).sum(1) / (region == each).sum() for each in np.unique(region)], 1)
-    others[region[:, None] == np.unique(region)] = np.inf
-    nearest = others.min(1)
-    return np.where(alone, np.nan, (nearest - own) / np.maximum(np.maximum(nearest, own), 1e-12))
-
-
-def grouped(results: Results) -> Finding:
-    """The silhouette of InfoGoal's codes by region minus that of the bare agent's, goal by goal, over tasks."""
-    differences, on = [], []
-    for task in ("object_search", "embodied_qa", "fetch_pick_and_place", "object_manipulation"):
-        pictures = [picture_of(results, task, method) for method in ("infogoal", "none")]
-        if None not in pictures:
-            difference = closeness(pictures[0]) - closeness(pictures[1])
-            differences.append(difference[np.isfinite(difference)])
-            on.append(TITLES[task])
-    if not differences:
-        return Finding(None, "no runs")
-    return Finding(bounds_of(differences), f"silhouette by region, interval over goals, one seed; {', '.join(on)}")
-
-
-def reward_near_goal(results: Results) -> Finding:
-    """Minus the rank correlation of the intrinsic reward with the distance to where the goal is in view, mean over
-    training goals."""
-    values = []
-    for task in ("object_search", "embodied_qa"):
-        found = picture_of(results, task, "infogoal")
-        if found is None or "picture/reward" not in found.arrays:
-            continue
-        place = found.arrays["picture/place"]
-        for reward, goal in zip(found.arrays["picture/reward"], found.arrays["picture/reward_way_goal"], strict=True):
-            distance, seen = np.linalg.norm(place - goal, axis=1), np.isfinite(reward.astype(float))
-            values.append(-stats.spearmanr(reward[seen].astype(float), distance[seen]).statistic)
-    if not values:
-        return Finding(None, "no runs")
-    words = f"minus Spearman's correlation with the distance, interval over {len(values)} training goals, one seed"
-    return Finding(bounds_of([np.array(values)]), words)
-
-
 def own_loss(results: Results) -> Finding:
     """What HER, CHER and GHRL lose when test goals are corrupted."""
-    differences, rows = [], []
-    for task in IMAGE_TASKS:
-        for method in RELABELLINGS:
-            row = row_of(results, "paper", task, method)
-            if row is not None and row.mean("corrupted_test_goal"):
-                differences += paired(row, row, "test_goal", "corrupted_test_goal")
-                rows.append(row)
-    if not differences:
-        return Finding(None, "no runs")
+    rows = [row_of(results, "paper", task, method) for task in IMAGE_TASKS for method in RELABELLINGS]
+    rows = [row for row in rows if row is not None and row.mean("corrupted_test_goal") and not faults_of(row)]
+    if not rows:
+        return Finding(None, "no runs that count")
+    differences = [each for row in rows for each in paired(row, row, "test_goal", "corrupted_test_goal")]
     words = f"mean loss of success over {len(rows)} rows; more than {COMPARABLE} is asked for"
-    return Finding(bounds_of(differences), words, COMPARABLE, faults_of(*rows))
+    return Finding(bounds_of(differences), words, COMPARABLE)

@@ -6,7 +6,7 @@ import numpy as np
 
 from infogoal_jax.reproduce import budget
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import PRESET, parts_of
+from infogoal_jax.reproduce.manifest import LEARNERS, PRESET, parts_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
@@ -22,14 +22,19 @@ TITLES = {
     "embodied_qa": "EQA",
 }
 """Tasks as Table I names them."""
+WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
+"""Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
 LEAST_SHARE = 0.01
 """Of the goal encoder's gradient that a method's own loss has to make; below it the row is the bare agent's."""
 MARKS = {
     "rises": ("†", "its training curve still rises at the ceiling of the budget"),
     "off": ("‡", f"the method's own loss makes less than {LEAST_SHARE:.0%} of the goal encoder's gradient"),
     "diverged": ("§", "seeds diverged and are left out"),
+    "unmeasured": ("°", "there was no time to measure the share of the method's own loss in the gradient"),
 }
 """What is wrong with a row: its mark, and in words."""
+NOT_COUNTED = {"rises", "off"}
+"""Faults with which a row does not count for verdicts."""
 
 
 class Row(NamedTuple):
@@ -55,8 +60,11 @@ class Row(NamedTuple):
         if any(budget.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
             found.append("rises")
         shares = [result.about["learner_share"] for result in self.results]
-        if any(share is not None and not share >= LEAST_SHARE for share in shares):
+        measured = [share for share in shares if share is not None]
+        if any(not share >= LEAST_SHARE for share in measured):
             found.append("off")
+        if not measured and self.results[0].run.method in WITH_LOSS:
+            found.append("unmeasured")
         if any(result.about["diverged"] for result in self.results):
             found.append("diverged")
         return found

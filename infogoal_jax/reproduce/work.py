@@ -66,15 +66,18 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
     """Train what is not done of these runs, program by program, until all are done or taken by others, the clock says
     stop, or a signal does. Raises `UserError` where the disk refuses."""
     outcome = Outcome()
+    programs = programs_of(runs, work.goal_images)
     with stop_on_signal() as stop:
-        for program in programs_of(runs, work.goal_images):
-            if stop.requested or work.left() < BEGINNING:
-                outcome.stopped = True
-                break
-            with contextlib.ExitStack() as claims:
-                mine = claim(program, work, claims)
-                if mine:
-                    train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
+        # First whole programs that nobody has begun, then what others left of those that they have.
+        for whole in (True, False):
+            for program in programs:
+                outcome.stopped |= stop.requested or work.left() < BEGINNING
+                if outcome.stopped:
+                    break
+                with contextlib.ExitStack() as claims:
+                    mine = claim(program, work, claims, whole)
+                    if mine:
+                        train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
     progress.write(work.folder, runs, at_once=True)
     return outcome
 
@@ -87,8 +90,9 @@ def to_do(run: Run, work: Work) -> bool:
     return status in ("left", "damaged", "other settings") or (status == "failed" and work.retry)
 
 
-def claim(program: Program, work: Work, claims: contextlib.ExitStack) -> list[Run]:
-    """The runs of a program that this process may train: to be done, and locked by it until `claims` is closed."""
+def claim(program: Program, work: Work, claims: contextlib.ExitStack, whole: bool) -> list[Run]:
+    """The runs of a program that this process may train: to be done, and locked by it until `claims` is closed. whole:
+    none of a program that another process has begun."""
     mine = []
     for run in program.runs:
         if not to_do(run, work):
@@ -99,6 +103,8 @@ def claim(program: Program, work: Work, claims: contextlib.ExitStack) -> list[Ru
             try:
                 one.enter_context(locked(path, path.parent))
             except BeingWrittenError:
+                if whole and not mine:
+                    return []
                 continue
             if to_do(run, work):  # Another process may have finished it between the two looks.
                 mine.append(run)
@@ -175,9 +181,12 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
             progress.forget(work.folder, run)
             outcome.finished.append(run)
         path.unlink(missing_ok=True)
-        for run in batch.places:
-            if not stop.requested and work.left() > MEASURING:
-                files.save(work.folder, result_of(training, run, work, extras(training, run, work)))
+        measured: dict[Run, Extras] = {}
+        for pictures in (False, True):
+            for run in batch.places:
+                if (not pictures or measure.is_pictured(run)) and not stop.requested and work.left() > MEASURING:
+                    measured[run] = extras(training, run, work, measured.get(run, Extras()), pictures)
+                    files.save(work.folder, result_of(training, run, work, measured[run]))
         seconds = training.compile_seconds + training.run_seconds
         progress.keep_times(work.folder, batch.config.task, len(batch.runs), seconds)
     finally:
@@ -264,24 +273,25 @@ def masks_of(env: Any) -> tuple:
     return env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask
 
 
-def extras(training: lanes.Training, run: Run, work: Work) -> Extras:
-    """Measure a run. What fails costs a figure, or a mark in a table, and not the run."""
+def extras(training: lanes.Training, run: Run, work: Work, before: Extras, pictures: bool) -> Extras:
+    """Measure the share of a run, or make its pictures. What fails costs a figure, or a mark in a table, and not the
+    run."""
     started = time.perf_counter()
     place, which = training.batch.places[run]
     state, hyper = jax.tree.map(lambda leaf: leaf[place, which.start], (training.states, training.hyper))
-    env, share, arrays = training.env_of(place), None, {}
-    last = training.evaluations * training.batch.config.epochs_per_evaluation - 1
+    env, share, arrays, why = training.env_of(place), before.share, before.arrays, before.why
     try:
-        if training.share is not None:
-            share = float(training.share(state, last, hyper, env))
-        if measure.is_pictured(run):
+        if pictures:
             config = config_of(run, work.goal_images)
             subject = measure.subject_of(training.train, config, env, state.params, run.seeds[0])
             arrays = measure.pictures(subject)
+        elif training.share is not None:
+            last = training.evaluations * training.batch.config.epochs_per_evaluation - 1
+            share = float(training.share(state, last, hyper, env))
     except Exception as error:
         work.say(f"{run.name}: measuring failed, its numbers are kept: {traceback.format_exc()}")
-        return Extras(share, {}, f"{type(error).__name__}: {error}"[:500], time.perf_counter() - started)
-    return Extras(share, arrays, "", time.perf_counter() - started)
+        why = f"{type(error).__name__}: {error}"[:500]
+    return Extras(share, arrays, why, before.seconds + time.perf_counter() - started)
 
 
 def command_line(words: list[str]) -> str:

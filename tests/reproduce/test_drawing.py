@@ -130,6 +130,33 @@ def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_cou
     assert "‡" not in table1(results)
 
 
+def test_rows_that_do_not_count_are_left_out_of_means_over_tasks(results):
+    """Of the relabellings on all tasks, HER on object search is left out, and named."""
+    (claim,) = (claim for claim in claims.CLAIMS if claim.name == "relabelling-helps")
+    off = {
+        run: dataclasses.replace(
+            result, evaluations=result.evaluations | {"train_goal/success_rate": np.linspace(0, 1, 8) * np.ones((3, 1))}
+        )
+        for run, result in results.items()
+        if (run.task, run.method) == ("object_search", "her")
+    }
+    finding = claim.find(results | off)
+    assert (
+        finding.verdict == "holds"
+        and "left out" in finding.words
+        and "HER and DQN/HRAC/CQL on ObjSearch" in finding.words
+    )
+    assert "left out" not in claim.find(results).words
+
+
+def test_a_row_that_was_not_measured_says_so(results):
+    """The check of its term could not be made: it counts, with a mark."""
+    run = next(run for run in results if (run.task, run.method) == ("fetch_push", "vae"))
+    lost = dataclasses.replace(results[run], about=results[run].about | {"learner_share": None})
+    assert row_of(results | {run: lost}, "paper", "fetch_push", "vae").marks() == "°"
+    assert row_of(results, "paper", "fetch_push", "her").marks() == ""
+
+
 def test_seeds_that_diverged_are_left_out(results):
     run = next(run for run in results if (run.task, run.method) == ("fetch_reach", "rad"))
     result = results[run]
@@ -172,13 +199,13 @@ def test_a_few_runs_are_enough_to_draw():
 def test_everything_is_drawn(folder, tmp_path):
     """Every table and figure, the verdicts and the page, which holds all of it and needs nothing else."""
     results = numbers.load(folder)
-    (tmp_path / "reproduction.md").write_text("old\n<!-- by hand -->\nCauses.\n")
+    (tmp_path / "reproduction.md").write_text("stale words\n<!-- by hand -->\nCauses.\n")
     paths = drawing.draw(tuple(STUDIES), results, tmp_path)
     assert {path.stem for path in paths if path.suffix == ".png"} == set(FIGURES)
     for path in tmp_path.glob("figures/*.png"):
         assert (imread(path)[..., :3].min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
     report, page = (tmp_path / "reproduction.md").read_text(), (tmp_path / "index.html").read_text()
-    assert report.endswith("<!-- by hand -->\nCauses.\n") and "old" not in report
+    assert report.endswith("<!-- by hand -->\nCauses.\n") and "stale words" not in report
     for claim in claims.CLAIMS:
         assert claim.says in report
     assert all(name in page for name in METHODS.values()) and page.count("data:image/png") == len(FIGURES)

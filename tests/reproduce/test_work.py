@@ -175,3 +175,6 @@ def test_two_processes_share_the_work(tmp_path):
         assert process.exitcode == 0
     assert sorted(log_of(tmp_path, "begun")) == sorted(run.name for run in runs())
     assert sorted(log_of(tmp_path, "finished")) == sorted(run.name for run in runs())
+    lines = [line.split() for line in (tmp_path / killed_reproduction.LOG).read_text().splitlines()]
+    for number in range(3):  # No program is compiled by both.
+        assert len({process for _, name, process in lines if f"set_{number}" in name}) == 1

@@ -113,19 +113,28 @@ def codes_and_ways(results: Results, task: str, title: str) -> Figure | None:
     found = {method: picture for method in DRAWN if (picture := picture_of(results, task, method))}
     if not found:
         return None
-    columns = 1 + min(4, max(result.arrays["picture/way"].shape[1] for result in found.values()))
     below = (
         f"{CODES_IN_WORDS}; right: ways to a test goal a region from the farthest start; {WAYS_IN_WORDS}; one seed",
     )
-    figure = empty_figure(title, below, (3.6 * columns, 3.2 * len(found) + 1))
-    panels = figure.subplots(len(found), columns, squeeze=False)
-    for line, (method, result) in zip(panels, found.items(), strict=True):
-        codes_panel(line[0], result, 0)
-        line[0].set_ylabel(METHODS[method], fontsize=11)
-        for goal, axes in enumerate(line[1:]):
-            if goal < result.arrays["picture/way"].shape[1]:
-                ways_panel(axes, result, 0, goal)
+    ways = min(4, max(result.arrays["picture/way"].shape[1] for result in found.values()))
+    # Ways on a shelf, which is wide and low, stand one below the other.
+    low = height_of_places(next(iter(found.values()))) < 0.4
+    figure = empty_figure(title, below, (11, 5 * len(found) + 1) if low else (3.6 + 3.6 * ways, 2.9 * len(found) + 1))
+    rows = figure.add_gridspec(len(found), 2, width_ratios=[1, 1.7 if low else ways])
+    for row, (method, result) in enumerate(found.items()):
+        codes = figure.add_subplot(rows[row, 0])
+        codes_panel(codes, result, 0)
+        codes.set_ylabel(METHODS[method], fontsize=11)
+        panels = rows[row, 1].subgridspec(*((ways, 1) if low else (1, ways)))
+        for goal in range(min(ways, result.arrays["picture/way"].shape[1])):
+            ways_panel(figure.add_subplot(panels[goal]), result, 0, goal)
     return figure
+
+
+def height_of_places(result: Result) -> float:
+    """The height of the places of a graph, as a share of their width."""
+    extent = np.ptp(result.arrays["picture/place"], axis=0)
+    return float(extent[1] / extent[0])
 
 
 def fig10(results: Results) -> Figure | None:

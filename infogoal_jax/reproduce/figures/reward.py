@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infogoal_jax.report.canvas import empty_figure
-from infogoal_jax.reproduce.figures.codes import WAYS_IN_WORDS, picture_of, ways_panel
+from infogoal_jax.reproduce.figures.codes import WAYS_IN_WORDS, height_of_places, picture_of, ways_panel
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.scores import TITLES
 
@@ -20,8 +20,9 @@ def fig12(results: Results) -> Figure | None:
     below = (
         f"mean over the images of a place with a goal in view, the mean of all being -1; {WAYS_IN_WORDS}; one seed",
     )
-    figure = empty_figure("Intrinsic reward for training goals", below, (15, 4.2 * len(found) + 0.8))
-    panels = figure.subplots(len(found), GOALS, squeeze=False)
+    heights = [0.6 + 3.3 * height_of_places(result) for result in found.values()]
+    figure = empty_figure("Intrinsic reward for training goals", below, (15, sum(heights) + 1.2))
+    panels = figure.subplots(len(found), GOALS, squeeze=False, gridspec_kw={"height_ratios": heights})
     for line, (task, result) in zip(panels, found.items(), strict=True):
         places, of_image = np.unique(result.arrays["picture/place"].round(3), axis=0, return_inverse=True)
         for goal, axes in enumerate(line[: len(result.arrays["picture/reward"])]):
