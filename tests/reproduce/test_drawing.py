@@ -9,6 +9,7 @@ import made_up_results
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from places import ROOT
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import claims, drawing, numbers, tables
@@ -214,3 +215,14 @@ def test_everything_is_drawn(folder, tmp_path):
     before = {path: path.read_bytes() for path in tmp_path.glob("tables/*")}
     drawing.draw(("table1",), results, tmp_path)
     assert all(path.read_bytes() == content for path, content in before.items())
+
+
+def test_the_docs_say_what_the_numbers_give():
+    """If not, `infogoal reproduce all --from docs/results --out docs/results --page docs/reproduction.md` writes them."""
+    folder, page = ROOT / "docs" / "results", ROOT / "docs" / "reproduction.md"
+    results = numbers.load(folder)
+    shown = tables.all_tables(results)
+    for table in shown:
+        for ending, write in tables.WRITERS.items():
+            assert (folder / "tables" / f"{table.name}.{ending}").read_text() == write(table), table.name
+    assert page.read_text() == drawing.report(shown, claims.verdicts(results), folder / "figures", page)
