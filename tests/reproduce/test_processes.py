@@ -7,6 +7,7 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.reproduce import files, processes
 from infogoal_jax.reproduce.command import Asked
+from infogoal_jax.reproduce.figures import FIGURES
 
 
 def test_processes_are_spread_over_gpus(monkeypatch):
@@ -48,3 +49,12 @@ def test_two_processes_train_what_one_would(tmp_path, capsys):
     assert "2 runs: 2 done" in printed and "0: object_search" in printed and "1: object_search" in printed
     names = {files.read(path).run.label for path in Path(tmp_path).rglob("runs/**/*.npz")}
     assert names == {"none", "her"} and (tmp_path / "index.html").exists()
+
+
+@pytest.mark.long
+def test_the_quick_way_does_all_of_it(tmp_path):
+    """Every table and figure from training to the page, at a size at which nothing is learned."""
+    assert main(["reproduce", "all", "--quick", "--out", str(tmp_path), "--processes", "2"]) == 0
+    assert {path.stem for path in tmp_path.glob("figures/*.png")} == set(FIGURES)
+    assert {"table1_paper", "table1_her", "table2", "costs"} <= {path.stem for path in tmp_path.glob("tables/*.md")}
+    assert (tmp_path / "reproduction.md").exists() and (tmp_path / "index.html").exists()
