@@ -24,7 +24,6 @@ CROP_SIZE = 32  # As in CIFAR-10, so that either is as blurred as the other when
 SHIPPED_CROPS = Path(__file__).parent / "files" / "backgrounds"
 CROPS_FILE = "photographs.npz"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
-
 CIFAR10_URL = "https://www.cs.toronto.edu/~kriz/cifar-10-binary.tar.gz"
 CIFAR10_SHA256 = "c4a38c50a1bc5f3a1c5537f2155ab9d68f9f25eb1ed8d9ddda3db29a59bca1dd"
 CIFAR10_FOLDER = "cifar-10-batches-bin"
