@@ -11,7 +11,9 @@ from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
+from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
+from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.runs.decoding import Place, Record, built, decode, decode_value
 
 FORMAT = 2
@@ -20,6 +22,8 @@ ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128, "bounded": False},
     HRACConfig: {"critic": "concatenated", "critic_size": 128, "bounded": False},
     InfoGoalHyperparameters: {"beta_margin": 0.005},
+    InfoBotConfig: {"reward": "rarity"},
+    GHRLConfig: {"choice": "best"},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""

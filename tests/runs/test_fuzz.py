@@ -24,6 +24,7 @@ from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import figures, runs, summary, tuning
+from infogoal_jax.reproduce import command, numbers
 from infogoal_jax.runs import checkpoint, description, results, search, tables
 from infogoal_jax.runs.configuration import from_dict, to_json
 from infogoal_jax.runs.description import Description
@@ -180,6 +181,7 @@ def no_work(monkeypatch):
     work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
     work += [(photographs, "build_backgrounds"), (goal_rendering, "build"), (backgrounds, "download_cifar10")]
     work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]
+    work += [(command, "work_alone"), (command, "work_together"), (command, "draw"), (numbers, "save")]
     for module, name in work:
         monkeypatch.setattr(module, name, accept)
     monkeypatch.setattr("infogoal_jax.stand_ins.house.build_house", accept)
