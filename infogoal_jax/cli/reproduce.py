@@ -7,21 +7,10 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, named
+from infogoal_jax.reproduce.titles import DESCRIPTIONS
 
 HELP = "Train what a table or figure of the paper needs, and draw it."
-TITLES = {
-    "table1": "Table I: success of every method on every task.",
-    "table2": "Table II: beta and accuracy that InfoGoal converges to.",
-    "fig8": "Fig. 8: sample efficiency and optimality with and without SSE-DB.",
-    "fig9": "Fig. 9: codes and ways under corruption, with external rewards alone.",
-    "fig10": "Fig. 10: codes and trajectories on object search.",
-    "fig11": "Fig. 11: codes and flights on embodied question answering.",
-    "fig12": "Fig. 12: the intrinsic reward over states.",
-    "fig13": "Fig. 13: beta and accuracy while training.",
-    "fig14": "Fig. 14: codes under fixed beta.",
-    "fig15": "Fig. 15: success under fixed beta and under the adaptive one.",
-    "all": "All tables and figures, and the verdict on every claim.",
-}
+TITLES = DESCRIPTIONS | {"all": "All tables and figures, and the verdict on every claim"}
 
 
 def study(
@@ -107,4 +96,5 @@ def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results") -> i
     return command.merge([Path(folder) for folder in folders], Path(into))
 
 
-REPRODUCE = Group(HELP, {name: named(study, title, name=name) for name, title in TITLES.items()} | {"merge": merge})
+COMMANDS = {name: named(study, f"{title}.", name=name) for name, title in TITLES.items()}
+REPRODUCE = Group(HELP, COMMANDS | {"merge": merge})

@@ -9,9 +9,10 @@ from pathlib import Path
 from infogoal_jax.report import canvas
 from infogoal_jax.reproduce import claims, page, tables
 from infogoal_jax.reproduce.figures import FIGURES
-from infogoal_jax.reproduce.manifest import DESCRIPTIONS, STUDIES
+from infogoal_jax.reproduce.manifest import STUDIES
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.tables import Table
+from infogoal_jax.reproduce.titles import DESCRIPTIONS
 from infogoal_jax.runs import disk
 
 BY_HAND = "<!-- by hand -->"

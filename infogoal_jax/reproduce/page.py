@@ -5,9 +5,9 @@ import base64
 import html
 from pathlib import Path
 
-from infogoal_jax.reproduce.manifest import DESCRIPTIONS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.tables import Cell, Table
+from infogoal_jax.reproduce.titles import DESCRIPTIONS
 
 STYLE = """
 :root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;padding:1rem;max-width:80rem}
@@ -17,7 +17,8 @@ th,td{padding:.3rem .55rem;border-bottom:1px solid #8883;text-align:left;vertica
 th{cursor:pointer;user-select:none;position:sticky;top:0;background:Canvas}th:hover{text-decoration:underline}
 tbody td:first-child,thead th:first-child{position:sticky;left:0;background:Canvas}
 .best{font-weight:700}.second{text-decoration:underline}.paper{color:#888;font-size:.92em;white-space:nowrap}
-.number{white-space:nowrap}.holds{color:#1a7f37;font-weight:700}.fails{color:#cf222e;font-weight:700}
+.number{white-space:nowrap}.number a{color:inherit;text-decoration:none}td:target{background:#fd08}
+.holds{color:#1a7f37;font-weight:700}.fails{color:#cf222e;font-weight:700}
 .told{color:#9a6700;font-weight:700}img{max-width:100%;height:auto;background:white}figure{margin:1.2rem 0}
 figcaption,.foot{font-size:.86rem;color:#777}code{font-size:.82rem;overflow-wrap:anywhere}
 """
@@ -43,6 +44,7 @@ def cell(value: Cell | str) -> str:
     paper = f' <span class="paper">({html.escape(value.paper)})</span>' if value.paper else ""
     number = "" if value.ours is None else f"{value.ours.mean:.6f}"
     words = f'<span class="{rank}">{html.escape(value.words())}</span>'
+    words = f'<a href="#{html.escape(value.run)}">{words}</a>' if value.run and value.ours is not None else words
     return f'<td class="number" data-value="{number}">{words}{paper}</td>'
 
 
@@ -86,7 +88,7 @@ def commands(results: Results) -> str:
     """Every run with the command that makes it."""
     rows = [
         [
-            cell(run.name),
+            f'<td id="{html.escape(run.name)}">{html.escape(run.name)}</td>',
             cell(f"{result.evaluations['test_goal/success_rate'].shape[1] * result.about['updates']:,}"),
             cell(result.about["data"]),
             cell(result.about["machine"]),
@@ -112,6 +114,7 @@ def page(shown: list[Table], found: list, figures: Path, results: Results) -> st
         f"<title>InfoGoal, reproduced</title><style>{STYLE}</style></head><body>"
         "<h1>InfoGoal (Zou and Suzuki), reproduced</h1>"
         "<p>Written by <code>infogoal reproduce</code> from the numbers of the runs below. Datasets are stand-ins. "
-        f"A click on a column's head sorts its table.</p><nav>{nav}</nav>{''.join(parts)}{commands(results)}"
+        "A click on a column's head sorts its table, one on a number leads to its run and the command of it.</p>"
+        f"<nav>{nav}</nav>{''.join(parts)}{commands(results)}"
         f"<script>{SORT}</script></body></html>\n"
     )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from infogoal_jax.report.statistics import CONFIDENCE, Interval, mean_interval
+from infogoal_jax.report.statistics import CONFIDENCE, mean_interval
 
 REPETITIONS = 2000
 """Of the bootstrap."""
@@ -85,13 +85,3 @@ def bootstrap(function: Callable[..., np.ndarray], *methods: Sequence[np.ndarray
     drawn = [[runs[random.integers(0, len(runs), (REPETITIONS, len(runs)))] for runs in tasks] for tasks in methods]
     low, high = np.quantile(function(*drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Bounds(float(function(*methods)), float(low), float(high))
-
-
-def difference(first: Scores, second: Scores) -> Interval:
-    """Mean of `first - second`, paired by goal set and seed, and its interval over all pairs; of means over seeds where
-    the seeds differ in number."""
-    pairs = [
-        np.asarray(x) - np.asarray(y) if len(x) == len(y) else np.array([np.mean(x) - np.mean(y)])
-        for x, y in zip(first, second, strict=True)
-    ]
-    return mean_interval(np.concatenate(pairs))

@@ -26,12 +26,13 @@ ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
 
 class Cell(NamedTuple):
     """A number of a table. ours: None where there is no run; paper: in words; rank: 1 for the best of its column, 2 for
-    the second best, else 0; marks: of what is wrong with it."""
+    the second best, else 0; marks: of what is wrong with it; run: the name of its first run."""
 
     ours: TwoIntervals | None
     paper: str = ""
     rank: int = 0
     marks: str = ""
+    run: str = ""
 
     def words(self) -> str:
         """`0.85 ± 0.03 / 0.07†`: mean, interval over seeds, interval over goal sets; nothing where there is no run."""
@@ -87,7 +88,7 @@ def table1(results: Results, way: str) -> Table | None:
 def cell_of(row: Row | None, way: str, kind: str, task: str, method: str) -> Cell:
     """A cell of Table I. The paper has no second way."""
     paper = reported(task, kind, method) if way == "paper" or method == "her" else ""
-    return Cell(None, paper) if row is None else Cell(row.mean(kind), paper, 0, row.marks())
+    return Cell(None, paper) if row is None else Cell(row.mean(kind), paper, 0, row.marks(), row.results[0].run.name)
 
 
 def ranks(column: dict[str, Cell]) -> dict[str, int]:

@@ -6,7 +6,6 @@ from scipy import stats
 
 from infogoal_jax.reproduce.statistics import (
     bootstrap,
-    difference,
     interquartile_mean,
     over_seeds_and_sets,
     probability_of_improvement,
@@ -76,9 +75,3 @@ def test_one_interval_is_over_seeds_and_one_over_sets():
     alone = over_seeds_and_sets([np.array([0.1, 0.2, 0.3])])
     assert alone.seeds == pytest.approx(stats.t.ppf(0.975, 2) * 0.1 / np.sqrt(3)) and np.isnan(alone.sets)
     assert np.isnan(over_seeds_and_sets([np.array([0.1]), np.array([0.3])]).seeds)
-
-
-def test_differences_are_paired():
-    base = np.array([0.1, 0.5, 0.9])
-    found = difference([base + 0.2, base + 0.3], [base, base + 0.1])
-    assert found.mean == pytest.approx(0.2) and found.half_width == pytest.approx(0, abs=1e-12)
