@@ -26,6 +26,7 @@ def study(
     quick: FlagCreatePairsOff[bool] = False,
     list_runs: Annotated[FlagCreatePairsOff[bool], tyro.conf.arg(name="list")] = False,
     goal_images: str = "",
+    known: str = "",
     lanes: int = 64,
     from_: Annotated[str, tyro.conf.arg(name="from")] = "",
     page: str = "",
@@ -48,6 +49,7 @@ def study(
         quick: At a size at which nothing is learned, a few runs of each kind.
         list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
         goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
+        known: Folder of compact numbers, such as docs/results: runs that it holds are not trained.
         lanes: Seeds, settings and goal sets that are trained side by side at most.
         from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
         page: File that the verdicts are written to; empty: reproduction.md in the folder.
@@ -74,6 +76,7 @@ def study(
             quick,
             list_runs,
             Path(goal_images) if goal_images else None,
+            Path(known) if known else None,
             lanes,
             Path(from_) if from_ else None,
             Path(page) if page else None,

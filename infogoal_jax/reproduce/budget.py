@@ -3,8 +3,8 @@
 The budget of a task is the largest that its preset gives to a row of Table I. A run is evaluated ten times within it.
 It has levelled off at the first evaluation, from the sixth on, by which the mean success on training goals over the
 last three evaluations is less than 0.02 above that over the three before them; the mean is over its seeds. Its numbers
-are means over these last three evaluations. A run that has not levelled off by half more than the budget is stopped
-there, and marked: its training curve still rises. Validation and test goals have no say in it.
+are means over these last three evaluations. A run that has not levelled off by three times the budget is stopped there,
+and marked: its training curve still rises. Validation and test goals have no say in it.
 """
 
 import math
@@ -18,7 +18,7 @@ from infogoal_jax.reproduce.manifest import METHODS
 
 EVALUATIONS = 10
 """Within the budget of a task."""
-FIRST, MOST = 6, 15
+FIRST, MOST = 6, 30
 """The evaluations at which training may stop first, and at which it does."""
 WINDOW, RISE = 3, 0.02
 """Evaluations whose mean is compared, and shown; and what it may still rise."""
@@ -59,6 +59,11 @@ def shown(curve: np.ndarray) -> slice:
     """The evaluations whose mean is a run's number: the last three before it levelled off, or the last three."""
     count = levelled(curve) or np.shape(curve)[1]
     return slice(max(0, count - WINDOW), count)
+
+
+def is_trained(curve: np.ndarray, task: str, toy: bool = False) -> bool:
+    """Whether a run with this curve is trained to its end: it has levelled off, or the ceiling is reached."""
+    return levelled(curve) is not None or np.shape(curve)[1] >= budget_of(task, toy).evaluations
 
 
 def still_rises(curve: np.ndarray) -> bool:

@@ -8,7 +8,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.paper import TASKS
-from infogoal_jax.reproduce.plan import fetch_sets, programs_of
+from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
 from infogoal_jax.reproduce.processes import arguments_of, work_side_by_side
 from infogoal_jax.reproduce.work import Work, command_line, work_on
 from infogoal_jax.train.compilation import use_compilation_cache
@@ -32,6 +32,7 @@ class Asked:
     quick: bool = False
     list_runs: bool = False
     goal_images: Path | None = None
+    known: Path | None = None
     lanes: int = 64
     numbers: Path | None = None
     page: Path | None = None
@@ -54,7 +55,10 @@ class Asked:
         """The runs that are needed. Raises `UserError` where there are none."""
         runs = runs_of(self.studies, self.choice(), fetch_sets(self.goal_images))
         require(bool(runs), self.name, "", "these tasks, methods, ways and sets have no run in it; name others")
-        return runs
+        if self.known is None:
+            return runs
+        known = numbers.load(self.known)
+        return [run for run in runs if not numbers.holds(known, run, config_of(run, self.goal_images))]
 
 
 def reproduce(asked: Asked) -> int:
@@ -68,6 +72,9 @@ def reproduce(asked: Asked) -> int:
         draw(asked, numbers.load(asked.numbers))
         return DONE
     runs = asked.runs()
+    if not runs:
+        print(f"{asked.known} holds all of these runs")
+        return DONE
     if asked.list_runs:
         list_programs(asked, runs)
         return DONE

@@ -9,6 +9,7 @@ FOLDER/unfinished/            checkpoints of what was stopped by the clock or by
 import dataclasses
 import io
 import json
+import operator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +21,7 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce.manifest import Lane, Run
 from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
 from infogoal_jax.runs import disk
-from infogoal_jax.runs.configuration import to_dict
+from infogoal_jax.runs.configuration import from_dict, to_dict
 
 FORMAT = 1
 REMEDY = "run it again"
@@ -53,6 +54,16 @@ def recorded_config(config: TrainConfig) -> dict[str, Any]:
     values = json.loads(json.dumps(to_dict(config)))
     paths = {name: "" for name in GOAL_SET_FIELDS if isinstance(values["env"].get(name), str)}
     return values | {"env": values["env"] | paths}
+
+
+def has_settings(found: "Result", config: TrainConfig) -> bool:
+    """Whether a finished run was trained with the settings of this configuration. How long is the budget's affair, and
+    fields that were added since count as what was done then."""
+    try:
+        recorded = from_dict(found.about["config"])
+    except UserError:
+        return False
+    return operator.eq(*(recorded_config(each) | {"num_epochs": None} for each in (recorded, config)))
 
 
 def run_values(run: Run) -> dict[str, Any]:
@@ -115,7 +126,7 @@ def status_of(folder: Path, run: Run, config: TrainConfig) -> tuple[Status, str]
             found = read(path_of(folder, run))
         except UserError as error:
             return "damaged", str(error)
-        if found.run != run or found.about["config"] != recorded_config(config):
+        if found.run != run or not has_settings(found, config):
             return "other settings", "it was trained with other settings than the preset has now"
         return "done", ""
     failed = path_of(folder, run, "failed.json")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce import budget, files
@@ -75,6 +76,17 @@ def load(folder: Path) -> Results:
                     result = files.unpacked(own | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
                     found[result.run] = result
     return found
+
+
+def holds(results: Results, run: Run, config: TrainConfig) -> bool:
+    """Whether these numbers have the run, with the settings of the configuration and trained to its end: what was
+    stopped at a ceiling that is higher today is not."""
+    found = results.get(run)
+    return (
+        found is not None
+        and files.has_settings(found, config)
+        and budget.is_trained(found.evaluations["train_goal/success_rate"], run.task, run.toy)
+    )
 
 
 def save(results: Results, folder: Path) -> list[Path]:

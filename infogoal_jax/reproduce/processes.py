@@ -93,5 +93,6 @@ def arguments_of(asked, minutes: float) -> list[str]:
         ("sets", asked.sets),
     ):
         words += [f"--{flag}", *map(str, values)] if values else []
+    words += ["--known", str(asked.known)] if asked.known else []
     words += ["--goal-images", str(asked.goal_images)] if asked.goal_images else []
     return words + ["--retry"] * asked.retry + ["--quick"] * asked.quick

@@ -40,6 +40,13 @@ def test_numbers_are_of_the_last_window():
     assert budget.shown(curve(1, 1, 1, 1, 1, 1, 0.5)) == slice(3, 6)
 
 
+def test_a_run_is_trained_once_it_levelled_off_or_came_to_the_ceiling():
+    ceiling = budget.budget_of("object_search").evaluations
+    assert budget.is_trained(curve(1, 1, 1, 1, 1, 1), "object_search")
+    assert not budget.is_trained(curve(*np.linspace(0, 1, ceiling - 1)), "object_search")
+    assert budget.is_trained(curve(*np.linspace(0, 1, ceiling)), "object_search")
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_has_a_budget(task):
     found = budget.budget_of(task)
