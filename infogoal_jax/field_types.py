@@ -30,6 +30,8 @@ def converted(value: Any, hint: Any) -> Any:
         return msgspec.convert(value, hint)
     except msgspec.ValidationError as error:
         raise WrongTypeError(in_words(error, hint)) from error
+    except UnicodeEncodeError as error:
+        raise WrongTypeError("is text with a half of a character; give whole ones") from error
     except TypeError:  # A type of a user's own record that cannot be checked.
         return value
 

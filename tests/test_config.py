@@ -37,6 +37,10 @@ def test_numbers_of_numpy_are_those_of_python():
         (lambda: with_part("learner", window=3.5), r"learner.window = 3.5: expected int, got float"),
         (lambda: with_part("learner", loss="x"), "learner.loss = 'x': give one of 'nce', 'ratio'"),
         (lambda: with_part("agent", huber="x"), "agent.huber = 'x': expected bool, got str"),
+        (
+            lambda: with_part("learner", window="\ud800"),
+            r"learner.window = '.ud800': is text with a half of a character",
+        ),
         (lambda: with_part("env", scenes="Home_101_1"), "env.scenes = 'Home_101_1': expected list, got str"),
         (lambda: with_part("agent", hidden=(1.5,)), r"agent.hidden = \(1.5,\): expected int"),
         (lambda: dataclasses.replace(CONFIG, num_envs=True), "num_envs = True: expected int, got bool"),
