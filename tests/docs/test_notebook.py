@@ -20,8 +20,6 @@ DRAWS = {
 PICTURES = ("image/png", "image/gif")
 LARGEST = 600_000
 """Bytes of a saved notebook."""
-WITHOUT_PICTURES = ("fetch_image_goals",)
-"""Notebooks without outputs, which wait for a run at full size: `jupyter execute --inplace notebooks/NAME.ipynb`."""
 each_notebook = pytest.mark.parametrize("name", DRAWS)
 
 
@@ -57,9 +55,6 @@ def test_saved_as_it_ran_with_its_pictures(name):
     """From top to bottom in one session, at full size, without warnings or anybody's paths; small enough for git."""
     notebook = read(name)
     cells = code_cells(notebook)
-    if name in WITHOUT_PICTURES:
-        assert not any(cell.outputs or cell.execution_count for cell in cells.values())
-        return
     assert [cell.execution_count for cell in cells.values()] == list(range(1, len(cells) + 1))
     assert [cell for cell, own in cells.items() if pictures(own)] == list(DRAWS[name])
     assert (ROOT / "notebooks" / f"{name}.ipynb").stat().st_size < LARGEST
