@@ -24,9 +24,9 @@ from study_numbers import Study
 from infogoal_jax import presets
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce.manifest import LEARNERS
 from infogoal_jax.reproduce.paper import TABLE, TASKS, reported
 
-LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
 WITH_HER = tuple(f"{method}+her" for method in LEARNERS)
 KINDS = ("train_goal", "test_goal", "corrupted_test_goal", "corrupted_train_goal")
 OVERVIEW = {"object_search": "object search", "fetch_reach": "FetchReach"}

@@ -16,6 +16,7 @@ from study_numbers import Study, StudyRun
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce import manifest
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate, group_means, random_policy, shortest_path_policy
 from infogoal_jax.train.listeners import make_listeners
@@ -29,19 +30,7 @@ KINDS = {
     "corrupted_train_goal": "corrupted training",
 }
 """Kinds of goals as metrics name them, and in words."""
-METHODS = {
-    "infogoal": "InfoGoal",
-    "infobot": "InfoBot",
-    "cogoal": "COGOAL",
-    "gcb": "GCB",
-    "vae": "VAE",
-    "dgrl": "DGRL",
-    "rad": "RAD",
-    "none": "bare agent",
-    "her": "HER",
-    "cher": "CHER",
-    "ghrl": "GHRL",
-}
+METHODS = manifest.METHODS | {"none": "bare agent"}
 """The methods of the paper's Table I, in its order."""
 
 

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.image import imread
 from places import ROOT
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import claims, drawing, numbers, tables
 from infogoal_jax.reproduce.figures import FIGURES
@@ -79,6 +80,17 @@ def test_a_merge_adds_and_replaces(results, folder, tmp_path):
     assert merged[run].evaluations["test_goal/success_rate"].mean() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(UserError, match="no such folder"):
         numbers.merged([tmp_path / "nothing"], folder)
+
+
+def test_a_merge_names_runs_of_other_settings(tmp_path, capsys):
+    """A preset may have changed since they were made."""
+    runs = runs_of(("table1",), Choice(tasks=("fetch_push",), methods=("none", "her"), seeds=1))
+    made = {run: numbers.compact(made_up_results.result_of(run)) for run in runs}
+    made[runs[1]].about["config"] = made[runs[1]].about["config"] | {"batch_size": 7}
+    numbers.save(made, tmp_path / "some")
+    assert main(["reproduce", "merge", str(tmp_path / "some"), "--into", str(tmp_path / "all")]) == 0
+    printed = capsys.readouterr().out
+    assert f"1 runs were made with other settings than the presets have now: {runs[1].name}\n" in printed
 
 
 def test_damaged_numbers_are_refused(folder, tmp_path):
