@@ -6,7 +6,7 @@ from pathlib import Path
 
 from infogoal_jax.errors import require
 from infogoal_jax.reproduce import numbers, progress
-from infogoal_jax.reproduce.files import recorded_config
+from infogoal_jax.reproduce.files import was_made_with
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.paper import TASKS
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
@@ -128,16 +128,11 @@ def merge(folders: list[Path], into: Path) -> int:
     results = numbers.merged(folders, into)
     for path in numbers.save(results, into):
         print(f"{path}: {path.stat().st_size:,} bytes")
-    others = [run.name for run, result in results.items() if result.about["config"] != now(run)]
+    others = [run.name for run, result in results.items() if not was_made_with(result, config_of(run, Path()))]
     if others:
         print(f"{len(others)} runs were made with other settings than the presets have now: {', '.join(others)}")
     print(f"{len(results)} runs; draw them: infogoal reproduce all --from {into} --out FOLDER")
     return DONE
-
-
-def now(run: Run) -> dict:
-    """The configuration that the run would be trained with now, as it is recorded."""
-    return recorded_config(config_of(run, Path()))
 
 
 def draw(asked: Asked, results: numbers.Results) -> None:

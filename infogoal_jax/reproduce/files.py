@@ -56,11 +56,11 @@ def recorded_config(config: TrainConfig) -> dict[str, Any]:
     return values | {"env": values["env"] | paths}
 
 
-def has_settings(found: "Result", config: TrainConfig) -> bool:
-    """Whether a finished run was trained with the settings of this configuration. How long is the budget's affair, and
-    fields that were added since count as what was done then."""
+def was_made_with(result: "Result", config: TrainConfig) -> bool:
+    """Whether a run was made with this configuration. How long is the budget's affair, and fields that were added since
+    have the value of what was done before."""
     try:
-        recorded = from_dict(found.about["config"])
+        recorded = from_dict(result.about["config"])
     except UserError:
         return False
     return operator.eq(*(recorded_config(each) | {"num_epochs": None} for each in (recorded, config)))
@@ -126,7 +126,7 @@ def status_of(folder: Path, run: Run, config: TrainConfig) -> tuple[Status, str]
             found = read(path_of(folder, run))
         except UserError as error:
             return "damaged", str(error)
-        if found.run != run or not has_settings(found, config):
+        if found.run != run or not was_made_with(found, config):
             return "other settings", "it was trained with other settings than the preset has now"
         return "done", ""
     failed = path_of(folder, run, "failed.json")

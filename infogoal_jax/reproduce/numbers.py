@@ -84,7 +84,7 @@ def holds(results: Results, run: Run, config: TrainConfig) -> bool:
     found = results.get(run)
     return (
         found is not None
-        and files.has_settings(found, config)
+        and files.was_made_with(found, config)
         and budget.is_trained(found.evaluations["train_goal/success_rate"], run.task, run.toy)
     )
 
