@@ -1,5 +1,6 @@
 """`infogoal data ...`: check, import, export, download, embed; what is built stands in data_building.py."""
 
+import contextlib
 import shlex
 from pathlib import Path
 
@@ -119,8 +120,13 @@ def embed(
     if not texts:
         raise UserError("texts = (): give at least one text to embed")
     from infogoal_jax.data.sentence_encoder import embed_file
+    from infogoal_jax.runs.folder import locked
 
-    embeddings = embed_file(texts, out, weights or None, allow_other_weights)
+    path = Path(out)
+    # The file is read and written again with more texts: of two at once, one would lose what the other added.
+    alone = locked(path.parent / f".{path.name}.lock", path) if path.parent.is_dir() else contextlib.nullcontext()
+    with alone:
+        embeddings = embed_file(texts, out, weights or None, allow_other_weights)
     print(f"{out}: {len(embeddings.texts)} texts")
     return 0
 

@@ -5,8 +5,10 @@ import shlex
 import numpy as np
 import pytest
 
+from infogoal_jax.cli import data
 from infogoal_jax.data import sentence_encoder, text
 from infogoal_jax.errors import UserError
+from infogoal_jax.runs.folder import locked
 
 # all_instance_id_map.txt of the Active Vision Dataset, spelled as there ("snaks" too).
 INSTANCE_NAMES = """
@@ -120,6 +122,19 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
         text.save(path, made_up_embeddings("old", "new"))
     assert text.load(path).texts == ("old",)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_embeddings_have_one_writer_at_a_time(tmp_path):
+    """Each reads the file and writes it with more texts: the second would undo what the first added."""
+    path = tmp_path / "embeddings.npz"
+    text.save(path, made_up_embeddings("old"))
+    before = path.read_bytes()
+    with (
+        locked(tmp_path / ".embeddings.npz.lock", path),
+        pytest.raises(UserError, match="is being written by another process"),
+    ):
+        data.embed(("new",), str(path), str(tmp_path / "no weights"))
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
 def test_a_damaged_file_is_a_user_error_and_never_wrong_numbers(tmp_path):
