@@ -27,8 +27,14 @@ except ImportError as error:
 
 from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
 
-IDS = {name: "infogoal/" + "".join(word.capitalize() for word in name.split("_")) + "-v0" for name in envs.registry}
-"""The Gymnasium ids of the tasks: fetch_reach is infogoal/FetchReach-v0."""
+
+def id_of(task: str) -> str:
+    """The Gymnasium id of a task: fetch_reach is infogoal/FetchReach-v0."""
+    return "infogoal/" + "".join(word.capitalize() for word in task.split("_")) + "-v0"
+
+
+IDS = {name: id_of(name) for name in envs.registry}
+"""The Gymnasium ids of the package's tasks."""
 FARTHEST, LARGEST = 10.0, 50.0
 """No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step
 is taken back."""
@@ -214,17 +220,24 @@ class FetchVector(VectorEnv):
         )
 
 
-for name, gymnasium_id in IDS.items():
+def register(task: str) -> str:
+    """Make a task known to Gymnasium, unless it is. Returns its id."""
+    gymnasium_id = id_of(task)
     if gymnasium_id not in gymnasium.registry:
-        one, batch = (FetchGymnasium, FetchVector) if name in TASKS else (TaskGymnasium, TaskVector)
+        one, batch = (FetchGymnasium, FetchVector) if task in TASKS else (TaskGymnasium, TaskVector)
         gymnasium.register(
             gymnasium_id,
             entry_point=f"{one.__module__}:{one.__name__}",
             vector_entry_point=f"{batch.__module__}:{batch.__name__}",
-            kwargs={"task": name},
+            kwargs={"task": task},
             order_enforce=False,
             disable_env_checker=True,
         )
+    return gymnasium_id
+
+
+for name in IDS:
+    register(name)
 
 
 def make(task: str, config: Any = None, render_mode: str | None = None) -> gymnasium.Env:
@@ -234,4 +247,4 @@ def make(task: str, config: Any = None, render_mode: str | None = None) -> gymna
     None or "rgb_array". Raises `UserError` for unknown names.
     """
     envs.registry.entry(task)
-    return gymnasium.make(IDS[task], config=config, render_mode=render_mode)
+    return gymnasium.make(register(task), config=config, render_mode=render_mode)

@@ -82,6 +82,9 @@ def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -
         print(f"{out}: parameters of seed {seed}; orbax.checkpoint.StandardCheckpointer().restore reads them")
         return 0
     require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
+    if stablehlo:
+        require(not Path(stablehlo).exists(), "stablehlo", stablehlo, "is there already; give a new file")
+        require(Path(stablehlo) != Path(out), "stablehlo", stablehlo, "give another file than --out")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
     print(f"{out}: {about['task']}, {about['method']}, seed {seed}; {about['action_size']} actions; {size:.1f} MB")

@@ -88,16 +88,20 @@ def compare(
 
 
 def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
-    """Write one seed of a run as one small file, which every command takes in place of a run's folder.
+    """Write one seed of a run as one small file, which commands that look at a run take in place of its folder.
 
     Args:
         run: Folder of the run.
         out: File to write; must end in .zip.
         seed: Seed of the run; none: its first.
     """
+    from infogoal_jax.report.tables import diverged_seeds
     from infogoal_jax.runs import description, packed
 
-    packed.pack(Path(run), Path(out), description.read(Path(run)).seeds[0] if seed is None else seed)
+    folder = packed.find_run(run)
+    chosen = description.read(folder).seeds[0] if seed is None else seed
+    require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
+    packed.pack(folder, Path(out), chosen)
     print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {out}")
     return 0
 

@@ -66,6 +66,8 @@ def figure_style(own: str | Path = "") -> Iterator[None]:
     try:
         with matplotlib.style.context([STYLE, *([own] if own else [])]):
             yield
+    except UnicodeDecodeError as error:
+        raise UserError(f"style = {str(own)!r}: is no text; give a style sheet of matplotlib") from error
     except OSError as error:
         if own and str(own) in str(error):
             raise UserError(f"style = {str(own)!r}: give a style sheet of matplotlib, or the name of one") from error
@@ -134,12 +136,12 @@ def seeds_in_words(counts: Iterable[int]) -> str:
 
 
 def save(figure: Figure, path: Path, captions: bool = False) -> None:
-    """Write a figure, in the format of the path's ending. captions: the line above it and the small print go into a
-    text of the same name, and not into the figure. Raises `UserError` if the disk refuses."""
+    """Write a figure, in the format of the path's ending. captions: the line above it and the small print go into
+    NAME.caption.txt beside it, and not into the figure. Raises `UserError` if the disk refuses."""
     disk.make_folder(path.parent)
     if captions:
         words = f"{figure.get_suptitle()}\n{' '.join(figure.get_supxlabel().split())}\n"
-        disk.write_atomically(path.with_suffix(".txt"), lambda file: file.write(words.encode()))
+        disk.write_atomically(path.with_suffix(".caption.txt"), lambda file: file.write(words.encode()))
         for text in (figure.suptitle(""), figure.supxlabel("")):
             text.set_in_layout(False)
     disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))

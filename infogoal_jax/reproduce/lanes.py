@@ -19,7 +19,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.reproduce import measure
-from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
 from infogoal_jax.reproduce.padding import with_one_shape
 from infogoal_jax.reproduce.plan import build_data, config_of
 from infogoal_jax.runs import checkpoint
@@ -108,7 +108,8 @@ def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> li
     configs, envs = {}, {}
     for number in sets:
         build_data(lanes[number][0])
-        configs[number] = config_of(lanes[number][0], goal_images)
+        # A lane says what differs from the preset: the first one's floats are not those of the others.
+        configs[number] = config_of(dataclasses.replace(lanes[number][0], lane=Lane(*PRESET)), goal_images)
         envs[number] = load_environment(configs[number])
     envs = dict(zip(envs, with_one_shape(list(envs.values())), strict=True))
     together: dict[Any, list[int]] = {}
@@ -129,6 +130,11 @@ def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> li
             flat = tuple((lane, seed) for lane, seeds in part for seed in seeds)
             found.append(Batch(config, tuple(envs[number] for number in numbers), flat, members))
     return found
+
+
+def floats_of(batch: Batch) -> list[dict[str, float]]:
+    """The floats of each lane by dotted name: the preset's, but for those that the lane sets."""
+    return [values_of(batch.config.hyper) | dict(lane.values) for lane, _ in batch.lanes]
 
 
 def parts_of(needed: tuple, most: int) -> list[list]:
@@ -183,7 +189,7 @@ def begin(batch: Batch) -> Training:
 
         return of_one
 
-    settings = [values_of(batch.config.hyper) | dict(lane.values) for lane, _ in batch.lanes]
+    settings = floats_of(batch)
     shape = len(batch.envs), len(batch.lanes)
     hyper = with_values(
         batch.config.hyper,

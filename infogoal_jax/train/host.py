@@ -185,7 +185,8 @@ def check_fits(train: Train, programs: Programs) -> None:
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
     with without_garbage_collection():
         traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
-    check_program(traced, bytes_of((programs.states_shape, train.env)), train, programs.count, programs.by_seed.mesh)
+    carried, held = bytes_of(programs.states_shape), bytes_of(train.env)
+    check_program(traced, carried, held, train, programs.count, programs.by_seed.mesh)
 
 
 def train_on(

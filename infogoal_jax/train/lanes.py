@@ -145,8 +145,8 @@ def check_fits(train: Train, programs: Programs, count: int) -> None:
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
     with without_garbage_collection():
         traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
-    held = memory.bytes_of((programs.shape, train.env))
-    memory.check_program(traced, held, train, count, programs.by_lane.mesh, "trials x seeds")
+    carried, held = memory.bytes_of(programs.shape), memory.bytes_of(train.env)
+    memory.check_program(traced, carried, held, train, count, programs.by_lane.mesh, "trials x seeds")
 
 
 def plan_of(result: TuneResult) -> Plan:

@@ -177,13 +177,15 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
 
 
 def check_program(
-    traced: Any, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
+    traced: Any, carried: int, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
 ) -> None:
     """Raise `UserError`, naming the field that is to blame, if a traced program of all seeds cannot run.
 
-    held: bytes of its arguments on all devices of the mesh together; name: of the number of seeds.
+    carried, held: bytes of the states that the program is given to overwrite, and of its other arguments, on all
+    devices of the mesh together; name: of the number of seeds.
     """
-    needed, memory = (held + peak_bytes(traced.jaxpr)) / mesh.size, mesh_memory(mesh)
+    # What the program returns stands where the states stood, and is part of its peak.
+    needed, memory = (held + max(carried, peak_bytes(traced.jaxpr))) / mesh.size, mesh_memory(mesh)
     if needed > memory:
         raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)
 

@@ -161,9 +161,9 @@ def test_figures_for_a_paper(ending, folders, env, tmp_path):
     """Letters stay letters, and on request what stands around the panels is a text beside the figure."""
     path = draw_comparison(folders, tmp_path / f"with.{ending}", env)
     bare = draw_comparison(folders, tmp_path / f"bare.{ending}", env, captions=True)
-    assert not path.with_suffix(".txt").exists()
-    assert bare.with_suffix(".txt").read_text().startswith("object search: success") and DATA in (
-        bare.with_suffix(".txt").read_text()
+    assert not path.with_suffix(".caption.txt").exists()
+    assert bare.with_suffix(".caption.txt").read_text().startswith("object search: success") and DATA in (
+        bare.with_suffix(".caption.txt").read_text()
     )
     if ending == "svg":
         assert DATA in path.read_text() and DATA not in bare.read_text() and "test goals" in bare.read_text()

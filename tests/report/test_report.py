@@ -254,7 +254,24 @@ def test_what_is_no_packed_run_is_refused(sweep, packed, tmp_path, capsys):
         other.writestr("../outside", "no")
     with pytest.raises(UserError, match="is no file of"):
         load_run(tmp_path / "other.zip")
+    foreign = (tmp_path / "other.zip").read_bytes()
+    with pytest.raises(UserError, match="is there already and is no packed run"):
+        pack(sweep.folder, tmp_path / "other.zip", 4)
+    assert (tmp_path / "other.zip").read_bytes() == foreign
     assert not (tmp_path / "outside").exists()
+    for damage in ("middle", "encrypted", "lzma"):
+        with zipfile.ZipFile(packed) as whole, zipfile.ZipFile(tmp_path / f"{damage}.zip", "w") as other:
+            for name in whole.namelist():
+                other.writestr(name, whole.read(name), zipfile.ZIP_LZMA if damage == "lzma" else zipfile.ZIP_DEFLATED)
+        content = bytearray((tmp_path / f"{damage}.zip").read_bytes())
+        if damage == "middle":
+            content[len(content) // 2 : len(content) // 2 + 64] = bytes(64)
+        if damage == "encrypted":  # The flag of the first member, there and in the directory.
+            content[6] |= 1
+            content[content.rindex(b"PK\x01\x02", 0, content.index(b"PK\x01\x02") + 4) + 8] |= 1
+        (tmp_path / f"{damage}.zip").write_bytes(content)
+        with pytest.raises(UserError, match="is no file of"):
+            load_run(tmp_path / f"{damage}.zip")
     assert main(["evaluate", "shipped/object_serch"]) == 2
     assert "Did you mean 'shipped/object_search'" in capsys.readouterr().err
 

@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.reproduce import lanes, measure, padding
-from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
+from infogoal_jax.reproduce.plan import config_of
 from infogoal_jax.train.program import make_train
 
 SEEDS = 0, 1
@@ -65,6 +67,19 @@ def batch_of(envs, values=(("discount", 0.9),)) -> lanes.Batch:
         for lane in settings
     }
     return lanes.Batch(config, tuple(envs), tuple((lane, seed) for lane in settings for seed in SEEDS), runs)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0), (1,)], ids=["preset first", "preset last", "alone"])
+def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path):
+    """The first lane of a batch may be another than the preset, where the preset's run is done already."""
+    fixed = Lane("beta 0.1", (("learner.beta_start", 0.1), ("learner.beta_step", 0.0)))
+    both = [Run("fetch_reach", "infogoal", None, None, 0, lane, SEEDS) for lane in (Lane(*PRESET), fixed)]
+    (batch,) = lanes.batches_of([both[place] for place in order], None, 64)
+    floats = lanes.floats_of(batch)
+    for (lane, _), found in zip(batch.lanes, floats, strict=True):
+        run = both[0] if lane.name == PRESET[0] else both[1]
+        assert found == values_of(config_of(run).hyper), lane.name
+    assert len(floats) == len(order) * len(SEEDS)
 
 
 def trained(envs) -> lanes.Training:
