@@ -35,7 +35,9 @@ class Claim:
     find: Callable[[Results], Finding]
 
 
-FIRST = "difference to the best other row"
+FIRST = "difference to the closest other row"
+NOT_FIRST = {("test_goal", "fetch_push"), ("corrupted_test_goal", "fetch_push"), ("test_goal", "embodied_qa")}
+"""Where InfoGoal is not first in the paper's own table: InfoBot is on Push, and as good on the shelf."""
 ONLINE = TASKS[:-1]
 BARE = "difference to the bare agent, without the shelf, where it alone does not relabel"
 CLAIMS = (
@@ -49,6 +51,7 @@ CLAIMS = (
         )
         for kind, tasks in (("test_goal", TASKS), ("corrupted_test_goal", IMAGE_TASKS))
         for task in tasks
+        if (kind, task) not in NOT_FIRST
     ),
     Claim(
         "relabelling-helps",
@@ -127,7 +130,7 @@ CLAIMS = (
         "Beta converges to about 0.013 on FetchPickAndPlace",
         "Sec. V-F, Fig. 13",
         "within a factor of two",
-        near("beta", 0.013, 0.0065),
+        near("beta", 0.013, 2.0, ratio=True),
     ),
     Claim(
         "accuracy",

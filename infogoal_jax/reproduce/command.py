@@ -87,7 +87,8 @@ def reproduce(asked: Asked) -> int:
             print(f"failed: {run.name}: {state.words[:300]} (--retry runs it again)")
     kinds = {state.kind for state in states.values()}
     if asked.draw and "done" in kinds and not stopped:
-        draw(asked, numbers.of_folder(asked.out / "runs"))
+        known = {} if asked.known is None else numbers.load(asked.known)
+        draw(asked, known | numbers.of_folder(asked.out / "runs"))
     return FAILED if "failed" in kinds else DONE if kinds == {"done"} else MORE
 
 

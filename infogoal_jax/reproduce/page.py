@@ -27,7 +27,7 @@ document.querySelectorAll("th").forEach(head=>head.addEventListener("click",()=>
 const table=head.closest("table"),body=table.tBodies[0],place=[...head.parentNode.children].indexOf(head);
 const up=head.dataset.up!=="1";head.dataset.up=up?"1":"0";
 const value=row=>{const words=row.cells[place].dataset.value??row.cells[place].textContent.trim();
-const number=parseFloat(words);return Number.isNaN(number)?words.toLowerCase():number};
+const number=parseFloat(words.replace(/,/g,""));return Number.isNaN(number)?words.toLowerCase():number};
 [...body.rows].sort((a,b)=>{const x=value(a),y=value(b);
 if(x===""||y==="")return (x==="")-(y==="");
 const order=typeof x===typeof y?(x<y?-1:x>y?1:0):typeof x==="number"?-1:1;

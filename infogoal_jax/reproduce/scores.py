@@ -27,13 +27,13 @@ WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
 LEAST_SHARE = 0.01
 """Of the goal encoder's gradient that a method's own loss has to make; below it the row is the bare agent's."""
 MARKS = {
-    "rises": ("†", "its training curve still rises at the ceiling of the budget"),
+    "rises": ("†", "its training curve still rises where training stopped"),
     "off": ("‡", f"the method's own loss makes less than {LEAST_SHARE:.0%} of the goal encoder's gradient"),
     "diverged": ("§", "seeds diverged and are left out"),
-    "unmeasured": ("°", "there was no time to measure the share of the method's own loss in the gradient"),
+    "unmeasured": ("°", "the share of the method's own loss in the gradient was not measured"),
 }
 """What is wrong with a row: its mark, and in words."""
-NOT_COUNTED = {"rises", "off"}
+NOT_COUNTED = {"rises", "off", "unmeasured"}
 """Faults with which a row does not count for verdicts."""
 
 
