@@ -167,24 +167,12 @@ def accepted(context: Context, table: Table) -> jax.Array:
     return jax.lax.fori_loop(0, chunks, some, jnp.zeros(count.shape[0], bool)).reshape(shape)
 
 
-def relabel_at_first_occurrence(
-    config: GHRLConfig, key: jax.Array, table: her.Prefixes, row: jax.Array, step: jax.Array, goal: jax.Array
-) -> jax.Array:
-    """Goals int32 [B] of the transitions at these rows and steps: a share of them that the episode achieves later, at
-    their first occurrence."""
-    first_key, random_key, choose_key = jax.random.split(key, 3)
-    later = her.prefix_goal(first_key, table, row, step, first_occurrence=True)
-    anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
-    share = jax.random.uniform(choose_key, goal.shape)
-    goal = jnp.where((share < config.share) & (later >= 0), later, goal)
-    return jnp.where(share >= 1.0 - config.random_share, anything, goal)
-
-
 def make(config: GHRLConfig) -> Relabelling:
     """GHRL for goals that are indices. Transitions after the episode first reached the goal keep their own: reaching a
     goal ends an episode."""
     if config.choice == "first_occurrence":
-        return Relabelling(her.prefixes, functools.partial(relabel_at_first_occurrence, config))
+        first_goal = functools.partial(her.prefix_goal, first_occurrence=True)
+        return Relabelling(her.prefixes, her.relabel_shares(first_goal, config.share, config.random_share))
 
     def prepare(context):
         table = best_goals(context)

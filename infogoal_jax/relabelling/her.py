@@ -7,6 +7,7 @@ then one of its occurrences. The transitions before that occurrence get the goal
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Literal
 
 import flax.struct
@@ -159,19 +160,25 @@ def prefixes(context: Context) -> Prefixes:
     return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)
 
 
+def relabel_shares(later_goal: Callable, share: float, random_share: float) -> Callable:
+    """The `relabel` of a `Relabelling`: a share of the transitions gets what `later_goal` draws, if anything, and a
+    share any known goal. later_goal: (key, table, row, step) -> int32 [B], -1 for none."""
+
+    def relabel_goals(key, table, row, step, goal):
+        later_key, random_key, choose_key = jax.random.split(key, 3)
+        later = later_goal(later_key, table, row, step)
+        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+        drawn = jax.random.uniform(choose_key, goal.shape)
+        goal = jnp.where((drawn < share) & (later >= 0), later, goal)
+        return jnp.where(drawn >= 1.0 - random_share, anything, goal)
+
+    return relabel_goals
+
+
 def make(config: HERConfig) -> Relabelling:
     """HER for goals that are indices."""
     prepare, later_goal = {
         "future": (lambda context: context.achievements, future_goal),
         "prefix": (prefixes, prefix_goal),
     }[config.strategy]
-
-    def relabel_goals(key, table, row, step, goal):
-        future_key, random_key, choose_key = jax.random.split(key, 3)
-        later = later_goal(future_key, table, row, step)
-        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
-        share = jax.random.uniform(choose_key, goal.shape)
-        goal = jnp.where((share < config.future_share) & (later >= 0), later, goal)
-        return jnp.where(share >= 1.0 - config.random_share, anything, goal)
-
-    return Relabelling(prepare, relabel_goals)
+    return Relabelling(prepare, relabel_shares(later_goal, config.future_share, config.random_share))
