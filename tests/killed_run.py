@@ -86,7 +86,7 @@ def small_train(config, env=None):
     def initial(key, hyper, env):
         return SmallState({"weight": jax.random.normal(key, (250_000,))}, jnp.int32(0), key)
 
-    def chunk(state, numbers, hyper, env):
+    def epochs(state, numbers, hyper, env):
         def epoch(state, number):
             noise = jax.random.normal(jax.random.fold_in(state.key, number), (250_000,))
             weight = hyper.discount * state.params["weight"] + hyper.learning_rate * noise
@@ -94,12 +94,14 @@ def small_train(config, env=None):
             seen = {"agent/loss": jnp.square(weight).mean(), "agent/gradient_norm": jnp.abs(weight).max()}
             return state, seen | {"env_steps": state.env_steps}
 
-        state, seen = jax.lax.scan(epoch, state, numbers)
+        return jax.lax.scan(epoch, state, numbers)
+
+    def evaluation(state, hyper, env):
         rate = jax.nn.sigmoid(state.params["weight"].sum())
         scores = {f"{group}_goal/success_rate": rate for group in ("train", "test")}
-        return state, seen, scores | {"env_steps": state.env_steps}
+        return scores | {"env_steps": state.env_steps}
 
-    return dataclasses.replace(make_train(config, env), initial=initial, chunk=chunk)
+    return dataclasses.replace(make_train(config, env), initial=initial, epochs=epochs, evaluation=evaluation)
 
 
 def train(folder: Path) -> bool:

@@ -29,11 +29,12 @@ from trial_numbers import Row
 from trial_queue import ALL_GOALS_TABLES, COMPARISONS, QUEUE, TABLES, Trial
 from tuning_study import tuning_house
 
-from infogoal_jax import compiled, jit, presets, use_compilation_cache
+from infogoal_jax import jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import questions
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.train.chunk import chunk_of
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
 
@@ -87,8 +88,9 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
     started = time.time()
     states = jit(jax.vmap(train.initial, in_axes=(0, 0, None)))(keys, hyper, env)
-    chunk, numbers = jax.vmap(train.chunk, in_axes=(0, None, 0, None)), jnp.arange(config.epochs_per_evaluation)
-    chunk = compiled(chunk, states, numbers, hyper, env, donate_argnums=0)
+    chunk = chunk_of(
+        jax.vmap(train.epochs, in_axes=(0, None, 0, None)), jax.vmap(train.evaluation, in_axes=(0, 0, None))
+    ).compiling(states, jnp.arange(config.epochs_per_evaluation), hyper, env)()
     errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
     print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
     path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}

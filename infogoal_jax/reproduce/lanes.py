@@ -24,7 +24,8 @@ from infogoal_jax.reproduce.padding import with_one_shape
 from infogoal_jax.reproduce.plan import build_data, config_of
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.train import host, memory
-from infogoal_jax.train.compilation import compiled, jit
+from infogoal_jax.train.chunk import chunk_of
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.parts import load_environment
 from infogoal_jax.train.program import Train, make_train
 
@@ -199,18 +200,18 @@ def begin(batch: Batch) -> Training:
         },
     )
     seeds = jnp.broadcast_to(jnp.asarray([seed for _, seed in batch.lanes], jnp.uint32), shape)
-    states = jit(over_lanes(lambda seed, hyper, env: train.initial(jax.random.key(seed), hyper, env), (0, 0)))(
-        seeds, hyper, leaves
-    )
+    initial = jit(over_lanes(lambda seed, hyper, env: train.initial(jax.random.key(seed), hyper, env), (0, 0)))
 
     def step(state, numbers, hyper, env):
-        state, epochs, metrics = train.chunk(state, numbers, hyper, env)
+        state, epochs = train.epochs(state, numbers, hyper, env)
         finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
         learned = {name: epochs[name][-1] for name in learned_names(train, epochs)}
-        return state, metrics | learned | {"finite": finite}
+        return state, learned | {"finite": finite}
 
     numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
-    chunk = compiled(over_lanes(step, (0, None, 0)), states, numbers, hyper, leaves, donate_argnums=0)
+    chunk = chunk_of(over_lanes(step, (0, None, 0)), over_lanes(train.evaluation, (0, 0)))
+    chunk = chunk.compiling(jax.eval_shape(initial, seeds, hyper, leaves), numbers, hyper, leaves)
+    states, chunk = initial(seeds, hyper, leaves), chunk()
     share = measure.learner_share(train)
     taken, share = time.perf_counter() - started, share and jit(share)
     finite = np.ones(shape, bool)
@@ -226,8 +227,8 @@ def go_on(training: Training) -> None:
     """Train until the next evaluation and keep its numbers."""
     started, length = time.perf_counter(), training.batch.config.epochs_per_evaluation
     numbers = jnp.arange(length, dtype=jnp.int32) + training.evaluations * length
-    training.states, metrics = training.chunk(training.states, numbers, training.hyper, training.leaves)
-    metrics = jax.device_get(metrics)
+    training.states, learned, scored = training.chunk(training.states, numbers, training.hyper, training.leaves)
+    metrics = jax.device_get(learned | scored)
     training.finite &= metrics.pop("finite")
     for name, value in metrics.items():
         training.history.setdefault(name, []).append(np.asarray(value))

@@ -1,6 +1,7 @@
 """How seeds share devices: slices of a sweep that does not fit into memory, and a part of the seeds on each device."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,15 +18,15 @@ def over_seeds(function: Callable, num_seeds: int, at_once: int, mesh: jax.shard
     )
 
 
-def chunk_over_seeds(chunk: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:
-    """`over_seeds` for a chunk of training, (state, ...) -> (state, metrics, ...): slices are written back to where
+def epochs_over_seeds(epochs: Callable, num_seeds: int, at_once: int, mesh: jax.sharding.Mesh) -> Callable:
+    """`over_seeds` for epochs of training, (state, ...) -> (state, metrics): slices are written back to where
     they came from, so all states are held once."""
     if at_once * mesh.size >= num_seeds:
-        return over_seeds(chunk, num_seeds, at_once, mesh)
+        return over_seeds(epochs, num_seeds, at_once, mesh)
 
     def in_slices(states, *shared):
         def run(part):
-            return jax.vmap(lambda one: chunk(one, *shared))(part)
+            return jax.vmap(lambda one: epochs(one, *shared))(part)
 
         def slice_of(tree, number):
             return jax.tree.map(lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, number * at_once, at_once), tree)
@@ -58,6 +59,11 @@ def on_each_device(function: Callable, mesh: jax.sharding.Mesh) -> Callable:
         return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=spread, check_vma=False)(batched, *shared)
 
     return everywhere
+
+
+def placed(shapes: Any, sharding: jax.sharding.Sharding) -> Any:
+    """Shapes of arrays, with where the arrays lie: what a program is compiled for before they are there."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), shapes)
 
 
 def seed_mesh(num_seeds: int) -> jax.sharding.Mesh:

@@ -20,8 +20,9 @@ from infogoal_jax.runs.description import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.results import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
-from infogoal_jax.train.compilation import jit, without_garbage_collection
-from infogoal_jax.train.devices import chunk_over_seeds, over_seeds, seed_mesh
+from infogoal_jax.train.chunk import Chunk, chunk_of
+from infogoal_jax.train.compilation import jit
+from infogoal_jax.train.devices import epochs_over_seeds, over_seeds, placed, seed_mesh
 from infogoal_jax.train.memory import at_once as seeds_at_once
 from infogoal_jax.train.memory import bytes_of, check_program
 from infogoal_jax.train.program import Train, make_train
@@ -63,12 +64,11 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class Programs:
-    """Training of all seeds side by side. initial: (keys, hyper, env) -> states; chunk: (states, epochs [E], hyper,
-    env) -> (states, metrics of epochs, of the evaluation), which gives the memory of the states back; shared: hyper and
-    env on every device; states_shape: shapes of all seeds' states; count: of seeds."""
+    """Training of all seeds side by side. initial: (keys, hyper, env) -> states; chunk: of (states, epochs [E], hyper,
+    env); shared: hyper and env on every device; states_shape: shapes of all seeds' states; count: of seeds."""
 
     initial: Callable
-    chunk: Callable
+    chunk: Chunk
     shared: Any
     states_shape: Any
     by_seed: jax.sharding.NamedSharding
@@ -173,9 +173,13 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
     )
     together = seeds_at_once(train, len(seeds), mesh)
     initial = jit(over_seeds(train.initial, len(seeds), together, mesh), out_shardings=by_seed)
-    chunk = jit(chunk_over_seeds(train.chunk, len(seeds), together, mesh), donate_argnums=0)
+    chunk = chunk_of(
+        epochs_over_seeds(train.epochs, len(seeds), together, mesh),
+        over_seeds(train.evaluation, len(seeds), together, mesh),
+    )
     shared = jax.device_put((train.config.hyper, train.env), everywhere)
-    states_shape = jax.eval_shape(initial, jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype), *shared)
+    keys = jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype)
+    states_shape = placed(jax.eval_shape(initial, keys, *shared), by_seed)
     return Programs(initial, chunk, shared, states_shape, by_seed, len(seeds))
 
 
@@ -183,8 +187,7 @@ def check_fits(train: Train, programs: Programs) -> None:
     """Raise `UserError`, naming the field that is to blame, if the traced program of all seeds needs more memory than
     there is. Lowering it does not trace it again: the types are the same."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    with without_garbage_collection():
-        traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
+    traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
     carried, held = bytes_of(programs.states_shape), bytes_of(train.env)
     check_program(traced, carried, held, train, programs.count, programs.by_seed.mesh)
 
@@ -201,16 +204,16 @@ def train_on(
     """Train from this point to the end or until a signal comes, and write the files of the run after each chunk."""
     config, seeds, (done, states, _) = now.config, now.seeds, point
     started = time.perf_counter()
-    shared = programs.shared
+    shared, numbers = programs.shared, jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
+    if done < config.num_epochs:
+        compiled = programs.chunk.compiling(programs.states_shape, numbers, *shared)
     if states is None:
         keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
         states = programs.initial(jax.device_put(keys, programs.by_seed), *shared)
     else:
         states = jax.device_put(states, programs.by_seed)
-    numbers = jnp.arange(config.epochs_per_evaluation, dtype=jnp.int32)
     if done < config.num_epochs:
-        with without_garbage_collection():
-            compiled = programs.chunk.lower(states, numbers, *shared).compile()
+        chunk = compiled()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(jax.device_get(states.env_steps).sum())
     if done == 0:
@@ -219,7 +222,7 @@ def train_on(
     try:
         while done < config.num_epochs and not stop.requested:
             started = time.perf_counter()
-            states, epoch_metrics, metrics = compiled(states, numbers + done, *shared)
+            states, epoch_metrics, metrics = chunk(states, numbers + done, *shared)
             epoch_metrics, metrics = jax.device_get((epoch_metrics, metrics))
             run_seconds += time.perf_counter() - started
             epochs = rows_of(range(done + 1, done + len(numbers) + 1), seeds, epoch_metrics)

@@ -21,7 +21,8 @@ from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
 from infogoal_jax.runs.search import Drawn, Plan, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal
 from infogoal_jax.train import devices, host, memory
-from infogoal_jax.train.compilation import jit, without_garbage_collection
+from infogoal_jax.train.chunk import Chunk, chunk_of
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.program import Train, TrainState
 from infogoal_jax.train.resuming import check_same
 from infogoal_jax.train.trials import Trial, TuneResult, Watch
@@ -39,7 +40,7 @@ class Programs(NamedTuple):
     """Training of all lanes. starts: their keys and hyperparameters; shape: of all lanes."""
 
     initial: Callable
-    chunk: Callable
+    chunk: Chunk
     starts: Any
     shared: Any
     shape: Any
@@ -66,20 +67,22 @@ def batched_hyper(preset: Hyperparameters, values: list[dict[str, float]], seeds
     )
 
 
-def lane_programs(train: Train, group: str) -> tuple[Callable, Callable]:
-    """How a lane begins, ((key, hyper), env) -> lane, and goes on, (lane, numbers, env) -> (lane, {success, loss,
-    finite})."""
+def lane_programs(train: Train, group: str) -> tuple[Callable, Callable, Callable]:
+    """How a lane begins, ((key, hyper), env) -> lane, goes on, (lane, numbers, env) -> (lane, {loss, finite}), and is
+    evaluated, (lane, env) -> {success}."""
 
     def initial(start, env):
         return Lane(train.initial(*start, env), start[1])
 
-    def chunk(lane, numbers, env):
-        state, epochs, metrics = train.chunk(lane.state, numbers, lane.hyper, env)
+    def epochs(lane, numbers, env):
+        state, epochs = train.epochs(lane.state, numbers, lane.hyper, env)
         finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
-        seen = {"success": metrics[f"{group}_goal/success_rate"], "loss": epochs["agent/loss"][-1], "finite": finite}
-        return Lane(state, lane.hyper), seen
+        return Lane(state, lane.hyper), {"loss": epochs["agent/loss"][-1], "finite": finite}
 
-    return initial, chunk
+    def evaluation(lane, env):
+        return {"success": train.evaluation(lane.state, lane.hyper, env)[f"{group}_goal/success_rate"]}
+
+    return initial, epochs, evaluation
 
 
 def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequence[int]) -> Programs:
@@ -92,13 +95,15 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     )
     keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
     starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
-    initial, chunk = lane_programs(train, group)
+    initial, epochs, evaluation = lane_programs(train, group)
     begin = devices.over_seeds(initial, count, together, mesh)
-    go_on = jit(devices.chunk_over_seeds(chunk, count, together, mesh), donate_argnums=0)
+    chunk = chunk_of(
+        devices.epochs_over_seeds(epochs, count, together, mesh), devices.over_seeds(evaluation, count, together, mesh)
+    )
     start = jit(begin, out_shardings=by_lane)
     shared = jax.device_put(train.env, everywhere)
-    shape = jax.eval_shape(start, starts, shared)
-    return Programs(start, go_on, starts, shared, shape, by_lane)
+    shape = devices.placed(jax.eval_shape(start, starts, shared), by_lane)
+    return Programs(start, chunk, starts, shared, shape, by_lane)
 
 
 def lanes_at_once(train: Train, count: int) -> int:
@@ -143,8 +148,7 @@ def side_by_side(
 def check_fits(train: Train, programs: Programs, count: int) -> None:
     """Raise `UserError`, naming the field that is to blame, if all lanes need more memory than there is."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    with without_garbage_collection():
-        traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
+    traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
     carried, held = memory.bytes_of(programs.shape), memory.bytes_of(train.env)
     memory.check_program(traced, carried, held, train, count, programs.by_lane.mesh, "trials x seeds")
 
@@ -175,13 +179,14 @@ def run_lanes(
         watch.compiling()
     started = time.perf_counter()
     shared, numbers = programs.shared, jnp.arange(chunk, dtype=jnp.int32)
+    if not result.finished:
+        compiled = programs.chunk.compiling(programs.shape, numbers, shared)
     if lanes is None:
         lanes = programs.initial(jax.device_put(programs.starts, programs.by_lane), shared)
     else:
         lanes = jax.device_put(lanes, programs.by_lane)
     if not result.finished:
-        with without_garbage_collection():
-            compiled = programs.chunk.lower(lanes, numbers, shared).compile()
+        run_chunk = compiled()
     result = dataclasses.replace(result, compile_seconds=time.perf_counter() - started)
     if not result.epochs:
         stop.check()
@@ -189,8 +194,8 @@ def run_lanes(
     try:
         while not result.finished and not stop.requested:
             started, done = time.perf_counter(), len(result.epochs) * chunk
-            lanes, seen = compiled(lanes, numbers + done, shared)
-            seen = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape).tolist(), jax.device_get(seen))
+            lanes, learned, scored = run_chunk(lanes, numbers + done, shared)
+            seen = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(shape).tolist(), jax.device_get(learned | scored))
             result = dataclasses.replace(
                 result,
                 epochs=[*result.epochs, done + chunk],

@@ -8,7 +8,7 @@ holds at once at least, whatever the sizes are that ask for it.
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -177,15 +177,22 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
 
 
 def check_program(
-    traced: Any, carried: int, held: int, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
+    traced: Sequence[Any],
+    carried: int,
+    held: int,
+    train: Train,
+    num_seeds: int,
+    mesh: jax.sharding.Mesh,
+    name: str = "seeds",
 ) -> None:
-    """Raise `UserError`, naming the field that is to blame, if a traced program of all seeds cannot run.
+    """Raise `UserError`, naming the field that is to blame, if the traced programs of all seeds cannot run.
 
-    carried, held: bytes of the states that the program is given to overwrite, and of its other arguments, on all
+    carried, held: bytes of the states that a program is given to overwrite, and of its other arguments, on all
     devices of the mesh together; name: of the number of seeds.
     """
-    # What the program returns stands where the states stood, and is part of its peak.
-    needed, memory = (held + max(carried, peak_bytes(traced.jaxpr))) / mesh.size, mesh_memory(mesh)
+    # What the epochs return stands where the states stood, and is part of their peak.
+    running = max(carried, *(peak_bytes(program.jaxpr) for program in traced))
+    needed, memory = (held + running) / mesh.size, mesh_memory(mesh)
     if needed > memory:
         raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)
 

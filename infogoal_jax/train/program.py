@@ -6,7 +6,7 @@
 
 Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
-The command line runs the same `chunk` between checkpoints. Nothing here calls back to Python, reads a file or keeps
+The command line runs the same chunk between checkpoints. Nothing here calls back to Python, reads a file or keeps
 state.
 """
 
@@ -45,7 +45,11 @@ class Train:
     config: TrainConfig
     env: Any
     initial: Callable[[jax.Array, Hyperparameters, Any], TrainState]
-    chunk: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
+    epochs: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple]
+    """(state, numbers, hyper, env) -> (state, {name: [E]}): epochs of these numbers, int32 [E], which all seeds
+    share."""
+    evaluation: Callable[[TrainState, Hyperparameters, Any], dict[str, jax.Array]]
+    """(state, hyper, env) -> the metrics of an evaluation."""
     policy: Callable[..., Policy]
     """(params, hyper, env, use_mean=False) -> the policy of `policies.trained_policy`."""
     evaluate: Callable[..., dict[str, jax.Array]]
@@ -71,6 +75,11 @@ class Train:
         )
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), epoch_metrics)
         return TrainResult(metrics=metrics, epochs=flat, params=state.params, state=state)
+
+    def chunk(self, state: TrainState, numbers: jax.Array, hyper: Hyperparameters, env: Any) -> tuple:
+        """Epochs of these numbers, int32 [E], then an evaluation: (state, {name: [E]}, {name: evaluation})."""
+        state, epoch_metrics = self.epochs(state, numbers, hyper, env)
+        return state, epoch_metrics, self.evaluation(state, hyper, env)
 
     def _scannable(self, state, numbers, hyper, env):
         state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
@@ -134,18 +143,19 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}
 
-    def chunk(state: TrainState, numbers, hyper, env):
-        """Epochs `numbers` (int32 [E], not batched over seeds), then an evaluation: (state, {name: [E]}, {name:
-        evaluation})."""
-        state, epoch_metrics = jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
+    def epochs(state: TrainState, numbers, hyper, env):
+        return jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
+
+    def evaluation(state: TrainState, hyper, env):
         metrics = evaluate_settings(parts, state.params, hyper, env, config.evaluation_starts)
-        return state, epoch_metrics, metrics | {"env_steps": state.env_steps}
+        return metrics | {"env_steps": state.env_steps}
 
     return Train(
         config=config,
         env=env,
         initial=initial,
-        chunk=chunk,
+        epochs=epochs,
+        evaluation=evaluation,
         policy=partial(trained_policy, parts),
         evaluate=partial(evaluate_settings, parts),
         experience_of=partial(experience_of, parts),
