@@ -170,13 +170,16 @@ def record(
 
 def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported, origin=(0, 0)) -> int:
     """Ask, fly and say how it ended."""
+    from infogoal_jax.drone.envelope import Envelope
     from infogoal_jax.drone.mission import Settings, run_mission
 
-    if not drone.simulate and not drone.yes:
-        ask_to_take_off(drone)
+    def confirm(envelope: Envelope) -> None:
+        if not drone.yes:
+            ask_to_take_off(envelope, drone.battery_floor)
+
     shelf_seed = exported.about["generator_seed"] if exported is not None else 0
     settings = Settings(**{name: value for name, value in vars(drone).items() if name != "yes"}, shelf_seed=shelf_seed)
-    outcome = run_mission(folder, flown, target, settings, record, origin)
+    outcome = run_mission(folder, flown, target, settings, record, origin, confirm)
     print(f"ended       {outcome.reason}, after {outcome.steps} moves")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {folder}` draws it")
     if not outcome.landed:
@@ -186,15 +189,11 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported,
     return 0 if outcome.landed and (outcome.found or not target) else 1
 
 
-def ask_to_take_off(drone: DroneFlags) -> None:
-    """Show what a person must check, and wait for a yes. Raises `UserError` for anything else."""
-    from infogoal_jax.drone.envelope import Envelope
-
-    chosen = Envelope(
-        **{name: getattr(drone, name) for name in Envelope.__annotations__ if getattr(drone, name) is not None}
-    )
-    space = ", ".join(f"{far} cm free {where}" for where, far in chosen.centimetres().items())
-    print(CHECKS.format(space=space, battery=drone.battery_floor + 10))
+def ask_to_take_off(envelope, battery_floor: int) -> None:
+    """Show what a person must check, and wait for a yes. envelope: of `infogoal_jax.drone.envelope`; battery_floor: per
+    cent. Raises `UserError` for anything else."""
+    space = ", ".join(f"{far} cm free {where}" for where, far in envelope.centimetres().items())
+    print(CHECKS.format(space=space, battery=battery_floor + 10))
     try:
         answer = input("Type fly to take off: ")
     except EOFError:

@@ -3,7 +3,7 @@
 | read first | what it holds |
 |---|---|
 | `flight.py` | the loop: picture, detection, policy, envelope, move; and the landing at the end of every flight |
-| `envelope.py`, `limits.py` | where the drone may be, which moves are allowed, and what else ends a flight |
+| `envelope.py` | where the drone may be, which moves are allowed, and what else ends a flight |
 | `pictures.py` | which images of the video may be trusted |
 | `link.py` | commands, state and video, through djitellopy |
 | `detection.py` | whether the object is in view |

@@ -39,11 +39,13 @@ def seen(detections: list[Detection], image: np.ndarray, confidence: float) -> s
 
 def simulated_detector(truth_port: int) -> Detector:
     """The boxes that the simulator knows, of where the simulated drone is now."""
+    from infogoal_jax.data import questions
     from infogoal_jax.drone.simulated_tello import ask
 
     def detect(image: np.ndarray) -> list[Detection]:
         return [Detection(name, tuple(box)) for name, box in ask(truth_port, "boxes").items()]
 
+    detect.names = questions.load(questions.SHIPPED).objects
     return detect
 
 
@@ -71,4 +73,5 @@ def check_known(name: str, detector: Detector) -> None:
     """Raise `UserError` if the detector says which objects it knows, and this is none of them."""
     names = getattr(detector, "names", None)
     if names is not None and name not in names:
-        raise UserError(f"object = {name!r}: the detector does not know it.{nearest(name, list(names))} Known: {names}")
+        hint = nearest(name, list(names))
+        raise UserError(f"object = {name!r}: the detector does not know it.{hint} It knows: {', '.join(names)}")

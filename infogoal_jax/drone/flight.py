@@ -4,9 +4,7 @@ Whatever happens after the command `takeoff` was sent, the flight ends in `land`
 of the video, a dead link, an error in any part of the program, Ctrl-C, the end of the terminal.
 """
 
-import contextlib
 import dataclasses
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,24 +17,31 @@ from infogoal_jax.drone.link import Answer, Link
 from infogoal_jax.drone.log import Log
 from infogoal_jax.drone.pictures import Picture, fault_of
 from infogoal_jax.drone.signals import Interrupted, Signals
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import require
+from infogoal_jax.stopping import say
 
 MOVE_SECONDS, TAKEOFF_SECONDS, LAND_SECONDS, QUERY_SECONDS = 7.0, 20.0, 10.0, 2.0
 """How long an answer to each kind of command is waited for."""
-REST_SECONDS = 0.5
-"""After the answer to a move, until images show the place that it led to: the video is late, the drone swings."""
+LOOK_SECONDS, REST_SECONDS = 0.02, 0.5
+"""Between two looks at pictures and state; after the answer to a move, until images show the place that it led to: the
+video is late, the drone swings."""
 PICTURE_SECONDS = 5.0
 """How long a picture that can be trusted is waited for."""
 LINK_SECONDS, LINK_LOST_SECONDS = 1.0, 4.0
-"""Without a state packet: no move is made; the flight ends."""
-SILENT_SECONDS = 30.0
-"""Without a state packet while landing: the firmware has landed by itself."""
+"""Without a state packet: no move is made; the flight ends so much later."""
+MACHINE_SECONDS, LONGEST_PATIENCE = 2.5, 10.0
+"""A simulation that is faster than time gives a busy machine so many of its own seconds for pictures and state packets,
+and the drone no more than this, which is less than the firmware's silence."""
+SILENT_SECONDS, LANDING_SECONDS = 30.0, 120.0
+"""While landing: without a state packet the firmware has landed by itself; and how long `land` is sent to a drone that
+never says that its motors rest."""
 FOREIGN_SPEED = 2
 """dm/s of the state packet from which the drone moves, rather than drifts."""
 HEIGHT_OFF = 30
 """Centimetres that the height may be off from what the moves add up to."""
 MOST_REFUSALS, MOST_UNANSWERED = 3, 3
 """Moves refused in a row, and moves unanswered in a flight, that end it."""
+FOREIGN = "another controller, or its own landing"
 AT_ONCE = ("auto land", "motor stop", "imu")
 """Answers after which no move is tried again."""
 
@@ -94,7 +99,7 @@ class Flight:
             except Interrupted as end:
                 self.end("interrupted on the ground", True)
                 raise KeyboardInterrupt from end
-            except UserError as refusal:
+            except Exception as refusal:
                 self.end(f"refused on the ground: {refusal}", True)
                 raise
             reason, error = self.until_landing()
@@ -126,13 +131,20 @@ class Flight:
         """Raise `UserError` unless battery, state and video allow a take-off."""
         self.link.connect(self.signals.asked)
         self.signals.check()
-        self.wait(lambda: self.link.state()[0] != {}, 3.0)
+        self.wait(lambda: self.link.state()[0] != {}, self.patience(3.0))
         state, age = self.link.state()
         require(bool(state) and age < LINK_SECONDS, "drone", "no state", "let the firewall pass the state packets")
         least = self.limits.battery_floor + 10
         require(state["bat"] >= least, "battery", f"{state['bat']} %", f"charge it: {least} % or more for a take-off")
-        ready = self.wait(lambda: self.picture_fault() == "", PICTURE_SECONDS)
+        ready = self.wait(lambda: self.picture_fault() == "", self.patience(PICTURE_SECONDS))
         require(ready, "video", self.picture_fault(), "point the camera at the shelf, in light, and try again")
+        self.rehearse()
+
+    def rehearse(self) -> None:
+        """Use detector and policy once: what they raise, and the seconds of a network's first use, belong here."""
+        picture = self.link.pictures()[-1]
+        self.detect(picture.whole)
+        self.policy(picture.small, np.ones(len(self.moves), bool))
 
     def take_off(self) -> None:
         """Take off and come to rest."""
@@ -186,7 +198,9 @@ class Flight:
             self.unanswered += 1
             if self.unanswered >= MOST_UNANSWERED:
                 raise Landing(f"{self.unanswered} moves were never answered")
-            if not self.link.resynchronise(QUERY_SECONDS):
+            answers = self.link.resynchronise(QUERY_SECONDS, self.signals.asked)
+            self.signals.check()
+            if not answers:
                 raise Landing("the drone no longer answers")
         self.rest(answer)
 
@@ -203,9 +217,9 @@ class Flight:
             fault = self.picture_fault()
             if not fault:
                 return self.link.pictures()[-1]
-            if self.clock() - began > PICTURE_SECONDS:
+            if self.clock() - began > self.patience(PICTURE_SECONDS):
                 raise Landing(f"video {fault}")
-            time.sleep(pictures_pause(self.link.speed))
+            time.sleep(LOOK_SECONDS / self.link.speed)
 
     def picture_fault(self) -> str:
         """What is wrong with the last picture."""
@@ -222,7 +236,7 @@ class Flight:
         if age < LINK_SECONDS:
             return
         self.log.write("note", text=f"no state packet for {age:.1f} s; waiting")
-        if not self.wait(lambda: self.link.state()[1] < LINK_SECONDS, LINK_LOST_SECONDS):
+        if not self.wait(lambda: self.link.state()[1] < LINK_SECONDS, self.patience(LINK_LOST_SECONDS)):
             raise Landing(f"link lost: no state packet for {self.link.state()[1]:.0f} s")
 
     def check_state(self) -> None:
@@ -232,12 +246,11 @@ class Flight:
             raise Landing(f"battery at {state['bat']} %, the floor is {self.limits.battery_floor} %")
         if self.rest_since and self.quiet():
             speed = max(abs(state.get(name, 0)) for name in ("vgx", "vgy", "vgz"))
-            who = "another controller, or its own landing"
             if speed >= FOREIGN_SPEED:
-                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: {who}")
+                raise Landing(f"it moves at {10 * speed} cm/s without a command of this program: {FOREIGN}")
             low, high = (self.hover_height + STEP * row for row in (self.place.low[1], self.place.high[1]))
             if not low - HEIGHT_OFF <= state["h"] <= high + HEIGHT_OFF:
-                raise Landing(f"its height is {state['h']} cm, and {low} to {high} cm by the moves: {who}")
+                raise Landing(f"its height is {state['h']} cm, and {low} to {high} cm by the moves: {FOREIGN}")
 
     def quiet(self) -> bool:
         """Whether the last state packet is from when the drone had to hover: one from during a move, after which the
@@ -251,23 +264,26 @@ class Flight:
             self.visit(picture, self.place, in_view, move)
 
     def land(self, reason: str) -> bool:
-        """Land, whatever it takes. Returns whether the drone said that it is on the ground; it did not if the link is
-        dead, and then its firmware lands.
+        """Land. Returns whether the drone said that it is on the ground; where the link is dead, its firmware lands.
 
-        An "ok" is not enough: it may belong to a command from before. The state packets must say that the motors rest.
+        An "ok" is not enough: it may belong to an earlier command. The state must say that the motors rest.
         """
         self.log.write("landing", reason=reason)
         say(f"landing: {reason}")
+        began = self.clock()
         while True:
             self.link.send("land", LAND_SECONDS)
-            landed = self.wait(self.link.on_ground, 3.0)
-            if landed:
+            if self.wait(self.link.on_ground, 3.0):
                 return True
-            if self.link.state()[1] > SILENT_SECONDS:
-                self.log.write(
-                    "note", text="no state packet while landing; the firmware lands 15 s after the last command"
-                )
+            silent = self.link.state()[1] > SILENT_SECONDS
+            if silent or self.clock() - began > LANDING_SECONDS:
+                why = "no state packet while landing" if silent else "the state never says that the motors rest"
+                self.log.write("note", text=f"{why}; the firmware lands 15 s after the last command")
                 return False
+
+    def patience(self, seconds: float) -> float:
+        """Seconds of the drone for which pictures and state packets are waited for; of a real one those given."""
+        return max(seconds, min(MACHINE_SECONDS * self.link.speed, LONGEST_PATIENCE))
 
     def clock(self) -> float:
         """Seconds of the drone."""
@@ -280,16 +296,5 @@ class Flight:
             self.signals.check()
             if self.clock() > end:
                 return False
-            time.sleep(pictures_pause(self.link.speed))
+            time.sleep(LOOK_SECONDS / self.link.speed)
         return True
-
-
-def pictures_pause(speed: float) -> float:
-    """Seconds between two looks at pictures and state."""
-    return 0.02 / speed
-
-
-def say(words: str) -> None:
-    """Print, where there is still a terminal: its end must not end a landing."""
-    with contextlib.suppress(OSError, ValueError):
-        print(words, file=sys.stderr, flush=True)

@@ -159,14 +159,16 @@ class Link:
         self.log.write("answer", received, command=command, outcome=outcome, text=text)
         return Answer(outcome, text, sent, received)
 
-    def resynchronise(self, seconds: float) -> bool:
+    def resynchronise(self, seconds: float, give_up: Callable[[], bool] = lambda: False) -> bool:
         """After a missing answer: ask for the battery until a number comes, so that a late "ok" is not taken for the
         answer to the next command. Returns whether one came."""
         waiting = self.tello.get_own_udp_object()["responses"]
         for _ in range(3):
-            answer = self.send("battery?", seconds)
+            answer = self.send("battery?", seconds, give_up)
             if answer.text.isdigit() or any(late.strip().isdigit() for late in waiting):
                 return True
+            if give_up():
+                return False
         return False
 
     def state(self) -> tuple[dict[str, Any], float]:

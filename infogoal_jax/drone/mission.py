@@ -3,10 +3,11 @@ envelope, the detector and the log."""
 
 import contextlib
 import dataclasses
+import ipaddress
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from infogoal_jax.data.archives import regular
 from infogoal_jax.drone.detection import Detector, check_known, simulated_detector, yolo_detector
 from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
 from infogoal_jax.drone.flight import Flight, Outcome, Policy
-from infogoal_jax.drone.link import Address, Link, import_djitellopy
+from infogoal_jax.drone.link import Address, Link, check_ports, import_djitellopy
 from infogoal_jax.drone.log import Log
 from infogoal_jax.drone.recording import Recorder, check_recordings
 from infogoal_jax.errors import UserError, require
@@ -67,8 +68,29 @@ class Settings:
     shelf_seed: int = 0
     """Seed of the generated shelf that the simulated drone sees."""
 
+    def check(self) -> None:
+        """Raise `UserError` for values out of range, and for those that only a simulated or only a real drone has."""
+        self.limits().check()
+        usable = all(0 < port < 2**16 for port in self.ports) and len(set(self.ports)) == 3
+        require(usable, "ports", self.ports, "give three different ones from 1 to 65535")
+        require(self.speed > 0, "speed", self.speed, "give a number greater than 0")
+        if self.simulate:
+            require(not self.weights, "weights", self.weights, "the simulated drone has a detector; leave it out")
+        else:
+            require(self.speed == 1, "speed", self.speed, "a real drone has its own; leave it out")
+            require(self.simulated is None, "simulated", self.simulated, "goes together with --simulate")
+            try:
+                ipaddress.ip_address(self.host)
+            except ValueError as error:
+                raise UserError(f"host = {self.host!r}: give the drone's address in numbers, 192.168.10.1") from error
+
+    def limits(self) -> Limits:
+        """What ends the flight, apart from its object."""
+        return Limits(self.steps, self.battery_floor, self.confidence)
+
     def envelope(self) -> Envelope:
-        """The envelope: small around a real drone, as far as the shelf goes around a simulated one."""
+        """The envelope: small around a real drone, as far as the shelf goes around a simulated one. Raises `UserError`
+        for numbers of steps below 0."""
         given = {name: getattr(self, name) for name in MOVES if getattr(self, name) is not None}
         whole = {}
         if self.simulate:
@@ -171,26 +193,34 @@ def flown_policy(policy: ExportedPolicy, asked: Asked, seed: int) -> Flown:
 
 
 def run_mission(
-    folder: Path, flown: Flown, target: str, settings: Settings, record: str = "", origin: tuple[int, int] = (0, 0)
+    folder: Path,
+    flown: Flown,
+    target: str,
+    settings: Settings,
+    record: str = "",
+    origin: tuple[int, int] = (0, 0),
+    confirm: Callable[[Envelope], None] = lambda envelope: None,
 ) -> Outcome:
     """Fly, on a simulated drone that is started for it if `simulate` is set, and leave the log in `folder`.
 
-    target: object that ends the flight, "" for none. Raises `UserError` for what is found before the take-off.
+    target: object that ends the flight, "" for none; confirm: is called before a real drone is, and raises `UserError`
+    for no take-off. Raises `UserError` for what is found before the take-off.
     """
-    limits = Limits(settings.steps, settings.battery_floor, settings.confidence)
-    limits.check()
+    settings.check()
     envelope = settings.envelope()
-    require(settings.speed > 0, "speed", settings.speed, "give a number greater than 0")
-    require(settings.simulate or settings.speed == 1, "speed", settings.speed, "a real drone has its own; leave it out")
     if record:
         check_recordings(Path(record), folder.name)
     import_djitellopy()
     if not settings.simulate:
         detect, address = real_detector(settings.weights, target), Address(settings.host, 8889, settings.ports)
-        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+        check_ports(address.local_ports)
+        confirm(envelope)
+        return fly_at(folder, address, detect, flown, target, envelope, settings, record, origin)
+    if target:
+        check_known(target, simulated_detector(0))
     with simulated_drone(settings) as (port, truth_port):
         detect, address = simulated_detector(truth_port), Address("127.0.0.1", port, settings.ports)
-        return fly_at(folder, address, detect, flown, target, envelope, limits, settings, record, origin)
+        return fly_at(folder, address, detect, flown, target, envelope, settings, record, origin)
 
 
 @contextlib.contextmanager
@@ -234,11 +264,9 @@ def real_detector(weights: str, target: str) -> Detector:
     return detect
 
 
-def fly_at(
-    folder, address: Address, detect, flown: Flown, target, envelope, limits, settings, record, origin
-) -> Outcome:
+def fly_at(folder, address: Address, detect, flown: Flown, target, envelope, settings, record, origin) -> Outcome:
     """Fly a drone at this address."""
-    log = Log(folder)
+    log, limits = Log(folder), settings.limits()
     if flown.file:
         disk.write_atomically(folder / "policy.npz", lambda file: file.write(flown.file))
     recorder = Recorder(Path(record), folder.name, origin) if record else None

@@ -55,7 +55,7 @@ class ScriptedLink:
         self.log.write("command", command=command)
         return Answer(outcome, text, now, now)
 
-    def resynchronise(self, seconds):
+    def resynchronise(self, seconds, give_up=None):
         self.sent.append("battery?")
         return self.answers
 
@@ -109,7 +109,7 @@ def reason_in_log(tmp_path) -> str:
 
 
 def test_it_lands_where_it_sees_the_object(tmp_path):
-    seen = iter([[], [], [TARGET]])
+    seen = iter([[], [], [], [TARGET]])  # The first is on the ground.
     flight, drone = make_flight(tmp_path, detect=lambda image: next(seen))
     outcome = flight.fly()
     assert outcome.found and outcome.landed and outcome.steps == 2
@@ -127,16 +127,30 @@ def test_steps_are_used_up_inside_of_the_envelope(tmp_path):
     assert moves_of(drone) == ["right", "right", "right", "left", "right"]
 
 
-@pytest.mark.parametrize("where", ["policy", "detector"])
+@pytest.mark.parametrize("where", ["policy", "detect"])
 def test_an_error_lands_and_is_raised(tmp_path, where):
-    def fail(*arguments):
-        raise ZeroDivisionError("oh")
+    flight, drone = make_flight(tmp_path)
 
-    flight, drone = make_flight(tmp_path, **({"policy": fail} if where == "policy" else {"detect": fail}))
+    def fail(*arguments):
+        if drone.in_air:
+            raise ZeroDivisionError("oh")
+
+    setattr(flight, where, fail)
     with pytest.raises(ZeroDivisionError):
         flight.fly()
     assert drone.sent[-1] == "land" and not drone.in_air
     assert reason_in_log(tmp_path) == "error: ZeroDivisionError: oh"
+
+
+@pytest.mark.parametrize("where", ["policy", "detect"])
+def test_what_cannot_run_is_found_on_the_ground(tmp_path, where):
+    def fail(*arguments):
+        raise ZeroDivisionError("oh")
+
+    flight, drone = make_flight(tmp_path, **{where: fail})
+    with pytest.raises(ZeroDivisionError):
+        flight.fly()
+    assert not drone.sent and reason_in_log(tmp_path) == "refused on the ground: oh"
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
@@ -172,6 +186,15 @@ def test_an_ok_alone_is_no_landing(tmp_path):
     flight, drone = make_flight(tmp_path, {"land": ["error", "", "ok"]})
     assert flight.fly().landed
     assert drone.sent[-3:] == ["land"] * 3
+
+
+def test_a_drone_that_never_says_that_its_motors_rest_is_left_to_its_firmware(tmp_path, monkeypatch):
+    """The program ends all the same, and the log says so."""
+    monkeypatch.setattr(ScriptedLink, "on_ground", lambda drone: False)
+    flight, drone = make_flight(tmp_path)
+    assert not flight.fly().landed
+    assert drone.sent.count("land") > 1 and drone.sent[-1] == "land"
+    assert any("motors rest" in note["text"] for note in events_of(read(tmp_path / NAME), "note"))
 
 
 def test_a_dead_link_is_waited_for_and_then_given_up(tmp_path):

@@ -5,9 +5,9 @@ import socket
 import subprocess
 import sys
 
-import flights
 import numpy as np
 import pytest
+from places import ROOT
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import questions, text
@@ -15,16 +15,19 @@ from infogoal_jax.drone import link, mission
 from infogoal_jax.errors import UserError
 from infogoal_jax.policy_file import ExportedPolicy
 
+sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
+import drone_faults as faults
+
 
 @pytest.fixture
 def policy(tmp_path) -> ExportedPolicy:
     """A policy that knows one question."""
-    return ExportedPolicy(flights.write_policy(tmp_path / "policy.npz", objects=["mug"]))
+    return ExportedPolicy(faults.write_policy(tmp_path / "policy.npz", objects=["mug"]))
 
 
 def test_a_question_of_the_policy(policy):
     """Case and white space make no difference."""
-    asked = mission.read_question(policy, f" {flights.QUESTION.upper()}")
+    asked = mission.read_question(policy, f" {faults.QUESTION.upper()}")
     assert asked.object == "mug"
     np.testing.assert_array_equal(asked.goal, policy.goals[0])
 
@@ -55,7 +58,7 @@ def test_a_question_that_cannot_be_embedded(policy, monkeypatch):
 def test_policies_that_cannot_fly(tmp_path):
     (tmp_path / "words.npz").write_text("words")
     os.mkfifo(tmp_path / "pipe.npz")
-    whole = flights.write_policy(tmp_path / "whole.npz").read_bytes()
+    whole = faults.write_policy(tmp_path / "whole.npz").read_bytes()
     (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
     np.savez(tmp_path / "list.npz", about=np.array("[]"), program=np.array("5"))
     np.savez(tmp_path / "few.npz", about=np.array('{"actions": 3}'), program=np.array('{"constants": 0}'))
@@ -64,7 +67,7 @@ def test_policies_that_cannot_fly(tmp_path):
         with pytest.raises(UserError, match="no file of `infogoal export`"):
             mission.load_policy(str(path))
     with pytest.raises(UserError, match="cannot fly"):
-        grey = flights.write_policy(tmp_path / "grey.npz")
+        grey = faults.write_policy(tmp_path / "grey.npz")
         members = dict(np.load(grey))
         members["program"] = np.array(str(members["program"]).replace("64, 3]", "64, 1]"))
         np.savez(grey, **members)
@@ -74,20 +77,45 @@ def test_policies_that_cannot_fly(tmp_path):
 def test_without_the_libraries(tmp_path, monkeypatch, capsys):
     """The refusal says what to install; nothing is started."""
     monkeypatch.setitem(sys.modules, "djitellopy", None)
-    policy = flights.write_policy(tmp_path / "policy.npz")
-    words = ["fly", str(policy), "--question", flights.QUESTION, "--simulate", "--out", str(tmp_path / "flight")]
+    policy = faults.write_policy(tmp_path / "policy.npz")
+    words = ["fly", str(policy), "--question", faults.QUESTION, "--simulate", "--out", str(tmp_path / "flight")]
     assert main(words) == 2
     assert "pip install" in capsys.readouterr().err
     assert not (tmp_path / "flight").exists()
 
 
 def test_no_take_off_without_a_yes(tmp_path, monkeypatch, capsys):
-    policy = flights.write_policy(tmp_path / "policy.npz")
+    policy = faults.write_policy(tmp_path / "policy.npz")
     monkeypatch.setattr("builtins.input", lambda prompt: "no")
-    words = ["fly", str(policy), "--question", flights.QUESTION, "--out", str(tmp_path / "flight")]
-    assert main(words) == 2
+    monkeypatch.setattr(mission, "real_detector", lambda weights, target: None)
+    words = ["fly", str(policy), "--question", faults.QUESTION, "--out", str(tmp_path / "flight")]
+    assert main([*words, "--ports", *map(str, faults.free_ports())]) == 2
     printed = capsys.readouterr()
     assert "Before the propellers turn" in printed.out and "no take-off" in printed.err
+
+
+REFUSED = {
+    "steps": ("--steps=0", "--simulate"),
+    "battery_floor": ("--battery-floor=5", "--simulate"),
+    "confidence": ("--confidence=2", "--simulate"),
+    "left": ("--left=-1", "--simulate"),
+    "speed": ("--speed=2",),
+    "simulated": ("--simulated", "1", "2"),
+    "weights": ("--weights=best.pt", "--simulate"),
+    "weights = ''": (),
+    "host": ("--host=drone.local", "--yes"),
+    "ports": ("--ports", "1", "2", "70000", "--simulate"),
+    "Did you mean 'soccer ball'": ("--object=soccerball", "--simulate"),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_settings_that_cannot_be_flown_are_refused_before_anybody_is_asked(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.setattr("builtins.input", lambda prompt: pytest.fail("asked for a take-off"))
+    policy = faults.write_policy(tmp_path / "policy.npz")
+    out = tmp_path / "flight"
+    assert main(["fly", str(policy), "--question", faults.QUESTION, "--out", str(out), *REFUSED[words]]) == 2
+    assert words in capsys.readouterr().err and not out.exists()
 
 
 def test_a_real_drone_needs_a_detector():
