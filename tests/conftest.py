@@ -22,6 +22,7 @@ next."""
 LONGEST_FIRST = (
     "every_method",
     "hrac_program",
+    "fly",
     "training",
     "resume",
     "low_level",

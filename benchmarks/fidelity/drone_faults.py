@@ -244,6 +244,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # As in a shell's background, and flights would inherit it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     policy, drone = write_policy(options.out / "policy.npz"), start(settings((0, 0, 0)))
     flights = []
     try:

@@ -232,6 +232,8 @@ class Process:
                         self.out.sendto(self.body.state().encode(), (self.client, self.settings.state_port))
             if not self.body.in_air and time.monotonic() - self.last_heard > ALONE_SECONDS:
                 break
+        self.running = False
+        video.join()  # A thread that encodes while the process ends aborts it.
 
     def stream(self) -> None:
         """Stream the video while it is on."""

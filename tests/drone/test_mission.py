@@ -132,9 +132,9 @@ def test_a_port_that_is_taken():
             link.check_ports((other.getsockname()[1],))
 
 
-@pytest.mark.parametrize("words", [["--help"], ["fly", "--help"]])
+@pytest.mark.parametrize("words", [["--help"], ["fly", "--help"], ["methods"]])
 def test_nothing_is_imported_that_is_not_needed(words):
-    """Neither the drone's libraries nor, for the help, JAX."""
+    """Neither the drone's libraries nor its modules."""
     code = (
         "import sys; from infogoal_jax.cli.main import main\n"
         f"try: main({words})\nexcept SystemExit: pass\n"
