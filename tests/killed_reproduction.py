@@ -18,6 +18,8 @@ from infogoal_jax.reproduce.work import Outcome, Work, work_on
 SEEDS = 0, 1
 LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))
 LOG = "log"
+DEADLY = "deadly"
+"""A file that names a run; whoever begins it dies."""
 
 
 def runs(count: int = 3) -> list[Run]:
@@ -56,6 +58,8 @@ def small_programs(folder: Path):
     def begin(batch):
         for run in batch.runs.values():
             logged(f"begun {run.name}")
+            if (folder / DEADLY).exists() and (folder / DEADLY).read_text() == run.name:
+                os._exit(1)
         return whole_begin(batch)
 
     def save(folder, result):
@@ -85,6 +89,14 @@ def reproduce(folder: Path, count: int = 3, **settings) -> Outcome:
     folder.mkdir(parents=True, exist_ok=True)
     with small_programs(folder):
         return work_on(runs(count), Work(folder, **({"say": lambda words: None} | settings)))
+
+
+for_good = contextlib.ExitStack()
+
+
+def prepare_worker() -> None:
+    """Let all runs of this process be small, a worker of a cluster; FOLDER is in its environment."""
+    for_good.enter_context(small_programs(Path(os.environ["LOG_IN"])))
 
 
 def log_of(folder: Path, what: str) -> list[str]:

@@ -1,7 +1,7 @@
 """`infogoal reproduce ...`: the paper's tables and figures, from training to the finished page."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
@@ -30,8 +30,10 @@ def study(
     lanes: int = 64,
     from_: Annotated[str, tyro.conf.arg(name="from")] = "",
     page: str = "",
-    processes: int = 1,
+    processes: int = 0,
     gpus: int = 0,
+    engine: Literal["processes", "ray"] = "processes",
+    ray_address: str = "",
     draw: bool = True,
 ) -> int:
     """A table or figure of the paper.
@@ -53,8 +55,11 @@ def study(
         lanes: Seeds, settings and goal sets that are trained side by side at most.
         from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
         page: File that the verdicts are written to; empty: reproduction.md in the folder.
-        processes: How many work on the folder side by side, here.
+        processes: How many work on the folder side by side; 0: one, here, or of a cluster one on each device.
         gpus: GPUs over which the processes are spread; 0: each sees all devices.
+        engine: processes, which run here; ray, workers of a Ray cluster.
+        ray_address: The cluster: HOST:PORT of one that this machine belongs to, auto for the one that runs here,
+            ray://HOST:10001 from outside; empty: one of this machine alone, which ends with the command.
         draw: Draw what there are numbers for at the end.
 
     Returns:
@@ -82,6 +87,8 @@ def study(
             Path(page) if page else None,
             processes,
             gpus,
+            engine,
+            ray_address,
             draw,
         )
     )

@@ -9,6 +9,7 @@ from tyro.conf import FlagCreatePairsOff
 from infogoal_jax.cli.choice import AUTO, config_of_run, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
 from infogoal_jax.cli.folders import check_resumed_in_place, new_folder, seeds_from
+from infogoal_jax.errors import require
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -25,6 +26,9 @@ def train(
     figures: bool = True,
     tensorboard: FlagCreatePairsOff[bool] = False,
     wandb: str = "",
+    distributed: str = "",
+    num_processes: int = 0,
+    process: int = 0,
     help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Train on a task, all seeds in one program.
@@ -40,6 +44,10 @@ def train(
         figures: Draw the figures at the end.
         tensorboard: Write the metrics for TensorBoard too, into the folder of the run.
         wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
+        distributed: This process is one of several, each of which trains its share of the seeds: HOST:PORT of the
+            first one, or auto, where Slurm, Open MPI or Kubernetes says it.
+        num_processes: How many there are; with HOST:PORT.
+        process: Number of this one, from 0 on; the first writes the run.
         help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
@@ -49,11 +57,16 @@ def train(
     if resume != AUTO:
         check_resumed_in_place(resume, out)
     from infogoal_jax import presets
+    from infogoal_jax.train import distributed as several
     from infogoal_jax.train import host
     from infogoal_jax.train.combinations import check_combination
     from infogoal_jax.train.compilation import use_compilation_cache
     from infogoal_jax.train.listeners import make_listeners
 
+    require(bool(distributed) or not num_processes, "num_processes", num_processes, "goes with --distributed")
+    require(not (distributed and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
+    if distributed:
+        several.join(distributed, num_processes, process)
     use_compilation_cache()
     check_combination(config)
     if resume == AUTO:
@@ -63,6 +76,8 @@ def train(
 
         numbers = description.read(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
+    if not several.is_writer():
+        return STATUS if host.run(config, numbers, folder, bool(resume)).stopped else 0
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
         sweep = host.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
         listeners.end_progress()

@@ -7,11 +7,11 @@ from pathlib import Path
 from infogoal_jax.errors import require
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.files import was_made_with
-from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, command_of, runs_of
+from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.paper import TASKS
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
 from infogoal_jax.reproduce.processes import arguments_of, work_side_by_side
-from infogoal_jax.reproduce.work import Work, command_line, work_on
+from infogoal_jax.reproduce.work import Work, work_on
 from infogoal_jax.train.compilation import use_compilation_cache
 
 DONE, FAILED, MORE = 0, 1, 130
@@ -37,8 +37,10 @@ class Asked:
     lanes: int = 64
     numbers: Path | None = None
     page: Path | None = None
-    processes: int = 1
+    processes: int = 0
     gpus: int = 0
+    engine: str = "processes"
+    ray_address: str = ""
     draw: bool = True
 
     @property
@@ -66,8 +68,11 @@ def reproduce(asked: Asked) -> int:
     """Train what is left, and draw. Returns the exit status."""
     require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
     require(asked.lanes > 0, "lanes", asked.lanes, "give at least 1")
-    require(0 < asked.processes <= 1000, "processes", asked.processes, "give 1 to 1000")
+    require(0 <= asked.processes <= 1000, "processes", asked.processes, "give 0 to 1000")
     require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
+    by_ray = asked.engine == "ray"
+    require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
+    require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
     if asked.numbers is not None:
         draw(asked, numbers.load(asked.numbers))
@@ -79,7 +84,7 @@ def reproduce(asked: Asked) -> int:
     if asked.list_runs:
         list_programs(asked, runs)
         return DONE
-    stopped = work_alone(asked, runs, deadline) if asked.processes == 1 else work_together(asked, deadline)
+    stopped = ENGINES[asked.engine](asked, runs, deadline)
     print(progress.summary(asked.out, runs), flush=True)
     states = {run: progress.state_of(asked.out, run) for run in runs}
     for run, state in states.items():
@@ -92,26 +97,31 @@ def reproduce(asked: Asked) -> int:
     return FAILED if "failed" in kinds else DONE if kinds == {"done"} else MORE
 
 
-def work_alone(asked: Asked, runs: list[Run], deadline: float) -> bool:
-    """Train what is left in this process. Whether it stopped before the end."""
-    use_compilation_cache()
-    work = Work(
-        asked.out,
-        deadline,
-        asked.retry,
-        asked.goal_images,
-        asked.lanes,
-        lambda run: command_line(command_of(run)),
-        lambda words: print(words, flush=True),
-    )
-    return work_on(runs, work).stopped
+def work_of(asked: Asked, deadline: float) -> Work:
+    """The work on the folder that was asked for."""
+    say = lambda words: print(words, flush=True)  # noqa: E731
+    return Work(asked.out, deadline, asked.retry, asked.goal_images, asked.lanes, say)
 
 
-def work_together(asked: Asked, deadline: float) -> bool:
-    """Train what is left in several processes. Whether they stopped before the end."""
+def work_here(asked: Asked, runs: list[Run], deadline: float) -> bool:
+    """Train what is left in this process, or in several. Whether it stopped before the end."""
+    if asked.processes <= 1:
+        use_compilation_cache()
+        return work_on(runs, work_of(asked, deadline)).stopped
     minutes = 0.0 if deadline == float("inf") else max(0.01, (deadline - time.time()) / 60)
     status = work_side_by_side(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
     return status not in (DONE, FAILED)
+
+
+def work_by_ray(asked: Asked, runs: list[Run], deadline: float) -> bool:
+    """Train what is left by the workers of a Ray cluster. Whether it stopped before the end."""
+    from infogoal_jax.reproduce.cluster import work_on_cluster
+
+    return work_on_cluster(runs, work_of(asked, deadline), asked.processes, asked.ray_address).stopped
+
+
+ENGINES = {"processes": work_here, "ray": work_by_ray}
+"""Who trains, by the name of `--engine`: (asked, runs, deadline) -> whether it stopped before the end."""
 
 
 def list_programs(asked: Asked, runs: list[Run]) -> None:

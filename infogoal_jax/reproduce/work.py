@@ -20,7 +20,7 @@ import numpy as np
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.reproduce import budget, files, lanes, measure, progress
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import Run
+from infogoal_jax.reproduce.manifest import Run, command_of
 from infogoal_jax.reproduce.plan import Program, config_of, programs_of
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.folder import BeingWrittenError, locked
@@ -28,6 +28,8 @@ from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.host import describe
 from infogoal_jax.train.memory import bytes_of
 
+UNFINISHED = "unfinished"
+"""Folder of the checkpoints of what was stopped."""
 BYTES_A_SECOND = 2e8
 """At which a checkpoint is written, roughly, so that the clock can be kept."""
 BEGINNING, MEASURING = 45.0, 60.0
@@ -37,15 +39,13 @@ BEGINNING, MEASURING = 45.0, 60.0
 @dataclasses.dataclass
 class Work:
     """What a process does. folder: of the reproduction; deadline: seconds of `time.time()` at which it has to have
-    stopped; retry: whether runs that failed are run again; most_lanes: side by side in one program; command: the
-    command line that makes a run."""
+    stopped; retry: whether runs that failed are run again; most_lanes: side by side in one program."""
 
     folder: Path
     deadline: float = float("inf")
     retry: bool = False
     goal_images: Path | None = None
     most_lanes: int = 64
-    command: Callable[[Run], str] = lambda run: f"infogoal reproduce {run.name}"
     say: Callable[[str], None] = print
 
     def left(self) -> float:
@@ -142,7 +142,7 @@ def report_failure(runs: list[Run], error: Exception, work: Work, outcome: Outco
 def checkpoint_of(folder: Path, batch: lanes.Batch) -> Path:
     """The file in which a batch that was stopped is kept."""
     names = "\n".join(sorted(run.name for run in batch.runs.values()))
-    return folder / "unfinished" / hashlib.sha256(names.encode()).hexdigest()[:16]
+    return folder / UNFINISHED / hashlib.sha256(names.encode()).hexdigest()[:16]
 
 
 def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
@@ -257,7 +257,7 @@ def result_of(training: lanes.Training, run: Run, work: Work, measured: Extras) 
             "run_seconds": round(training.run_seconds, 1),
         },
         "measure_seconds": round(measured.seconds, 1),
-        "command": work.command(run),
+        "command": shlex.join(command_of(run)),
     }
     first = curve_of(training, run, "first_reached")
     masks = [np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in masks_of(env)]
@@ -292,8 +292,3 @@ def extras(training: lanes.Training, run: Run, work: Work, before: Extras, pictu
         work.say(f"{run.name}: measuring failed, its numbers are kept: {traceback.format_exc()}")
         why = f"{type(error).__name__}: {error}"[:500]
     return Extras(share, arrays, why, before.seconds + time.perf_counter() - started)
-
-
-def command_line(words: list[str]) -> str:
-    """The words as a command line."""
-    return " ".join(shlex.quote(word) for word in words)

@@ -67,7 +67,7 @@ def placed(shapes: Any, sharding: jax.sharding.Sharding) -> Any:
 
 
 def seed_mesh(num_seeds: int) -> jax.sharding.Mesh:
-    """As many devices as divide the number of seeds."""
-    devices = jax.devices()
+    """As many devices of this process as divide its number of seeds."""
+    devices = jax.local_devices()
     used = max(count for count in range(1, len(devices) + 1) if num_seeds % count == 0)
     return jax.sharding.Mesh(np.asarray(devices[:used]), ("seeds",))

@@ -1,5 +1,6 @@
 """The host loop: the training program in chunks, with progress, metrics, checkpoints and a clean stop between them."""
 
+import contextlib
 import dataclasses
 import math
 import platform
@@ -20,6 +21,7 @@ from infogoal_jax.runs.description import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.results import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
+from infogoal_jax.train import distributed
 from infogoal_jax.train.chunk import Chunk, chunk_of
 from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.devices import epochs_over_seeds, over_seeds, placed, seed_mesh
@@ -130,29 +132,33 @@ def run(
     compiling: Callable[[], None] = lambda: None,
 ) -> Sweep:
     """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
-    from the beginning if it was stopped before there was one.
+    from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
+    share, and the first alone writes and has listeners; to go on, all have to see the folder.
 
     compiling: called before the program is compiled. Raises `UserError` before any compilation, and without a change on
     the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one of another
     configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
     """
     check_seeds(seeds)
-    if not resume:
+    writes = distributed.is_writer()
+    if writes and not resume:
         check_new(folder, RUN)
     with stop_on_signal() as stop:
         train = make_train(config, env)
-        programs = programs_of(train, seeds)
+        programs = programs_of(train, distributed.share(seeds))
         now = describe(config, train.env, list(seeds))
         if not resume:
             check_fits(train, programs)  # So that a refusal leaves no folder behind.
-        with only_writer(folder, new=() if resume else RUN):
-            point = last_point(folder, now, programs.states_shape) if resume else BEGINNING
+        with only_writer(folder, new=() if resume else RUN) if writes else contextlib.nullcontext():
+            point = last_point(folder, now, distributed.of_all(programs.states_shape)) if resume else BEGINNING
             if resume:
                 check_fits(train, programs)
-            for table, rows in point.rows.items():
-                tables.replace_table(folder, table, rows)
-            if not resume or description.read(folder) != now:
-                description.write(folder, now)
+            distributed.any_process(False)  # Nobody changes what another one is still reading.
+            if writes:
+                for table, rows in point.rows.items():
+                    tables.replace_table(folder, table, rows)
+                if not resume or description.read(folder) != now:
+                    description.write(folder, now)
             stop.advice = how_to_go_on(folder, point.epoch)
             stop.check()
             compiling()
@@ -208,22 +214,23 @@ def train_on(
     if done < config.num_epochs:
         compiled = programs.chunk.compiling(programs.states_shape, numbers, *shared)
     if states is None:
-        keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+        keys = jax.vmap(jax.random.key)(jnp.asarray(distributed.share(seeds), jnp.uint32))
         states = programs.initial(jax.device_put(keys, programs.by_seed), *shared)
     else:
-        states = jax.device_put(states, programs.by_seed)
+        mine = jax.tree.map(lambda leaf: leaf[distributed.share_of(len(seeds))], states)
+        states = jax.device_put(mine, programs.by_seed)
     if done < config.num_epochs:
         chunk = compiled()
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
-    steps_before = int(jax.device_get(states.env_steps).sum())
+    steps_before = int(np.sum(distributed.gathered(jax.device_get(states.env_steps))))
     if done == 0:
         stop.check()
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
-        while done < config.num_epochs and not stop.requested:
+        while done < config.num_epochs and not distributed.any_process(stop.requested):
             started = time.perf_counter()
-            states, epoch_metrics, metrics = chunk(states, numbers + done, *shared)
-            epoch_metrics, metrics = jax.device_get((epoch_metrics, metrics))
+            states, *metrics = chunk(states, numbers + done, *shared)
+            epoch_metrics, metrics = distributed.gathered(jax.device_get(metrics))
             run_seconds += time.perf_counter() - started
             epochs = rows_of(range(done + 1, done + len(numbers) + 1), seeds, epoch_metrics)
             done, this_session = done + len(numbers), this_session + len(numbers)
@@ -234,22 +241,26 @@ def train_on(
                 env_steps_per_second=(int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
                 updates_per_second=this_session * config.updates_per_epoch * len(seeds) / run_seconds,
             )
+            whole = distributed.gathered(states)
+            if not distributed.is_writer():
+                continue
             tables.append_rows(folder, "epochs", epochs)
             tables.append_rows(folder, "evaluations", evaluations)
-            checkpoint.save(folder / "checkpoint", {"epoch": done, **now.values()}, states)
-            checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, states.params)
+            checkpoint.save(folder / "checkpoint", {"epoch": done, **now.values()}, whole)
+            checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, whole.params)
             results.write_timing(folder, timing)
             stop.advice = how_to_go_on(folder, done)
+            progress = Progress(
+                done, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)
+            )
             for listener in listeners:
-                listener(
-                    Progress(
-                        done, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)
-                    )
-                )
+                listener(progress)
     finally:
         stop.finishing = ""
-    # Again, if a kill came between the two files.
-    checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, states.params)
-    diverged = diverged_seeds(tables.read_table(folder, "epochs"))
+    params, diverged = jax.device_get(distributed.gathered(states.params)), {}
+    if distributed.is_writer():
+        # Again, if a kill came between the two files.
+        checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, params)
+        diverged = diverged_seeds(tables.read_table(folder, "epochs"))
     stopped = done < config.num_epochs
-    return Sweep(folder, train, jax.device_get(states.params), diverged, stopped, compile_seconds, run_seconds)
+    return Sweep(folder, train, params, diverged, stopped, compile_seconds, run_seconds)

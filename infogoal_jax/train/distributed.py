@@ -1,0 +1,84 @@
+"""One run on several hosts: each process trains its share of the seeds on its own devices, and the first one writes.
+
+Seeds do not touch each other, so that processes meet only between chunks of epochs: to gather what is written, and to
+agree on whether to stop. With one process everything here does nothing.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.runs.checkpoint import is_key
+
+AUTO = "auto"
+SECONDS = 60
+"""That a process waits for the others at the beginning."""
+
+
+def join(coordinator: str, count: int, number: int) -> None:
+    """Let this process be one of several; called before jax looks for devices.
+
+    coordinator: HOST:PORT of the first process, or `auto`, where Slurm, Open MPI, Kubernetes or a TPU says who the
+    processes are; count, number: of processes, and of this one, where nobody says it. Raises `UserError` where they do
+    not find each other.
+    """
+    given: dict[str, Any] = {}
+    if coordinator != AUTO:
+        require(":" in coordinator, "distributed", coordinator, "give auto, or HOST:PORT of the first process")
+        require(count > 1, "num_processes", count, "give how many there are, 2 or more")
+        require(0 <= number < count, "process", number, f"give 0 to {count - 1}, each process another number")
+        given = {"coordinator_address": coordinator, "num_processes": count, "process_id": number}
+    try:
+        jax.distributed.initialize(**given, initialization_timeout=SECONDS)
+    except (RuntimeError, ValueError) as error:
+        raise UserError(
+            f"distributed = {coordinator!r}: {error}; start all processes within {SECONDS} s, or give HOST:PORT of the "
+            "first, --num-processes and --process"
+        ) from error
+
+
+def is_writer() -> bool:
+    """Whether this process writes the run. Looks for no device where it is the only one."""
+    return not jax.distributed.is_initialized() or jax.process_index() == 0
+
+
+def share(seeds: Sequence[int]) -> Sequence[int]:
+    """The seeds of this process. Raises `UserError` where not all processes get as many."""
+    count = jax.process_count()
+    require(len(seeds) % count == 0, "seeds", len(seeds), f"give a multiple of {count}, the number of processes")
+    return seeds[share_of(len(seeds))]
+
+
+def share_of(count: int) -> slice:
+    """Where the share of this process stands among so many seeds."""
+    size = count // jax.process_count()
+    return slice(jax.process_index() * size, (jax.process_index() + 1) * size)
+
+
+def gathered(tree: Any) -> Any:
+    """A pytree of arrays [seeds of this process, ...] as one of arrays [all seeds, ...]. Every process has to call this
+    at the same place."""
+    if jax.process_count() == 1:
+        return tree
+    from jax.experimental.multihost_utils import process_allgather
+
+    def whole(leaf):
+        if is_key(leaf):
+            return jax.random.wrap_key_data(whole(jax.random.key_data(leaf)), impl=jax.random.key_impl(leaf))
+        return process_allgather(np.asarray(leaf), tiled=True)
+
+    return jax.tree.map(whole, tree)
+
+
+def any_process(said: bool) -> bool:
+    """Whether any process says so. Every process has to call this at the same place."""
+    return bool(np.any(gathered(np.asarray([said]))))
+
+
+def of_all(shapes: Any) -> Any:
+    """The shapes of all seeds' arrays, for those of this process."""
+    count = jax.process_count()
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((leaf.shape[0] * count, *leaf.shape[1:]), leaf.dtype), shapes)
