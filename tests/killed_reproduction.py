@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import multiprocessing
 import os
+import time
 from pathlib import Path
 from unittest import mock
 
@@ -18,8 +19,8 @@ from infogoal_jax.reproduce.work import Outcome, Work, work_on
 SEEDS = 0, 1
 LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))
 LOG = "log"
-DEADLY = "deadly"
-"""A file that names a run; whoever begins it dies."""
+DEADLY, SLOW = "deadly", "slow"
+"""Files beside it: one names a run, and whoever begins it dies; where the other is, an evaluation takes a second."""
 
 
 def runs(count: int = 3) -> list[Run]:
@@ -62,13 +63,17 @@ def small_programs(folder: Path):
                 os._exit(1)
         return whole_begin(batch)
 
+    def go_on(training):
+        time.sleep((folder / SLOW).exists())
+        whole_go_on(training)
+
     def save(folder, result):
         new = not files.path_of(folder, result.run).exists()
         whole_save(folder, result)
         if new:  # It is written again when it has been measured.
             logged(f"finished {result.run.name}")
 
-    whole_begin, whole_save = lanes.begin, files.save
+    whole_begin, whole_go_on, whole_save = lanes.begin, lanes.go_on, files.save
     with contextlib.ExitStack() as patches:
         for module in (plan, lanes, work):
             patches.enter_context(mock.patch.object(module, "config_of", config_of))
@@ -77,6 +82,7 @@ def small_programs(folder: Path):
             (lanes, "load_environment", lambda config: hand_made.environment()),
             (lanes, "build_data", lambda run: None),
             (lanes, "begin", begin),
+            (lanes, "go_on", go_on),
             (files, "save", save),
             (measure, "is_pictured", lambda run: False),
         ):

@@ -173,24 +173,46 @@ def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path, lost):
 def test_what_kills_its_workers_fails(cluster, tmp_path):
     """A program whose every worker dies is given up, and the others are trained."""
     with killed_reproduction.small_programs(tmp_path):
-        (tmp_path / "deadly").write_text(runs(1)[0].name)
+        (tmp_path / killed_reproduction.DEADLY).write_text(runs(1)[0].name)
         outcome = work_on_cluster(runs(2), Work(tmp_path / "folder", say=lambda words: None))
     assert outcome.failed == runs(1) and set(outcome.finished) == set(runs(2)) - set(runs(1))
 
 
 @pytest.mark.long
-def test_ctrl_c_leaves_a_checkpoint_that_goes_on(tmp_path):
+def test_a_signal_leaves_checkpoints_that_go_on(cluster, tmp_path):
+    """Of every worker's program; with the numbers of runs that were left alone."""
+    folder, alone, said = tmp_path / "folder", tmp_path / "alone", []
+
+    def listen(words: str) -> None:
+        said.append(words)
+        if "evaluation 1," in words and sum("evaluation 1," in each for each in said) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with killed_reproduction.small_programs(tmp_path):
+        (tmp_path / killed_reproduction.SLOW).touch()
+        outcome = work_on_cluster(runs(3), Work(folder, say=listen))
+        assert outcome.stopped and not outcome.finished and len(list((folder / "unfinished").iterdir())) == 2
+        assert not list(folder.rglob("*.lock"))
+        (tmp_path / killed_reproduction.SLOW).unlink()
+        outcome = work_on_cluster(runs(3), Work(folder, say=said.append))
+    assert len(outcome.finished) == 6 and not list((folder / "unfinished").iterdir())
+    assert sum("goes on after evaluation" in words for words in said) == 2
+    reproduce(alone, 3)
+    assert_same_numbers(folder, alone, runs(3))
+
+
+@pytest.mark.long
+def test_ctrl_c_ends_the_command_and_its_own_cluster(tmp_path):
     pytest.importorskip("ray")
     words = [sys.executable, "-m", "infogoal_jax", *TOY, "--out", str(tmp_path), "--engine", "ray", "--no-draw"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as command:
         printed = []
         for line in command.stdout:
             printed.append(line)
-            if "none: 1 runs" in line:  # While its program is compiled: it trains for less than a second.
+            if "none: 1 runs" in line:
                 command.send_signal(signal.SIGINT)
-    assert command.returncode == 130, printed
-    assert any("a checkpoint is kept" in line for line in printed) and any("1 left" in line for line in printed)
-    assert len(list((tmp_path / "unfinished").iterdir())) == 1 and not list(tmp_path.rglob("*.lock"))
+    assert command.returncode == 130 and "1 left" in printed[-1], printed
+    assert any("Stopping after the evaluations of its workers" in line for line in printed)
+    assert not list(tmp_path.rglob("*.lock"))
     again = subprocess.run(words, capture_output=True, text=True)
-    assert again.returncode == 0 and "goes on after evaluation" in again.stdout, again.stderr
-    assert not list((tmp_path / "unfinished").iterdir())
+    assert again.returncode == 0 and "1 done" in again.stdout, again.stderr
