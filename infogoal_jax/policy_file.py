@@ -38,7 +38,7 @@ NUMPY = {
     "log1p": "log1p", "expm1": "expm1", "tanh": "tanh", "sqrt": "sqrt", "square": "square", "pow": "power",
     "is_finite": "isfinite", "and": "logical_and", "or": "logical_or", "not": "logical_not", "eq": "equal",
     "ne": "not_equal", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal",
-    "stop_gradient": "positive",
+    "stop_gradient": "positive", "sin": "sin", "cos": "cos", "floor": "floor", "rem": "fmod",
 }  # fmt: skip
 OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name, as_in in NUMPY.items()} | {
     "copy": lambda x, **_: x,
@@ -54,11 +54,13 @@ OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name
     "broadcast_in_dim": broadcast,
     "concatenate": lambda *x, dimension, **_: np.concatenate(x, dimension),
     "split": lambda x, sizes, axis, **_: np.split(x, np.cumsum(sizes)[:-1], axis),
-    "slice": lambda x, start_indices, limit_indices, strides, **_: x[
+    "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
         tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
     ],
     "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes)),
     "reduce_max": lambda x, axes, **_: x.max(tuple(axes)),
+    "clamp": lambda low, x, high, **_: np.clip(x, low, high),
+    "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
     "reduce_min": lambda x, axes, **_: x.min(tuple(axes)),
     "dot_general": contract,
 }
@@ -66,7 +68,8 @@ OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name
 
 
 class ExportedPolicy:
-    """A policy with discrete actions. about: dict; goals: float32 or uint8 [N, ...], or None."""
+    """A policy: `values` and `act` where actions are discrete, else `drive`. about: dict; goals: float32 or uint8 [N,
+    ...], or None."""
 
     def __init__(self, path):
         with open(path, "rb") as file:
@@ -76,12 +79,10 @@ class ExportedPolicy:
             self.goals = file.get("goals")
             self.constants = [file[f"constant_{index}"] for index in range(self.program["constants"])]
 
-    def values(self, observation, goal, noise=None):
-        """The value of every action, float32 [A]: an observation as the network sees it, the input of a goal and
-        standard normal numbers [d] for a sample of its code; None for the code's mean."""
-        noise = np.zeros(self.about["code_size"], np.float32) if noise is None else noise
+    def run(self, *arguments):
+        """What the program gives for these arguments: a list of arrays."""
         known = dict(enumerate(self.constants))
-        for place, kind, value in zip(*self.program["inputs"], (observation, goal, noise), strict=True):
+        for place, kind, value in zip(*self.program["inputs"], arguments, strict=True):
             shape, dtype = kind
             value = np.asarray(value)
             if list(value.shape) != shape or value.dtype != dtype:
@@ -90,9 +91,26 @@ class ExportedPolicy:
         for name, inputs, outputs, settings in self.program["operations"]:
             results = OPERATIONS[name](*(known[place] for place in inputs), **settings)
             known.update(zip(outputs, results if name == "split" else [results], strict=True))
-        return np.asarray(known[self.program["output"]])
+        return [np.asarray(known[place]) for place in self.program["outputs"]]
+
+    def mean(self):
+        """The noise that stands for the mean of a goal's code."""
+        return np.zeros(self.about["code_size"], np.float32)
+
+    def values(self, observation, goal, noise=None):
+        """The value of every action, float32 [A]: an observation as the network sees it, the input of a goal and
+        standard normal numbers [d] for a sample of its code; None for the code's mean."""
+        return self.run(observation, goal, self.mean() if noise is None else noise)[0]
 
     def act(self, observation, goal, action_mask=None, noise=None):
         """The legal action with the highest value, int. action_mask: bool [A]; None: all are legal."""
         values = self.values(observation, goal, noise)
         return int(np.where(True if action_mask is None else action_mask, values, -np.inf).argmax())
+
+    def drive(self, observation, goal, step, target=None, noise=None, body=None):
+        """The action at this step of an episode, and the target to give with the next one. body: where the robot is,
+        where the observation does not say it, as an image does not: the angles of its joints."""
+        decides = np.bool_(step % self.about["interval"] == 0)
+        target = np.zeros(self.program["inputs"][1][4][0], np.float32) if target is None else target
+        body = observation if body is None else body
+        return tuple(self.run(observation, goal, self.mean() if noise is None else noise, body, target, decides))

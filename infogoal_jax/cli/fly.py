@@ -87,7 +87,8 @@ def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -
         require(Path(stablehlo) != Path(out), "stablehlo", stablehlo, "give another file than --out")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
-    print(f"{out}: {about['task']}, {about['method']}, seed {seed}; {about['action_size']} actions; {size:.1f} MB")
+    actions = f"{about['action_size']} actions" if about["discrete"] else "continuous actions"
+    print(f"{out}: {about['task']}, {about['method']}, seed {seed}; {actions}; {size:.1f} MB")
     return 0
 
 

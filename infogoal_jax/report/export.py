@@ -1,8 +1,8 @@
 """Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO; or
 its parameters as a checkpoint of orbax.
 
-The policy is traced once and its operations are written down as they are, so that every learner and every agent with
-discrete actions can be exported, those of a user too.
+The policy is traced once and its operations are written down as they are, so that every learner and every agent can be
+exported, those of a user too; of HRAC both levels together.
 """
 
 import json
@@ -15,10 +15,12 @@ import numpy as np
 from jax.extend.core import Literal
 
 from infogoal_jax import policy_file, presets
+from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run
 from infogoal_jax.runs import disk
+from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.program import Train
 
 FORMAT_VERSION = 1
@@ -29,7 +31,7 @@ CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_j
 def export(run: Run, out: Path, seed: int = 0, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
     """Write the greedy policy of a seed of a run, and return it as read back.
 
-    Raises `UserError` for a run with continuous actions, a seed that the run does not have, or a disk that refuses.
+    Raises `UserError` for a seed that the run does not have, or a disk that refuses.
     """
     params = run.params(seed)
     about = {"seed": seed, "data": run.data, "versions": run.versions}
@@ -41,8 +43,8 @@ def export_params(
 ) -> policy_file.ExportedPolicy:
     """Write the greedy policy of these parameters, and return it as read back. about: what else the file shall say."""
     config, env = train.parts.config, train.env
-    values, examples = action_values(train, params)
-    program, constants = trace(values, examples)
+    function, examples = action_values(train, params) if env.discrete else driving(train, params)
+    program, constants = trace(function, examples)
     texts = env.goals.inputs.dtype == jnp.float32
     about = about | {
         "format_version": FORMAT_VERSION,
@@ -53,6 +55,8 @@ def export_params(
         "episode_length": int(env.episode_length),
         "code_size": int(examples[2].shape[0]),
         "samples_code": not train.parts.learner.mean_at_test,
+        "discrete": bool(env.discrete),
+        "interval": interval_of(env),
         "generator_seed": getattr(config.env, "generator_seed", 0),
         "goal_names": list(env.goals.names) if texts else [],
         "goal_objects": list(getattr(env, "goal_objects", ())) if texts else [],
@@ -64,7 +68,7 @@ def export_params(
     disk.make_folder(out.parent)
     disk.write_atomically(out, lambda file: np.savez_compressed(file, **members))
     if stablehlo is not None:
-        write_stablehlo(stablehlo, values, examples)
+        write_stablehlo(stablehlo, function, examples)
     return policy_file.ExportedPolicy(out)
 
 
@@ -96,47 +100,85 @@ def write_stablehlo(path: Path, function, examples) -> None:
     disk.write_atomically(path, lambda file: file.write(content))
 
 
-def action_values(train: Train, params: Any):
-    """The function (observation, goal input, noise [d]) -> float32 [A] of these parameters, and its arguments' shapes.
+def interval_of(env: Any) -> int:
+    """Steps between two looks at the goal: those of a high level, or 1."""
+    return int(env.interval) if isinstance(env, SubgoalEnv) else 1
 
-    The contract of an agent gives the value of the greedy action. That of an action is the value where no other is
-    legal.
-    """
+
+def seen_through(train: Train, params: Any):
+    """The function (observation, goal input, noise [d]) -> (features [1, F], code [1, d]) of these parameters, and its
+    arguments' shapes."""
     parts, env = train.parts, train.env
-    start = env.reset(jax.random.key(0))
-    observation = jax.eval_shape(lambda: env.render(env.observe(start)))
+    observation = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
     goal = jax.eval_shape(lambda: env.goals.inputs_of(jnp.zeros((), jnp.int32)))
-    require(
-        env.discrete,
-        "task",
-        parts.config.task,
-        "its actions are continuous; only policies with discrete ones are exported",
-    )
 
     def encoded(observation, goal):
         features = parts.state_encoder.apply(params["state"], observation[None])
         code = parts.learner.encode(params["goal"], goal[None])
         return features, conditioned(parts.learner, params["goal"], code, features)
 
-    def values(observation, goal, noise):
+    def see(observation, goal, noise):
         features, found = encoded(observation, goal)
-        drawn = found.mean if found.std is None else found.mean + found.std * noise
-        features, drawn = (jnp.repeat(one, env.action_size, axis=0) for one in (features, drawn))
-        return parts.agent.value(params["agent"], features, drawn, jnp.asarray(np.eye(env.action_size, dtype=bool)))
+        return features, found.mean if found.std is None else found.mean + found.std * noise
 
     code = jax.eval_shape(lambda *given: encoded(*given)[1].mean, observation, goal)
-    return values, (observation, goal, jax.ShapeDtypeStruct(code.shape[1:], jnp.float32))
+    return see, (observation, goal, jax.ShapeDtypeStruct(code.shape[1:], jnp.float32))
+
+
+def action_values(train: Train, params: Any):
+    """The function (observation, goal input, noise [d]) -> float32 [A] of these parameters, and its arguments' shapes.
+
+    The contract of an agent gives the value of the greedy action. That of an action is the value where no other is
+    legal.
+    """
+    (see, examples), parts, count = seen_through(train, params), train.parts, train.env.action_size
+
+    def values(observation, goal, noise):
+        features, drawn = (jnp.repeat(one, count, axis=0) for one in see(observation, goal, noise))
+        return parts.agent.value(params["agent"], features, drawn, jnp.asarray(np.eye(count, dtype=bool)))
+
+    return values, examples
+
+
+def driving(train: Train, params: Any):
+    """The function (observation, goal input, noise [d], body, target, decides) -> (action, target) of these parameters,
+    and its arguments' shapes.
+
+    body: the floats of the stored observation, which tell where the robot is; target: the state that the low level is
+    on its way to; decides: bool, whether the high level chooses another one. Without levels the target is the action.
+    """
+    (see, examples), parts, env = seen_through(train, params), train.parts, train.env
+    steered = isinstance(env, SubgoalEnv)
+    stored = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    leaves, tree = jax.tree.flatten(stored)
+    (place,) = (number for number, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating))
+    others = [np.zeros(leaf.shape, leaf.dtype) for leaf in leaves]
+
+    def drive(observation, goal, noise, body, target, decides):
+        features, code = see(observation, goal, noise)
+        whole = jax.tree.unflatten(tree, [*others[:place], body, *others[place + 1 :]])
+        masks, key = env.action_mask(whole)[None], jax.random.key(0)
+        (asked,) = parts.agent.act(params["agent"], features, code, masks, key, Exploration(0.0, 0.0))
+        if not steered:
+            return asked, asked
+        asked = env.space.from_subgoal(whole, asked, env.subgoal_scale)
+        target = jnp.where(decides, asked, target)
+        return env.low_level.act(whole, target), target
+
+    target = jax.ShapeDtypeStruct((int(env.action_size),), jnp.float32)
+    return drive, (*examples, leaves[place], target, jax.ShapeDtypeStruct((), jnp.bool_))
 
 
 def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
-    """The operations of a function for arguments of these shapes, as `policy_file` runs them, and its constants.
+    """The operations of a function for arguments of these shapes, as `policy_file` runs them, and its constants. It
+    returns an array, or several.
 
     What does not depend on an argument is computed now and becomes a constant. Raises `UserError` for an operation that
     the reader does not know.
     """
     closed = jax.make_jaxpr(function)(*examples)
     steps: list[tuple[str, list[int], list[int], dict]] = []
-    fixed: dict[int, np.ndarray] = {}
+    fixed: dict[int, Any] = {}
     places: dict[Any, int] = {}
     count = iter(range(10**9))
 
@@ -151,7 +193,7 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
         inside = dict(zip(jaxpr.invars, inputs, strict=True))
         for variable, value in zip(jaxpr.constvars, constants, strict=True):
             inside[variable] = next(count)
-            fixed[inside[variable]] = np.asarray(value)
+            fixed[inside[variable]] = value
         for equation in jaxpr.eqns:
             name, given = equation.primitive.name, [place_of(one, inside) for one in equation.invars]
             if name in CALLS:
@@ -159,7 +201,12 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
                 results = walk(called.jaxpr, called.consts, given)
             else:
                 results = [next(count) for _ in equation.outvars]
-                step(name, given, results, equation.params)
+                if all(place in fixed for place in given):
+                    known = equation.primitive.bind(*(fixed[place] for place in given), **equation.params)
+                    several = equation.primitive.multiple_results
+                    fixed.update(zip(results, known if several else [known], strict=True))
+                else:
+                    step(name, given, results, equation.params)
             inside |= dict(zip(equation.outvars, results, strict=True))
         return [place_of(one, inside) for one in jaxpr.outvars]
 
@@ -171,14 +218,10 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
             "an operation that policy_file.py does not know; add it to OPERATIONS there",
         )
         settings = {key: plain(value) for key, value in params.items() if plain(value) is not None}
-        if all(place in fixed for place in given):
-            found = policy_file.OPERATIONS[name](*(fixed[place] for place in given), **settings)
-            fixed.update(zip(results, found if name == "split" else [found], strict=True))
-        else:
-            steps.append((name, given, results, settings))
+        steps.append((name, given, results, settings))
 
     arguments = [next(count) for _ in closed.jaxpr.invars]
-    (output,) = walk(closed.jaxpr, closed.consts, arguments)
+    outputs = walk(closed.jaxpr, closed.consts, arguments)
     used = sorted({place for _, given, _, _ in steps for place in given} & set(fixed))
     order = [*used, *arguments, *(place for _, _, results, _ in steps for place in results)]
     places = {place: index for index, place in enumerate(order)}
@@ -190,9 +233,9 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
             [name, [places[place] for place in given], [places[place] for place in results], settings]
             for name, given, results, settings in steps
         ],
-        "output": places[output],
+        "outputs": [places[output] for output in outputs],
     }
-    return program, [np.ascontiguousarray(fixed[place]) for place in used]
+    return program, [np.asarray(fixed[place], order="C") for place in used]
 
 
 def plain(value: Any) -> Any:

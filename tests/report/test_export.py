@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from infogoal_jax import make_train, policy_file
+from infogoal_jax import envs, make_train, policy_file, presets
+from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.cli.main import main
+from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import export, runs
+from infogoal_jax.train import hierarchy
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
@@ -119,10 +122,41 @@ def test_another_shape_is_refused(exported):
         exported.values(np.zeros((3, 3), np.uint8), exported.goals[0])
 
 
-def test_continuous_actions_are_refused():
-    train = make_train(hand_made_points.config("none", **SHORT), hand_made_points.steered())
-    with pytest.raises(UserError, match="continuous"):
-        export.action_values(train, {})
+def reach() -> Case:
+    """FetchReach with image goals under HRAC and the low level that is shipped."""
+    env = hierarchy.steer(envs.load("fetch_reach", FetchConfig(goals="images")), HRACConfig())
+    return case_of(hand_made_points.config("infogoal", **SHORT), env)
+
+
+def cube() -> Case:
+    """The cube under HRAC: image observations, angles of joints, a low level with discrete moves."""
+    agent = presets.load("object_manipulation").agent
+    config = hand_made_frames.manipulation_config("infogoal", agent=agent, **SHORT)
+    return case_of(config, hierarchy.steer(hand_made_frames.manipulation(), config.agent))
+
+
+@pytest.mark.parametrize("make", [reach, cube])
+def test_both_levels_of_continuous_policies_do_as_with_jax(make, tmp_path):
+    """Over an episode, in which the robot goes where the file says: actions and targets of both are the same."""
+    case = make()
+    (train, params), env, goal, target = case, case.train.env, 3, None
+    exported = export.export_params(*case, tmp_path / "policy.npz", {})
+    policy = train.policy(params, train.config.hyper, env, use_mean=True)
+    decide = jax.jit(
+        lambda seen, goal: policy(jax.tree.map(lambda leaf: leaf[None], seen), goal[None], jax.random.key(0))
+    )
+    state, step = jax.jit(env.reset)(jax.random.key(1)), jax.jit(env.step)
+    inputs = np.asarray(env.goals.inputs_of(jnp.asarray(goal)))
+    for number in range(2 * exported.about["interval"] + 1):
+        stored = env.observe(state)
+        body = np.asarray(getattr(stored, "joints", stored))
+        action, target = exported.drive(np.asarray(env.render(stored)), inputs, number, target, body=body)
+        (subgoal,) = decide(stored, jnp.asarray(goal))
+        before, state = state, step(state, subgoal)
+        np.testing.assert_allclose(target, state.target, rtol=WITHIN, atol=WITHIN)
+        expected = np.asarray(env.low_level.act(stored, state.target))
+        np.testing.assert_allclose(action, expected, rtol=WITHIN, atol=WITHIN)
+        assert not np.array_equal(before.target, state.target) or number % exported.about["interval"]
 
 
 def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
