@@ -5,13 +5,20 @@ Stable-Baselines3 is no dependency of the project; it needs a scratch environmen
 
     python3.11 -m venv scratch && scratch/bin/pip install torch --index-url https://download.pytorch.org/whl/cpu
     scratch/bin/pip install -c constraints.txt -e '.[gymnasium]' stable-baselines3
-    scratch/bin/python benchmarks/peers/fetch_sb3_her.py --task fetch_reach --steps 10000
+    scratch/bin/python benchmarks/peers/fetch_sb3_her.py --task fetch_reach --steps 6000 --seeds 3 --out FOLDER
+    infogoal pretrain fetch_reach --seeds 3 --num-epochs 6 --out OTHER
+
+FOLDER/numbers.csv has a row for each seed and evaluation. Copied to docs/results/sb3_her, beside OTHER/curve.csv as
+ours.csv, it is shown by benchmarks/paper/tables.py.
 """
 
 import argparse
+import csv
 import time
+from pathlib import Path
 
 import numpy as np
+import torch
 from stable_baselines3 import SAC, HerReplayBuffer, __version__
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -54,6 +61,19 @@ def success_rate(model: SAC, env, episodes: int, first_seed: int) -> float:
     return float(np.mean(at_goal))
 
 
+def curve(task: str, seed: int, steps: int, every: int, episodes: int, test_env) -> list[dict]:
+    """Train a seed. A row for each evaluation: steps, seconds of the CPU that learning took, success."""
+    model, seconds, rows = learner(task, seed), 0.0, []
+    for done in range(every, steps + 1, every):
+        started = time.process_time()
+        model.learn(every, reset_num_timesteps=False)
+        seconds += time.process_time() - started
+        success = success_rate(model, test_env, episodes, 1_000_000)
+        rows.append({"seed": seed, "env_steps": done, "cpu_seconds": round(seconds, 1), "success_rate": success})
+        print(f"{seed:5d} {done:8d} {seconds:9.1f} {success:9.2f}", flush=True)
+    return rows
+
+
 def main():
     """Train and print a line for each evaluation."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -61,22 +81,24 @@ def main():
     parser.add_argument("--steps", type=int, default=10_000, help="environment steps of training")
     parser.add_argument("--every", type=int, default=1000, help="steps between evaluations")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of an evaluation")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="seeds 0, 1, 2, ..., one after the other")
+    parser.add_argument("--out", type=Path, help="folder to write numbers.csv to")
     arguments = parser.parse_args()
 
-    print(f"{describe_machine()}; stable-baselines3 {__version__}; {arguments.task}, seed {arguments.seed}", flush=True)
+    machine = f"{describe_machine()}; stable-baselines3 {__version__}, torch {torch.__version__.split('+')[0]}"
+    print(f"{arguments.task}; {machine}", flush=True)
     test_env = bridge.make(arguments.task)
     test_env.reset(seed=0)
     test_env.step(test_env.action_space.sample())  # Compiles before the clock starts.
-    model, seconds = learner(arguments.task, arguments.seed), 0.0
-    print("   steps   seconds   success")
-    for steps in range(arguments.every, arguments.steps + 1, arguments.every):
-        start = time.perf_counter()
-        model.learn(arguments.every, reset_num_timesteps=False)
-        seconds += time.perf_counter() - start
-        print(
-            f"{steps:8d} {seconds:9.1f} {success_rate(model, test_env, arguments.episodes, 1_000_000):9.2f}", flush=True
-        )
+    print(" seed    steps CPU seconds  success")
+    sizes = arguments.steps, arguments.every, arguments.episodes
+    rows = [row for seed in range(arguments.seeds) for row in curve(arguments.task, seed, *sizes, test_env)]
+    if arguments.out:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        with open(arguments.out / "numbers.csv", "w", newline="") as file:
+            writer = csv.DictWriter(file, [*rows[0], "machine"])
+            writer.writeheader()
+            writer.writerows(row | {"machine": machine} for row in rows)
 
 
 if __name__ == "__main__":

@@ -37,3 +37,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """What `loading` has, which is imported when it is first asked for: it needs JAX, and a list of tasks does not."""
     return getattr(importlib.import_module(f"{__name__}.loading"), name)
+
+
+def __dir__() -> list[str]:
+    """All public names, those that are imported later too: what a notebook completes."""
+    return sorted({*globals(), *__all__})

@@ -66,3 +66,9 @@ def test_a_combination_without_a_name_takes_what_its_learner_has():
     )
     assert combined.hyper == alone.hyper and combined.num_epochs == alone.num_epochs
     assert dataclasses.replace(combined, relabelling=alone.relabelling) == alone
+
+
+def test_all_public_names_can_be_completed():
+    """Those that are imported when they are first asked for are listed like the others, and are there."""
+    assert set(presets.__all__) <= set(dir(presets))
+    assert all(getattr(presets, name) is not None for name in presets.__all__)
