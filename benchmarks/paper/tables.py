@@ -17,6 +17,7 @@ import fetch_study
 import frames_study
 import house_study
 import methods_study
+import sb3_her
 import study_numbers
 import trials
 import tuning_study
@@ -31,17 +32,16 @@ STUDIES = {
     "methods_study": methods_study,
     "tuning": tuning_study,
     "trials": trials,
+    "sb3_her": sb3_her,
 }
+OWN = {"trials": lambda: trials.load(trials.NUMBERS), "sb3_her": sb3_her.load}
+"""What reads the numbers of those that have no numbers.npz and no study.md."""
 MARKED = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.S)
 
 
 def load(name: str):
     """The numbers of a study."""
-    return (
-        trials.load(trials.NUMBERS)
-        if STUDIES[name] is trials
-        else study_numbers.load(RESULTS / name / study_numbers.FILE)
-    )
+    return OWN[name]() if name in OWN else study_numbers.load(RESULTS / name / study_numbers.FILE)
 
 
 def written(studies: list[str]) -> dict[Path, str]:
@@ -57,9 +57,7 @@ def written(studies: list[str]) -> dict[Path, str]:
 
     pages = {page: MARKED.sub(replace, page.read_text()) for page in PAGES}
     return pages | {
-        RESULTS / name / "study.md": STUDIES[name].report(results[name])
-        for name in studies
-        if STUDIES[name] is not trials
+        RESULTS / name / "study.md": STUDIES[name].report(results[name]) for name in studies if name not in OWN
     }
 
 
