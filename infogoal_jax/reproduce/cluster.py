@@ -11,6 +11,7 @@ import logging
 import math
 import os
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import infogoal_jax
@@ -20,7 +21,7 @@ from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, programs_of
 from infogoal_jax.reproduce.processes import MEMORY
 from infogoal_jax.reproduce.remote import Job, News, Worker, write
-from infogoal_jax.reproduce.work import BEGINNING, UNFINISHED, Outcome, Work, claim, report_failure
+from infogoal_jax.reproduce.work import BEGINNING, UNFINISHED, Outcome, Work, claim, report_failure, to_do
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 
@@ -78,7 +79,7 @@ def connected(address: str):
 @dataclasses.dataclass(eq=False)
 class Hired:
     """A worker of the cluster, and what it does. starting: its answer when it is there; job, news: answers that are
-    awaited; claims: locks of the runs that it has."""
+    awaited; received: names of the files of the job that were sent; claims: locks of the runs that it has."""
 
     number: int
     actor: Any
@@ -86,6 +87,7 @@ class Hired:
     program: Program | None = None
     job: Any = None
     news: Any = None
+    received: set[str] = dataclasses.field(default_factory=set)
     claims: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
 
 
@@ -150,14 +152,17 @@ class Keeper:
 
     def give(self, hired: Hired, program: Program) -> None:
         """Let a worker train these runs."""
-        job = Job(
-            program.runs, self.work.left(), self.checkpoints(program), self.work.goal_images, self.work.most_lanes
-        )
+        work = self.work
+        job = Job(program.runs, work.left(), self.files_of(program), work.retry, work.goal_images, work.most_lanes)
         hired.program, hired.job, hired.news = program, hired.actor.train.remote(job), hired.actor.news.remote()
 
-    def checkpoints(self, program: Program) -> dict[str, bytes]:
-        """The files of what was stopped before of these runs."""
-        names, found = {run.name for run in program.runs}, {}
+    def files_of(self, program: Program) -> dict[str, bytes]:
+        """What is there of these runs, which are not done: files of some, and checkpoints of what was stopped."""
+        names, there = (
+            {run.name for run in program.runs},
+            [files.path_of(self.work.folder, run) for run in program.runs],
+        )
+        found = {self.sent_as(path): path.read_bytes() for path in there if path.exists()}
         for path in (self.work.folder / UNFINISHED).glob("[!.]*"):
             try:
                 header, _ = checkpoint.read_header(path)
@@ -165,8 +170,12 @@ class Keeper:
                 self.work.say(f"{error}; it is passed over")
                 continue
             if names.issuperset(header.get("about", {}).get("runs", [""])):
-                found[f"{UNFINISHED}/{path.name}"] = path.read_bytes()
+                found[self.sent_as(path)] = path.read_bytes()
         return found
+
+    def sent_as(self, path: Path) -> str:
+        """The name by which a file of the folder is sent."""
+        return path.relative_to(self.work.folder).as_posix()
 
     def listen(self) -> None:
         """Wait a moment for what workers answer, and keep it."""
@@ -212,29 +221,34 @@ class Keeper:
             self.work.say(f"{hired.number}: {words}")
         for path, content in news.files.items():
             write(folder, path, content)
+            hired.received.add(path)
         if news.times:
             with open(folder / progress.TIMES, "a") as file:
                 file.write(news.times)
 
     def end(self, hired: Hired) -> None:
         """Keep what a job came to."""
-        runs = hired.program.runs
         try:
             self.keep(hired, self.ray.get(hired.job))
         except self.ray.exceptions.RayTaskError as error:
-            left = [run for run in runs if not files.path_of(self.work.folder, run).exists()]
-            report_failure(left, error, self.work, self.outcome)
-        for run in runs:
-            if files.path_of(self.work.folder, run).exists():
-                files.path_of(self.work.folder, run, "failed.json").unlink(missing_ok=True)
+            self.give_up(hired.program, error)
+        for run in hired.program.runs:
+            failure = files.path_of(self.work.folder, run, "failed.json")
+            if self.sent_as(files.path_of(self.work.folder, run)) in hired.received:
+                failure.unlink(missing_ok=True)
                 self.outcome.finished.append(run)
-            elif files.path_of(self.work.folder, run, "failed.json").exists() and run not in self.outcome.failed:
+            elif self.sent_as(failure) in hired.received:
                 self.outcome.failed.append(run)
         self.release(hired)
+
+    def give_up(self, program: Program, error: Exception) -> None:
+        """Write of what is left of a program that it failed."""
+        report_failure([run for run in program.runs if to_do(run, self.work)], error, self.work, self.outcome)
 
     def release(self, hired: Hired) -> None:
         """Let a worker have no job, and its runs be free."""
         hired.program = hired.job = hired.news = None
+        hired.received.clear()
         hired.claims.close()
 
     def lose(self, hired: Hired, error: Exception) -> None:
@@ -256,8 +270,7 @@ class Keeper:
         if self.losses[name] < LOSSES:
             self.queue.appendleft((program, False))
         else:
-            left = [run for run in program.runs if not files.path_of(self.work.folder, run).exists()]
-            report_failure(left, error, self.work, self.outcome)
+            self.give_up(program, error)
 
     def dismiss(self) -> None:
         """Send all workers away, and let all runs be free."""

@@ -25,14 +25,15 @@ OWN = (".lock", ".partial")
 
 
 class Job(NamedTuple):
-    """What a worker is to train. runs: of one program; seconds: that it has; files: checkpoints of these runs, {path in
-    the folder: content}; goal_images, most_lanes: as in `Work`."""
+    """What a worker is to train. runs: of one program; seconds: that it has; files: what is there of these runs, {path
+    in the folder: content}; retry, goal_images, most_lanes: as in `Work`."""
 
     runs: tuple[Run, ...]
-    seconds: float
-    files: dict[str, bytes]
-    goal_images: Path | None
-    most_lanes: int
+    seconds: float = float("inf")
+    files: dict[str, bytes] = {}  # noqa: RUF012 (never written to)
+    retry: bool = False
+    goal_images: Path | None = None
+    most_lanes: int = 64
 
 
 class News(NamedTuple):
@@ -67,9 +68,10 @@ class Worker:
                 self.work = Work(
                     folder,
                     time.time() + job.seconds,
-                    goal_images=job.goal_images,
-                    most_lanes=job.most_lanes,
-                    say=lambda words: self.said.append(words),
+                    job.retry,
+                    job.goal_images,
+                    job.most_lanes,
+                    lambda words: self.said.append(words),
                 )
             try:
                 work_on(list(job.runs), self.work)

@@ -62,7 +62,7 @@ def test_a_worker_sends_what_it_wrote_and_goes_on_with_what_it_is_sent(tmp_path)
     reproduce(whole, 1)
     first = remote.Worker()
     with killed_reproduction.small_programs(tmp_path):
-        job = remote.Job(tuple(runs(1)), float("inf"), {}, None, 64)
+        job = remote.Job(tuple(runs(1)))
         with stopping_at_first_evaluation(first):
             news = first.train(job)
         assert any("a checkpoint is kept" in words for words in news.said)
