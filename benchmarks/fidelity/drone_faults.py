@@ -96,7 +96,7 @@ def write_policy(path: Path, values=(0.3, 0.4, 0.2, 0.1), objects=(NOWHERE,), si
         "goal_objects": list(objects),
     }
     kinds = [[[*size, 3], "uint8"], [[384], "float32"], [[1], "float32"]]
-    program = {"constants": 1, "inputs": [[1, 2, 3], kinds], "operations": [], "output": 0}
+    program = {"constants": 1, "inputs": [[1, 2, 3], kinds], "operations": [], "outputs": [0]}
     np.savez(
         path,
         about=json.dumps(about),

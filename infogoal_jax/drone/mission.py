@@ -142,12 +142,13 @@ def read_policy(file: Path, given: str) -> ExportedPolicy:
         policy = ExportedPolicy(regular(file))
         place = Place(file, remedy="export the policy again")
         about = decode(About, policy.about, place)
-        shape, kind = policy.program["inputs"][1][0]
+        (shape, kind), outputs = policy.program["inputs"][1][0], policy.program["outputs"]
     except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(
             f"policy = {given!r}: is no file of `infogoal export` ({error}); give one, or a run's folder"
         ) from error
-    fits = set(about.actions) == set(MOVES) and len(shape) == 3 and shape[-1] == 3 and kind == "uint8"
+    sees = len(shape) == 3 and shape[-1] == 3 and kind == "uint8"
+    fits = set(about.actions) == set(MOVES) and len(outputs) == 1 and sees
     require(fits, "policy", given, f"cannot fly: it needs the moves {', '.join(MOVES)} and colour images")
     return policy
 

@@ -62,7 +62,10 @@ def test_policies_that_cannot_fly(tmp_path):
     (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
     np.savez(tmp_path / "list.npz", about=np.array("[]"), program=np.array("5"))
     np.savez(tmp_path / "few.npz", about=np.array('{"actions": 3}'), program=np.array('{"constants": 0}'))
-    paths = [tmp_path / f"{name}.npz" for name in ("words", "nothing", "pipe", "cut", "list", "few")]
+    members = dict(np.load(tmp_path / "whole.npz"))
+    members["program"] = np.array(str(members["program"]).replace("outputs", "output"))
+    np.savez(tmp_path / "earlier.npz", **members)
+    paths = [tmp_path / f"{name}.npz" for name in ("words", "nothing", "pipe", "cut", "list", "few", "earlier")]
     for path in (*paths, questions.SHIPPED_EMBEDDINGS):
         with pytest.raises(UserError, match="no file of `infogoal export`"):
             mission.load_policy(str(path))
