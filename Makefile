@@ -31,7 +31,7 @@ docs: $(READY_FOR_ALL)
 
 # What the site and the long tests need besides.
 $(READY_FOR_ALL): $(READY)
-	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs,wandb]'
+	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[docs,ray,wandb]'
 	touch $@
 
 $(READY): pyproject.toml constraints.txt

@@ -81,7 +81,8 @@ def main():
     parser.add_argument("--steps", type=int, default=10_000, help="environment steps of training")
     parser.add_argument("--every", type=int, default=1000, help="steps between evaluations")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of an evaluation")
-    parser.add_argument("--seeds", type=int, default=1, help="seeds 0, 1, 2, ..., one after the other")
+    parser.add_argument("--seeds", type=int, default=1, help="seeds, one after the other")
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="folder to write numbers.csv to")
     arguments = parser.parse_args()
 
@@ -92,7 +93,8 @@ def main():
     test_env.step(test_env.action_space.sample())  # Compiles before the clock starts.
     print(" seed    steps CPU seconds  success")
     sizes = arguments.steps, arguments.every, arguments.episodes
-    rows = [row for seed in range(arguments.seeds) for row in curve(arguments.task, seed, *sizes, test_env)]
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    rows = [row for seed in seeds for row in curve(arguments.task, seed, *sizes, test_env)]
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
         with open(arguments.out / "numbers.csv", "w", newline="") as file:

@@ -102,16 +102,15 @@ class Keeper:
         self.losses: dict[str, int] = {}
         self.workers: list[Hired] = []
         self.hired = self.unfit = 0
-        self.outcome, self.told = Outcome(), False
+        self.outcome = Outcome()
 
     def run(self) -> Outcome:
         """Until all is done, or nothing is to be begun and all workers have stopped."""
         while True:
             ending = self.stop.requested or self.work.left() < BEGINNING
-            if self.stop.requested and not self.told:
-                self.told = True
+            if self.stop.requested:
                 for hired in self.busy():
-                    hired.actor.stop.remote()
+                    hired.actor.stop.remote()  # Again each time: one may just be beginning.
             if not ending:
                 self.hand_out()
             if not self.busy() and (ending or not self.queue):
