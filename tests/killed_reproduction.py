@@ -12,7 +12,7 @@ import hand_made
 import jax.numpy as jnp
 from killed_run import small_train
 
-from infogoal_jax.reproduce import files, lanes, measure, plan, work
+from infogoal_jax.reproduce import files, finishing, lanes, needs, plan, work
 from infogoal_jax.reproduce.manifest import Lane, Run
 from infogoal_jax.reproduce.work import Outcome, Work, work_on
 
@@ -49,8 +49,9 @@ def counted_train(config, env=None):
 
 
 @contextlib.contextmanager
-def small_programs(folder: Path):
-    """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished."""
+def small_programs(folder: Path, judge=None):
+    """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished. judge: what is
+    measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted."""
 
     def logged(words: str) -> None:
         with open(folder / LOG, "a") as file:
@@ -84,17 +85,20 @@ def small_programs(folder: Path):
             (lanes, "begin", begin),
             (lanes, "go_on", go_on),
             (files, "save", save),
-            (measure, "is_pictured", lambda run: False),
+            (needs, "is_pictured", lambda run: False),
+            (needs, "is_judged", lambda run: judge is not None),
+            (finishing, "MEASURES", {"codes": judge}),
         ):
             patches.enter_context(mock.patch.object(module, name, value))
         yield
 
 
-def reproduce(folder: Path, count: int = 3, **settings) -> Outcome:
-    """Train what is left of these runs, in this process."""
+def reproduce(folder: Path, wanted: int | list[Run] = 3, judge=None, **settings) -> Outcome:
+    """Train what is left of these runs, in this process. wanted: the runs, or how many programs of them."""
     folder.mkdir(parents=True, exist_ok=True)
-    with small_programs(folder):
-        return work_on(runs(count), Work(folder, **({"say": lambda words: None} | settings)))
+    with small_programs(folder, judge):
+        wanted = runs(wanted) if isinstance(wanted, int) else wanted
+        return work_on(wanted, Work(folder, **({"say": lambda words: None} | settings)))
 
 
 for_good = contextlib.ExitStack()

@@ -8,7 +8,8 @@ import numpy as np
 
 from infogoal_jax.reproduce.files import Result, recorded_config
 from infogoal_jax.reproduce.manifest import STUDIES, Choice, Run, command_of, runs_of
-from infogoal_jax.reproduce.measure import WEIGHTS, is_pictured
+from infogoal_jax.reproduce.measure import WEIGHTS
+from infogoal_jax.reproduce.needs import is_judged, is_pictured
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.reproduce.plan import config_of
@@ -46,6 +47,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
     uses = np.repeat([0, 2], [GOALS // 2, GOALS // 2]).astype(np.int8)
     first = draw.integers(1, LENGTH + 2, (len(run.seeds), EVALUATIONS, GOALS, STARTS)).astype(np.uint8)
     arrays = {"first_reached": first, "uses": uses} | (pictures_of(run, draw) if is_pictured(run) else {})
+    arrays |= codes_of(run, draw) if is_judged(run) else {}
     known = {
         "config": configuration(run.task, run.method, run.relabelling, run.explorer),
         "data": "made up",
@@ -67,6 +69,15 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
         {name: value.astype(np.float32).astype(float) for name, value in evaluations.items()},
         arrays,
     )
+
+
+def codes_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:
+    """What claims say of a run's codes: those of InfoGoal lie together."""
+    views, level = 1 + len(WEIGHTS) * (run.task in IMAGE_TASKS), 0.6 if run.method == "infogoal" else 0.1
+    found = {"closeness": level + 0.02 * draw.normal(size=(len(run.seeds), views))}
+    if run.method == "infogoal" and run.task not in IMAGE_TASKS:
+        found["reward"] = 0.5 + 0.02 * draw.normal(size=len(run.seeds))
+    return {f"codes/{name}": value.astype(np.float32) for name, value in found.items()}
 
 
 def pictures_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:

@@ -16,13 +16,12 @@ from typing import Any
 
 import infogoal_jax
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import files, progress
+from infogoal_jax.reproduce import checkpoints, files, progress
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, programs_of
 from infogoal_jax.reproduce.processes import MEMORY
 from infogoal_jax.reproduce.remote import Job, News, Worker, write
-from infogoal_jax.reproduce.work import BEGINNING, UNFINISHED, Outcome, Work, claim, report_failure, to_do
-from infogoal_jax.runs import checkpoint
+from infogoal_jax.reproduce.work import BEGINNING, Outcome, Work, claim, report_failure, to_do
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 
 WAIT = 0.5
@@ -162,14 +161,10 @@ class Keeper:
             [files.path_of(self.work.folder, run) for run in program.runs],
         )
         found = {self.sent_as(path): path.read_bytes() for path in there if path.exists()}
-        for path in (self.work.folder / UNFINISHED).glob("[!.]*"):
-            try:
-                header, _ = checkpoint.read_header(path)
-            except UserError as error:
-                self.work.say(f"{error}; it is passed over")
-                continue
-            if names.issuperset(header.get("about", {}).get("runs", [""])):
-                found[self.sent_as(path)] = path.read_bytes()
+        for path, own in checkpoints.kept(self.work.folder).items():
+            if names & own:
+                with contextlib.suppress(FileNotFoundError):  # Another process came to its end with it.
+                    found[self.sent_as(path)] = path.read_bytes()
         return found
 
     def sent_as(self, path: Path) -> str:
@@ -238,6 +233,7 @@ class Keeper:
                 self.outcome.finished.append(run)
             elif self.sent_as(failure) in hired.received:
                 self.outcome.failed.append(run)
+        checkpoints.delete_measured(self.work.folder, hired.program.runs)
         self.release(hired)
 
     def give_up(self, program: Program, error: Exception) -> None:

@@ -15,6 +15,8 @@ from infogoal_jax.reproduce.work import Work, work_on
 from infogoal_jax.train.compilation import use_compilation_cache
 
 DONE, FAILED, MORE = 0, 1, 130
+DRAWING = 60.0
+"""Seconds that have to be left for drawing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +63,9 @@ class Asked:
         if self.known is None:
             return runs
         known = numbers.load(self.known)
-        return [run for run in runs if not numbers.holds(known, run, config_of(run, self.goal_images))]
+        return [
+            run for run in runs if not numbers.holds(known, run, config_of(run, self.goal_images), measured=self.retry)
+        ]
 
 
 def reproduce(asked: Asked) -> int:
@@ -77,6 +81,7 @@ def reproduce(asked: Asked) -> int:
     if asked.numbers is not None:
         draw(asked, numbers.load(asked.numbers))
         return DONE
+    check_size(asked)
     runs = asked.runs()
     if not runs:
         print(f"{asked.known} holds all of these runs")
@@ -84,17 +89,39 @@ def reproduce(asked: Asked) -> int:
     if asked.list_runs:
         list_programs(asked, runs)
         return DONE
-    stopped = ENGINES[asked.engine](asked, runs, deadline)
-    print(progress.summary(asked.out, runs), flush=True)
-    states = {run: progress.state_of(asked.out, run) for run in runs}
+    ENGINES[asked.engine](asked, runs, deadline)
+    states = {run: progress.sound_state_of(asked.out, run, config_of(run, asked.goal_images)) for run in runs}
+    print(progress.summary(asked.out, runs, states), flush=True)
     for run, state in states.items():
-        if state.kind == "failed":
-            print(f"failed: {run.name}: {state.words[:300]} (--retry runs it again)")
+        if state.kind in ("failed", "not measured"):
+            print(f"{state.kind}: {run.name}: {state.words[:300]} (--retry runs it again)")
     kinds = {state.kind for state in states.values()}
-    if asked.draw and "done" in kinds and not stopped:
-        known = {} if asked.known is None else numbers.load(asked.known)
-        draw(asked, known | numbers.of_folder(asked.out / "runs"))
-    return FAILED if "failed" in kinds else DONE if kinds == {"done"} else MORE
+    if asked.draw and "left" not in kinds and kinds & {"done", "not measured"}:
+        if deadline - time.time() > DRAWING:
+            known = {} if asked.known is None else numbers.load(asked.known)
+            draw(asked, known | numbers.of_folder(asked.out / "runs"))
+        else:
+            print("no time was left to draw; the same command draws")
+    return FAILED if "failed" in kinds else DONE if kinds <= {"done", "not measured"} else MORE
+
+
+def check_size(asked: Asked) -> None:
+    """Raise `UserError` where the folder, or the known numbers, hold runs at toy size and runs of full size are asked
+    for, or the other way round: they would be drawn in one table."""
+    known = [] if asked.known is None else [run.name for run in numbers.load(asked.known)]
+    for flag, folder, names in (
+        ("out", asked.out, (path.name.partition(".")[0] for path in (asked.out / "runs").rglob("seeds_*"))),
+        ("known", asked.known, known),
+    ):
+        for name in names:
+            toy = name.endswith("_toy")
+            held, remedy = ("at toy size", "with") if toy else ("of full size", "without")
+            require(
+                toy == asked.quick,
+                "quick",
+                asked.quick,
+                f"the folder of --{flag}, {folder}, holds runs {held}; give another folder, or go on {remedy} --quick",
+            )
 
 
 def work_of(asked: Asked, deadline: float) -> Work:
@@ -103,25 +130,29 @@ def work_of(asked: Asked, deadline: float) -> Work:
     return Work(asked.out, deadline, asked.retry, asked.goal_images, asked.lanes, say)
 
 
-def work_here(asked: Asked, runs: list[Run], deadline: float) -> bool:
-    """Train what is left in this process, or in several. Whether it stopped before the end."""
+def work_here(asked: Asked, runs: list[Run], deadline: float) -> None:
+    """Train what is left in this process, or in several. One of several that ends while others still work says that
+    there is more to do: whether there is, is seen in the folder when all have ended."""
     if asked.processes <= 1:
         use_compilation_cache()
-        return work_on(runs, work_of(asked, deadline)).stopped
+        work_on(runs, work_of(asked, deadline))
+        return
     minutes = 0.0 if deadline == float("inf") else max(0.01, (deadline - time.time()) / 60)
-    status = work_side_by_side(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
-    return status not in (DONE, FAILED)
+    statuses = work_side_by_side(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
+    for number, status in enumerate(statuses):
+        if status not in (DONE, FAILED, MORE):
+            print(f"process {number} ended with status {status}; what it had begun is left", flush=True)
 
 
-def work_by_ray(asked: Asked, runs: list[Run], deadline: float) -> bool:
-    """Train what is left by the workers of a Ray cluster. Whether it stopped before the end."""
+def work_by_ray(asked: Asked, runs: list[Run], deadline: float) -> None:
+    """Train what is left by the workers of a Ray cluster."""
     from infogoal_jax.reproduce.cluster import work_on_cluster
 
-    return work_on_cluster(runs, work_of(asked, deadline), asked.processes, asked.ray_address).stopped
+    work_on_cluster(runs, work_of(asked, deadline), asked.processes, asked.ray_address)
 
 
 ENGINES = {"processes": work_here, "ray": work_by_ray}
-"""Who trains, by the name of `--engine`: (asked, runs, deadline) -> whether it stopped before the end."""
+"""Who trains, by the name of `--engine`: (asked, runs, deadline)."""
 
 
 def list_programs(asked: Asked, runs: list[Run]) -> None:

@@ -3,7 +3,7 @@
 FOLDER/runs/RUN.npz           a finished run
 FOLDER/runs/RUN.failed.json   why a run failed
 FOLDER/runs/RUN.lock          the run is being trained, by the process that holds the lock of this file
-FOLDER/unfinished/            checkpoints of what was stopped by the clock or by a signal
+FOLDER/unfinished/            checkpoints of what was stopped, and of what is not yet measured
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.reproduce import budget, needs
 from infogoal_jax.reproduce.manifest import Lane, Run
 from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
 from infogoal_jax.runs import disk
@@ -25,7 +26,7 @@ from infogoal_jax.runs.configuration import from_dict, to_dict
 
 FORMAT = 1
 REMEDY = "run it again"
-Status = Literal["done", "damaged", "other settings", "failed", "left"]
+Status = Literal["done", "not measured", "damaged", "other settings", "failed", "left"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +43,10 @@ class Result:
     def command(self) -> str:
         """The command line that makes the run."""
         return str(self.about["command"])
+
+    def missing(self) -> list[str]:
+        """What is to be measured of the run and was not."""
+        return needs.missing(self.run, self.about["learner_share"], self.arrays)
 
 
 def path_of(folder: Path, run: Run, ending: str = "npz") -> Path:
@@ -119,23 +124,44 @@ def read(path: Path) -> Result:
         return unpacked({name: archives.member(archive, name, REMEDY) for name in archive.sizes})
 
 
+def is_current(result: "Result", config: TrainConfig) -> bool:
+    """Whether a run was made with this configuration and trained to its end: what was stopped at a ceiling that is
+    higher today was not."""
+    curve = result.evaluations["train_goal/success_rate"]
+    return was_made_with(result, config) and budget.is_trained(curve, result.run.task, result.run.toy)
+
+
+def has_failed(folder: Path, run: Run) -> bool:
+    """Whether the run failed since its file was written, if it ever was."""
+    try:
+        failed = path_of(folder, run, "failed.json").stat().st_mtime_ns
+        return not path_of(folder, run).exists() or path_of(folder, run).stat().st_mtime_ns <= failed
+    except FileNotFoundError:
+        return False
+
+
+def why_failed(folder: Path, run: Run) -> str:
+    """Why a run failed."""
+    try:
+        return str(json.loads(path_of(folder, run, "failed.json").read_text())["why"])
+    except (OSError, ValueError, KeyError) as error:
+        return f"its report cannot be read ({error})"
+
+
 def status_of(folder: Path, run: Run, config: TrainConfig) -> tuple[Status, str]:
     """Whether a run is done, and if not, why. config: that it should have been trained with."""
-    if path_of(folder, run).exists():
-        try:
-            found = read(path_of(folder, run))
-        except UserError as error:
-            return "damaged", str(error)
-        if found.run != run or not was_made_with(found, config):
-            return "other settings", "it was trained with other settings than the preset has now"
-        return "done", ""
-    failed = path_of(folder, run, "failed.json")
-    if failed.exists():
-        try:
-            return "failed", str(json.loads(failed.read_text())["why"])
-        except (OSError, ValueError, KeyError) as error:
-            return "failed", f"and its report cannot be read ({error})"
-    return "left", ""
+    if has_failed(folder, run):
+        return "failed", why_failed(folder, run)
+    if not path_of(folder, run).exists():
+        return "left", ""
+    try:
+        found = read(path_of(folder, run))
+    except UserError as error:
+        return "damaged", str(error)
+    if found.run != run or not is_current(found, config):
+        return "other settings", "it was trained with other settings, or for less long, than the preset has now"
+    missing = found.missing()
+    return ("not measured", found.about["measuring_failed"] or f"without {missing[0]}") if missing else ("done", "")
 
 
 def write_failure(folder: Path, run: Run, why: str, trace: str) -> None:

@@ -4,8 +4,6 @@ The environments of the goal sets are stacked where their arrays differ, and eac
 """
 
 import dataclasses
-import json
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,13 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.reproduce import measure
 from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
 from infogoal_jax.reproduce.padding import with_one_shape
 from infogoal_jax.reproduce.plan import build_data, config_of
-from infogoal_jax.runs import checkpoint
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.chunk import chunk_of
 from infogoal_jax.train.compilation import jit
@@ -57,26 +53,37 @@ class Batch:
 
 @dataclasses.dataclass
 class Training:
-    """A batch while it is trained. states: [goal sets, lanes, ...]; history: of each metric a list of arrays [goal
-    sets, lanes, ...], one an evaluation; finite: bool [goal sets, lanes]; share: `measure.learner_share`, compiled."""
+    """A batch while it is trained. initial: makes the first states; compiling: begins to compile the program, and
+    returns what waits for it; share: `measure.learner_share`, which compiles at its first call; states: [goal sets,
+    lanes, ...], their shapes before `prepare` or a checkpoint gives them; finite: bool [goal sets, lanes]; started:
+    seconds of `time.time()`; chunk: the program, None before `prepare`; history: of each metric a list of arrays [goal
+    sets, lanes, ...], one an evaluation; spans: from when to when earlier processes worked on it."""
 
     batch: Batch
     train: Train
     hyper: Any
     leaves: list
-    chunk: Callable
+    initial: Callable[[], Any]
+    compiling: Callable[[], Callable[[], Callable]]
     share: Callable | None
     states: Any
-    history: dict[str, list[np.ndarray]]
     finite: np.ndarray
-    compile_seconds: float
+    started: float
+    compile_seconds: float = 0.0
+    chunk: Callable | None = None
+    history: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
     run_seconds: float = 0.0
     last_seconds: float = 0.0
+    spans: list[list[float]] = dataclasses.field(default_factory=list)
 
     @property
     def evaluations(self) -> int:
         """How many there were."""
         return len(self.history["train_goal/success_rate"]) if self.history else 0
+
+    def spans_until_now(self) -> list[list[float]]:
+        """From when to when processes worked on it, seconds of `time.time()`; the last one until now."""
+        return [*self.spans, [round(self.started), round(time.time())]]
 
     def env_of(self, place: int) -> Any:
         """The environment of a goal set."""
@@ -156,8 +163,9 @@ def fitting(config: TrainConfig, env: Any, count: int) -> int:
 
 
 def begin(batch: Batch) -> Training:
-    """Compile the program of a batch and make the state before its first epoch."""
-    started = time.perf_counter()
+    """A batch before its first epoch, neither compiled nor with states: a checkpoint may have them, or show that nothing
+    is left to train."""
+    began, started = time.time(), time.perf_counter()
     train = make_train(batch.config, batch.envs[0])
     flat = [jax.tree.leaves(env) for env in batch.envs]
     whole = jax.tree.structure(batch.envs[0])  # Its words stand for those of all goal sets.
@@ -209,13 +217,32 @@ def begin(batch: Batch) -> Training:
         return state, learned | {"finite": finite}
 
     numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
+    shapes = jax.eval_shape(initial, seeds, hyper, leaves)
     chunk = chunk_of(over_lanes(step, (0, None, 0)), over_lanes(train.evaluation, (0, 0)))
-    chunk = chunk.compiling(jax.eval_shape(initial, seeds, hyper, leaves), numbers, hyper, leaves)
-    states, chunk = initial(seeds, hyper, leaves), chunk()
-    share = measure.learner_share(train)
-    taken, share = time.perf_counter() - started, share and jit(share)
-    finite = np.ones(shape, bool)
-    return Training(batch, train, hyper, leaves, chunk, share, states, {}, finite, taken)
+    share, finite = measure.learner_share(train), np.ones(shape, bool)
+    return Training(
+        batch,
+        train,
+        hyper,
+        leaves,
+        lambda: initial(seeds, hyper, leaves),
+        lambda: chunk.compiling(shapes, numbers, hyper, leaves),
+        share and jit(share),
+        shapes,
+        finite,
+        began,
+        compile_seconds=time.perf_counter() - started,
+    )
+
+
+def prepare(training: Training) -> None:
+    """Make the first states, unless a checkpoint gave others, and compile the program at the same time."""
+    started = time.perf_counter()
+    compiled = training.compiling()
+    if not training.evaluations:
+        training.states = training.initial()
+    training.chunk = compiled()
+    training.compile_seconds += time.perf_counter() - started
 
 
 def learned_names(train: Train, epochs: dict) -> list[str]:
@@ -225,6 +252,8 @@ def learned_names(train: Train, epochs: dict) -> list[str]:
 
 def go_on(training: Training) -> None:
     """Train until the next evaluation and keep its numbers."""
+    if training.chunk is None:
+        prepare(training)
     started, length = time.perf_counter(), training.batch.config.epochs_per_evaluation
     numbers = jnp.arange(length, dtype=jnp.int32) + training.evaluations * length
     training.states, learned, scored = training.chunk(training.states, numbers, training.hyper, training.leaves)
@@ -234,35 +263,3 @@ def go_on(training: Training) -> None:
         training.history.setdefault(name, []).append(np.asarray(value))
     training.last_seconds = time.perf_counter() - started
     training.run_seconds += training.last_seconds
-
-
-def described(training: Training) -> dict[str, Any]:
-    """What a checkpoint has to be of: the configuration, the data and the runs."""
-    about = host.describe(training.batch.config, training.batch.envs[0], [seed for _, seed in training.batch.lanes])
-    return json.loads(json.dumps(about.values() | {"runs": sorted(run.name for run in training.batch.runs.values())}))
-
-
-def save(path: Path, training: Training) -> None:
-    """Write a checkpoint of a batch. Raises `UserError` if the disk refuses."""
-    history = {name: np.stack(values).tolist() for name, values in training.history.items()}
-    header = {"about": described(training), "history": history, "run_seconds": training.run_seconds}
-    checkpoint.save(path, header | {"finite": training.finite.tolist()}, training.states)
-
-
-def resume(path: Path, training: Training) -> bool:
-    """Go on from the checkpoint of this batch, if there is one. One that is damaged or of other settings is passed
-    over. Returns whether there was one."""
-    if not path.exists():
-        return False
-    try:
-        header, payload = checkpoint.read_header(path)
-        if header.get("about") != described(training):
-            return False
-        states = checkpoint.arrays(path, payload, training.states)
-    except UserError as error:
-        print(f"infogoal: {error}; it is passed over", file=sys.stderr)
-        return False
-    training.states = jax.device_put(states)
-    training.history = {name: list(np.asarray(values)) for name, values in header["history"].items()}
-    training.finite, training.run_seconds = np.asarray(header["finite"], bool), header["run_seconds"]
-    return True

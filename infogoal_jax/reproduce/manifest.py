@@ -27,11 +27,15 @@ METHODS = {
 }
 """The rows of Table I, in its order."""
 LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
+WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
+"""Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
 WAYS = {"paper": "the paper's way", "her": "every learner with HER"}
 SETS = {"object_search": (0, 1, 2), "object_manipulation": (0, 1, 2), "embodied_qa": (0, 1, 2)}
 """Goal sets of a task: seeds of the house, of the cube with its poses and of the shelf, none of which was used for
 tuning. Fetch has the shipped goal images as set 0, and further ones where a folder of them is given."""
 FETCH = presets.FETCH_TASKS
+GOAL_IMAGES = "GOAL_IMAGES"
+"""Stands in commands for the folder of the further goal images of Fetch, wherever it lies."""
 DRAWN = ("infogoal", "infobot", "gcb", "none")
 """Methods whose codes and ways Figures 9, 10 and 11 show."""
 EXTERNAL = ("external reward alone", (("intrinsic_weight", 0.0),))
@@ -243,6 +247,8 @@ def command_of(run: Run) -> list[str]:
         words += ["--seeds", str(len(run.seeds))]
     elif len(run.seeds) > 1:
         words += ["--seeds", str(len(run.seeds))]
+    if run.task in FETCH and run.goal_set:
+        words += ["--goal-images", GOAL_IMAGES]
     return words + ["--quick"] * run.toy
 
 

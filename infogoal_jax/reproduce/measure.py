@@ -1,6 +1,7 @@
 """What is measured of a run when its training has ended: how much of the goal encoder's gradient its method's own loss
-makes, and what its pictures are drawn from."""
+makes, what claims say of its codes, and what its pictures are drawn from."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from infogoal_jax.report.image_goal_episodes import is_fetch, policy_episodes, s
 from infogoal_jax.report.image_goal_figures import spread_goals
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, reward_of_images, walks_of_policy
-from infogoal_jax.reproduce.manifest import DRAWN, Run
-from infogoal_jax.train.combinations import has_own_loss
+from infogoal_jax.reproduce import codes
+from infogoal_jax.train.combinations import has_own_loss, has_reward
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.program import Train
@@ -30,7 +31,6 @@ WEIGHTS = (0.1, 0.2, 0.4, 0.8)
 """Of the backgrounds in Figures 9 and 14 [P]."""
 WAYS = 4
 """Test goals whose ways are drawn [P]."""
-PICTURED = ("object_search", "embodied_qa", "fetch_pick_and_place", "object_manipulation")
 BATCHES = 8
 """Over which the share of the gradient is a mean."""
 STEP = 1e4
@@ -75,51 +75,75 @@ def learner_share(train: Train) -> Any:
     return share
 
 
-def is_pictured(run: Run) -> bool:
-    """Whether a figure shows codes or ways of this run."""
-    return run.goal_set == 0 and run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
+def on(train: Train, config: TrainConfig, env: Any) -> Train:
+    """The training of a batch, as that of one of its runs."""
+    return dataclasses.replace(train, env=env, config=config)
 
 
-def subject_of(train: Train, config: TrainConfig, env: Any, params: Any, seed: int) -> Subject:
+def subject_of(train: Train, params: Any, seed: int) -> Subject:
     """One seed of a run, as the figures of a run take it."""
-    import dataclasses
-
-    train = dataclasses.replace(train, env=env, config=config)
-    run = RunInFolder(config, [seed], env.source, {}, "", Path())
+    run = RunInFolder(train.config, [seed], train.env.source, {}, "", Path())
     return Subject(run, train, None, None, {}, params, seed)
 
 
 def pictures(subject: Subject) -> dict[str, np.ndarray]:
     """Arrays of codes, ways and intrinsic rewards, by name; see `codes_of`, `ways_of_images` and `ways_on_graph`."""
     env = subject.train.env
-    shown = np.flatnonzero(~np.asarray(env.goals.validation_mask)) if env.goals.num_goals <= 1000 else None
-    if shown is None:
-        shown = np.flatnonzero(np.asarray(env.goals.train_mask) | np.asarray(env.goals.test_mask))
-    found = codes_of(subject, shown)
+    found = codes_of(subject.train, jax.tree.map(lambda leaf: leaf[None], subject.params["goal"]))
+    found = {name: value[0] if name in ("code_mean", "code_std") else value for name, value in found.items()}
     found |= ways_of_images(subject) if has_image_goals(env) else ways_on_graph(subject)
     return {f"picture/{name}": value for name, value in found.items()}
 
 
-def codes_of(subject: Subject, which: np.ndarray) -> dict[str, np.ndarray]:
-    """Codes of these goals [M], clean and under each weight of the backgrounds. code_mean, code_std (of a random code):
-    float16 [1 + weights, M, d]; code_region int [M]; code_use int [M]: 0 training, 1 validation, 2 test, 3 other."""
-    env, params = subject.train.env, subject.params["goal"]
-    encode = jax.jit(lambda params, inputs: subject.train.parts.learner.encode(params, inputs))
+def shown_goals(env: Any) -> np.ndarray:
+    """The goals whose codes are shown: all but validation goals, of more than 1000 training and test goals alone."""
+    goals = env.goals
+    few = goals.num_goals <= 1000
+    return np.flatnonzero(~np.asarray(goals.validation_mask) if few else np.asarray(goals.train_mask | goals.test_mask))
+
+
+def codes_of(train: Train, params: Any) -> dict[str, np.ndarray]:
+    """Codes of the shown goals [M] by the goal encoders of seeds [seeds, ...], clean and under each weight of the
+    backgrounds. code_mean, code_std (of a random code): float16 [seeds, 1 + weights, M, d]; code_region int [M];
+    code_use int [M]: 0 training, 1 validation, 2 test, 3 other."""
+    env, which = train.env, shown_goals(train.env)
+    encode = jax.jit(jax.vmap(train.parts.learner.encode, in_axes=(0, None)))
     if has_image_goals(env):
         images = [seen_images(env, which, weight, EVALUATION_SEED) for weight in (0.0, *WEIGHTS)]
     else:
         images = [env.goals.inputs_of(which)]
-    codes = [jax.device_get(encode(params, image)) for image in images]
+    encoded = [jax.device_get(encode(params, image)) for image in images]
     masks = [np.asarray(mask)[which] for mask in (env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask)]
-    use = np.select(masks, [0, 1, 2], 3).astype(np.int8)
     found = {
-        "code_mean": np.stack([code.mean for code in codes]).astype(np.float16),
+        "code_mean": np.stack([code.mean for code in encoded], 1).astype(np.float16),
         "code_region": np.asarray(env.goals.regions)[which].astype(np.int16),
-        "code_use": use,
+        "code_use": np.select(masks, [0, 1, 2], 3).astype(np.int8),
     }
-    if codes[0].std is not None:
-        found["code_std"] = np.stack([code.std for code in codes]).astype(np.float16)
+    if encoded[0].std is not None:
+        found["code_std"] = np.stack([code.std for code in encoded], 1).astype(np.float16)
     return found
+
+
+def judged_codes(train: Train, params: Any, seeds: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """What claims say of the codes of each seed, params [seeds, ...]. codes/closeness: float32 [seeds, 1 + weights],
+    `codes.closeness` of clean goals and under each weight of the backgrounds; where the learner has an intrinsic reward
+    on a graph, codes/reward: float32 [seeds], `codes.reward_by_distance`, mean over a training goal a region."""
+    env, found = train.env, codes_of(train, params["goal"])
+    by_view = [
+        [codes.closeness(view, found["code_region"], found["code_use"]) for view in seed] for seed in found["code_mean"]
+    ]
+    judged = {"codes/closeness": np.array(by_view, np.float32)}
+    if has_image_goals(env) or not has_reward(train.parts.learner):
+        return judged
+    place, in_view = np.asarray(env.position)[:, :2], np.asarray(env.in_view)
+    goals = {goal: np.nanmean(place[in_view[:, goal]], axis=0) for goal in one_goal_a_region(env, env.goals.train_mask)}
+    rewards = []
+    for number, seed in enumerate(seeds):
+        subject = subject_of(train, jax.tree.map(lambda leaf, own=number: leaf[own], params), seed)
+        rewards.append(
+            [codes.reward_by_distance(reward_of_images(subject, goal), place, middle) for goal, middle in goals.items()]
+        )
+    return judged | {"codes/reward": np.mean(rewards, axis=1).astype(np.float32)}
 
 
 def ways_of_images(subject: Subject) -> dict[str, np.ndarray]:

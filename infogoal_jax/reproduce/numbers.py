@@ -49,7 +49,7 @@ def compact(result: Result) -> Result:
 def of_folder(folder: Path) -> Results:
     """The finished runs in the folder of a reproduction, compact. Raises `UserError` for a damaged file."""
     found = (compact(files.read(path)) for path in sorted(folder.rglob("*.npz")) if not is_study(path))
-    return {result.run: result for result in found}
+    return of_one_size({result.run: result for result in found}, "out", str(folder))
 
 
 def is_study(path: Path) -> bool:
@@ -75,18 +75,25 @@ def load(folder: Path) -> Results:
                     }
                     result = files.unpacked(own | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
                     found[result.run] = result
-    return found
+    return of_one_size(found, "from", str(folder))
 
 
-def holds(results: Results, run: Run, config: TrainConfig) -> bool:
-    """Whether these numbers have the run, with the settings of the configuration and trained to its end: what was
-    stopped at a ceiling that is higher today is not."""
+def holds(results: Results, run: Run, config: TrainConfig, measured: bool = False) -> bool:
+    """Whether these numbers have the run, with the settings of the configuration and trained to its end. measured:
+    whether it has to be measured, too."""
     found = results.get(run)
-    return (
-        found is not None
-        and files.was_made_with(found, config)
-        and budget.is_trained(found.evaluations["train_goal/success_rate"], run.task, run.toy)
-    )
+    return found is not None and files.is_current(found, config) and not (measured and found.missing())
+
+
+def of_one_size(results: Results, field: str, value: str) -> Results:
+    """The results. Raises `UserError` where some are at toy size and others of full size, which no table may mix."""
+    toy = [run.name for run in results if run.toy]
+    full = next((run.name for run in results if not run.toy), "")
+    if toy and full:
+        raise UserError(
+            f"{field} = {value!r}: {toy[0]} is at toy size and {full} of full size; keep them in folders of their own"
+        )
+    return results
 
 
 def save(results: Results, folder: Path) -> list[Path]:
@@ -122,5 +129,5 @@ def merged(folders: list[Path], into: Path) -> Results:
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
         new = load(folder) if any((folder / f"{home}.npz").exists() for home in HOMES) else of_folder(folder)
         require(bool(new), "folders", str(folder), "holds no finished run")
-        found |= new
+        found = of_one_size(found | new, "folders", str(folder))
     return found

@@ -14,9 +14,9 @@ WAIT = 0.5
 """Seconds between two looks at a signal."""
 
 
-def work_side_by_side(arguments: list[str], processes: int, gpus: int, say=print) -> int:
+def work_side_by_side(arguments: list[str], processes: int, gpus: int, say=print) -> list[int]:
     """Run `infogoal ARGUMENTS` in so many processes, spread over GPUs 0, 1, ...; gpus: how many, 0: leave devices as
-    they are. What they print is printed, with the number of the process. Returns the largest exit status.
+    they are. What they print is printed, with the number of the process. Returns their exit statuses.
 
     A signal is handed on: each process stops after its evaluation.
     """
@@ -44,7 +44,7 @@ def work_side_by_side(arguments: list[str], processes: int, gpus: int, say=print
                     child.terminate()
     for reader in readers:
         reader.join()
-    return max(child.wait() for child in children)
+    return [child.wait() for child in children]
 
 
 def wait(children: list[subprocess.Popen], stop) -> None:

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.locks import has_no_locks, try_lock
-from infogoal_jax.reproduce import files
+from infogoal_jax.reproduce import checkpoints, files, needs
 from infogoal_jax.reproduce.budget import budget_of
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.runs import disk
@@ -23,7 +24,8 @@ td,th{padding:.15rem .6rem;border-bottom:1px solid #ccc;text-align:left}.failed{
 
 
 class State(NamedTuple):
-    """How far a run is. kind: done, running, failed or left; words: what is known of it."""
+    """How far a run is. kind: done, running, failed or left, or of a finished one not measured; words: what is known of
+    it."""
 
     kind: str
     words: str = ""
@@ -74,18 +76,30 @@ def is_locked(path: Path) -> bool:
 def state_of(folder: Path, run: Run) -> State:
     """How far a run is, by the files that are there; whether a finished one is sound is not looked at."""
     noted = files.path_of(folder, run, "progress.json")
-    if files.path_of(folder, run).exists():
-        return State("done")
     if is_locked(files.path_of(folder, run, "lock")):
         try:
             known = json.loads(noted.read_text())
             return State("running", f"evaluation {known['evaluations']} of at most {known['of']}")
         except (OSError, ValueError, KeyError):
-            return State("running", "compiling")
-    failed = files.path_of(folder, run, "failed.json")
-    if failed.exists():
-        return State("failed", str(json.loads(failed.read_text()).get("why", "")))
+            return State("running", "compiling, or being measured")
+    if files.has_failed(folder, run):
+        return State("failed", files.why_failed(folder, run))
+    if files.path_of(folder, run).exists():
+        return State("done")
     return State("left", "was stopped, goes on from its checkpoint" if noted.exists() else "")
+
+
+def sound_state_of(folder: Path, run: Run, config: TrainConfig) -> State:
+    """How far a run is. A finished one is read: it is left where its file is damaged or of another configuration, or
+    where it is not measured and will be."""
+    state = state_of(folder, run)
+    if state.kind != "done":
+        return state
+    status, why = files.status_of(folder, run, config)
+    if status == "not measured":
+        waits = why == needs.NO_TIME and checkpoints.has(folder, run)
+        return State("left", "is trained, and to be measured") if waits else State(status, why)
+    return State("done") if status == "done" else State("left", why)
 
 
 def time_to_go(folder: Path, runs: list[Run], states: dict[Run, State]) -> float | None:
@@ -106,11 +120,12 @@ def in_words(seconds: float | None) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
 
 
-def summary(folder: Path, runs: list[Run]) -> str:
-    """How many runs are done, running, failed and left, and the time to go."""
-    states = {run: state_of(folder, run) for run in runs}
+def summary(folder: Path, runs: list[Run], states: dict[Run, State] | None = None) -> str:
+    """How many runs are done, running, failed and left, and the time to go. states: None for those of `state_of`."""
+    states = states or {run: state_of(folder, run) for run in runs}
     kinds = [state.kind for state in states.values()]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in ("done", "running", "failed", "left"))
+    counts += f", {kinds.count('not measured')} not measured" if "not measured" in kinds else ""
     return f"{len(runs)} runs: {counts}; time to go: {in_words(time_to_go(folder, runs, states))}"
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import infogoal_jax
+from infogoal_jax.reproduce.checkpoints import UNFINISHED
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.progress import TIMES
-from infogoal_jax.reproduce.work import UNFINISHED, Work, work_on
+from infogoal_jax.reproduce.work import Work, work_on
 from infogoal_jax.runs import disk
 from infogoal_jax.train.compilation import use_compilation_cache
 

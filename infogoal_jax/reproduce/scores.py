@@ -6,7 +6,7 @@ import numpy as np
 
 from infogoal_jax.reproduce import budget
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import LEARNERS, PRESET, parts_of
+from infogoal_jax.reproduce.manifest import PRESET, WITH_LOSS, parts_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
@@ -22,8 +22,6 @@ TITLES = {
     "embodied_qa": "EQA",
 }
 """Tasks as Table I names them."""
-WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
-"""Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
 LEAST_SHARE = 0.01
 """Of the goal encoder's gradient that a method's own loss has to make; below it the row is the bare agent's."""
 MARKS = {

@@ -73,6 +73,13 @@ def test_further_goal_sets_of_fetch_come_from_a_folder(tmp_path):
         plan.config_of(runs[1])
 
 
+def test_the_command_of_a_further_goal_set_of_fetch_names_its_folder():
+    """A word stands for the folder, which lies elsewhere on each machine."""
+    runs = runs_of(("table1",), Choice(tasks=("fetch_push",), methods=("none",)), (0, 1))
+    words = [command_of(run) for run in runs]
+    assert "--goal-images" not in words[0] and words[1][words[1].index("--goal-images") + 1] == "GOAL_IMAGES"
+
+
 @pytest.mark.parametrize("study", STUDIES)
 def test_the_command_of_a_run_makes_it(study):
     """Tasks, methods, ways, sets and seeds of the command line choose the run, and its own study has it."""

@@ -1,5 +1,6 @@
 """The work on a folder: nothing that is finished is lost or repeated, and no two processes train the same run."""
 
+import dataclasses
 import json
 import random
 import shutil
@@ -94,6 +95,35 @@ def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
     assert not reproduce(tmp_path, 2).finished
     assert reproduce(tmp_path, 1, retry=True).finished == runs(1)
     assert progress.state_of(tmp_path, runs(1)[0]).kind == "done"
+
+
+def test_a_remake_that_fails_over_a_damaged_file_has_failed(whole, tmp_path, monkeypatch):
+    """It is no finished run, and waits for retry as others do."""
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    run, path = runs(1)[0], files.path_of(tmp_path, runs(1)[0])
+    path.write_bytes(path.read_bytes()[:100])
+
+    def fails(training):
+        raise ValueError("out of luck")
+
+    assert progress.sound_state_of(tmp_path, run, killed_reproduction.config_of(run)).kind == "left"
+    with monkeypatch.context() as patch:
+        patch.setattr(lanes, "go_on", fails)
+        assert reproduce(tmp_path, 1).failed == [run]
+    for state in (progress.state_of(tmp_path, run), progress.sound_state_of(tmp_path, run, None)):
+        assert state.kind == "failed" and "out of luck" in state.words
+    assert not reproduce(tmp_path, 1).finished
+    assert reproduce(tmp_path, 1, retry=True).finished == [run]
+    assert progress.state_of(tmp_path, run).kind == "done"
+
+
+def test_a_run_that_was_stopped_at_a_lower_ceiling_is_made_again(whole, tmp_path):
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    result = files.read(files.path_of(tmp_path, runs(1)[0]))
+    short = {name: value[:, :5] for name, value in result.evaluations.items()}
+    short["train_goal/success_rate"] = np.linspace(0, 1, 5) * np.ones((len(SEEDS), 1))
+    files.save(tmp_path, dataclasses.replace(result, evaluations=short))
+    assert reproduce(tmp_path, 1).finished == runs(1)[:1]
 
 
 def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):

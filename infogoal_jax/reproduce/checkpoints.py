@@ -1,0 +1,164 @@
+"""Checkpoints of batches, in FOLDER/unfinished: of what was stopped, and of what is trained and not yet measured.
+
+A checkpoint names its runs, and a batch goes on from any one that has all of its own: which other runs a process was
+asked for makes no difference. A checkpoint is deleted when each of its runs is finished and measured.
+"""
+
+import hashlib
+import json
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import files, lanes
+from infogoal_jax.reproduce.manifest import Run
+from infogoal_jax.reproduce.plan import program_key
+from infogoal_jax.runs import checkpoint, disk
+from infogoal_jax.train import host
+
+UNFINISHED = "unfinished"
+
+
+def path_of(folder: Path, batch: lanes.Batch) -> Path:
+    """The file in which a batch is kept."""
+    names = "\n".join(sorted(run.name for run in batch.runs.values()))
+    return folder / UNFINISHED / hashlib.sha256(names.encode()).hexdigest()[:16]
+
+
+def kept(folder: Path) -> dict[Path, set[str]]:
+    """The checkpoints in a folder with the names of their runs, the longest trained first; without those that cannot be
+    read."""
+    found = []
+    for path in sorted((folder / UNFINISHED).glob("[0-9a-f]*")):
+        try:
+            with open(path, "rb") as file:
+                header = json.loads(file.readline())
+            found.append((header["evaluations"], path, set(header["runs"])))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # Of an earlier version, damaged, or deleted by another process at this moment.
+    return {path: names for _, path, names in sorted(found, key=lambda each: each[0], reverse=True)}
+
+
+def has(folder: Path, run: Run) -> bool:
+    """Whether there is a checkpoint with this run."""
+    return any(run.name in names for names in kept(folder).values())
+
+
+def apart(folder: Path, runs: Sequence[Run]) -> list[list[Run]]:
+    """The runs, apart by the checkpoint that has them; last those of which there is none."""
+    left, found = list(runs), []
+    for names in kept(folder).values():
+        found.append([run for run in left if run.name in names])
+        left = [run for run in left if run.name not in names]
+    return [each for each in (*found, left) if each]
+
+
+def program_of(training: lanes.Training) -> dict[str, Any]:
+    """What the checkpoint of a batch has to agree in: the program, but for its number of epochs, and the versions."""
+    config = json.loads(program_key(training.batch.config)) | {"num_epochs": None}
+    return {"config": config, "versions": host.describe(training.batch.config, training.batch.envs[0], [0]).versions}
+
+
+def lanes_of(training: lanes.Training) -> dict[str, dict[str, Any]]:
+    """Where each run stands in a batch, and what its lanes are of: floats, seeds and data."""
+    floats = lanes.floats_of(training.batch)
+    return {
+        run.name: {
+            "place": place,
+            "lanes": [which.start, which.stop],
+            "of": [floats[which.start], list(run.seeds), training.env_of(place).source],
+        }
+        for run, (place, which) in training.batch.places.items()
+    }
+
+
+def save(path: Path, training: lanes.Training) -> None:
+    """Write the checkpoint of a batch. Raises `UserError` if the disk refuses."""
+    header = {
+        "runs": lanes_of(training),
+        "program": program_of(training),
+        "evaluations": training.evaluations,
+        "history": {name: np.stack(values).tolist() for name, values in training.history.items()},
+        "finite": training.finite.tolist(),
+        "seconds": [training.compile_seconds, training.run_seconds],
+        "spans": training.spans_until_now(),
+    }
+    disk.make_folder(path.parent)
+    checkpoint.save(path, header, training.states)
+
+
+def resume(folder: Path, training: lanes.Training) -> bool:
+    """Go on from the checkpoint that has all runs of this batch, the longest trained one of several. One that is
+    damaged or of other settings is passed over. Returns whether there was one."""
+    names = {run.name for run in training.batch.runs.values()}
+    for path in (path for path, runs in kept(folder).items() if names <= runs):
+        try:
+            header, payload = checkpoint.read_header(path)
+            if fits(header, training):
+                take(path, header, payload, training)
+                return True
+        except UserError as error:
+            print(f"infogoal: {error}; it is passed over", file=sys.stderr)
+    return False
+
+
+def fits(header: dict[str, Any], training: lanes.Training) -> bool:
+    """Whether a checkpoint has the runs of this batch, with the same settings."""
+    wanted = json.loads(json.dumps(lanes_of(training)))
+    return header["program"] == json.loads(json.dumps(program_of(training))) and all(
+        header["runs"].get(name, {}).get("of") == own["of"] for name, own in wanted.items()
+    )
+
+
+def take(path: Path, header: dict[str, Any], payload: bytes, training: lanes.Training) -> None:
+    """Bring a batch to where its checkpoint was, of whose lanes it may have a part."""
+    places, which = part_of(header["runs"], training)
+    finite = np.asarray(header["finite"], bool)
+    template = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct((*finite.shape, *leaf.shape[2:]), leaf.dtype), training.states
+    )
+    states = checkpoint.arrays(path, payload, template)
+    if (places, which) != tuple(list(range(size)) for size in finite.shape):
+        states = jax.tree.map(lambda leaf: leaf[np.asarray(places)][:, np.asarray(which)], states)
+    training.states = jax.device_put(states)
+    training.history = {
+        name: [values[places][:, which] for values in np.asarray(history)]
+        for name, history in header["history"].items()
+    }
+    training.finite = finite[places][:, which]
+    share = training.finite.size / finite.size  # Of what the larger batch took.
+    training.compile_seconds += share * header["seconds"][0]
+    training.run_seconds = share * header["seconds"][1]
+    training.spans = header["spans"]
+
+
+def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[list[int], list[int]]:
+    """The goal sets and the lanes of a checkpoint's batch that are those of this one, in its order."""
+    places, which = {}, {}
+    for run, (place, own) in training.batch.places.items():
+        there = runs[run.name]
+        places[place] = there["place"]
+        which |= zip(range(own.start, own.stop), range(*there["lanes"]), strict=True)
+    return [places[place] for place in sorted(places)], [which[lane] for lane in sorted(which)]
+
+
+def delete_measured(folder: Path, runs: Iterable[Run]) -> None:
+    """Delete the checkpoints that have one of these runs, if each of their runs is finished and measured."""
+    own = {run.name for run in runs}
+    for path, names in kept(folder).items():
+        if own & names and all(is_measured(folder, name) for name in names):
+            path.unlink(missing_ok=True)
+
+
+def is_measured(folder: Path, name: str) -> bool:
+    """Whether the run of this name is finished and measured."""
+    path = folder / "runs" / f"{name}.npz"
+    try:
+        return path.exists() and not files.read(path).missing()
+    except UserError:
+        return False

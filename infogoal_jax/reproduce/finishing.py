@@ -1,0 +1,157 @@
+"""From a trained batch to the files of its runs: when it is finished, its numbers, and what is measured of it."""
+
+import shlex
+import time
+import traceback
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.reproduce import budget, files, lanes, measure, needs
+from infogoal_jax.reproduce.files import Result
+from infogoal_jax.reproduce.manifest import Run, command_of
+from infogoal_jax.train.host import describe
+
+
+def curve_of(training: lanes.Training, run: Run, metric: str) -> np.ndarray:
+    """A metric of a run so far, [seeds, evaluations, ...]."""
+    place, which = training.batch.places[run]
+    return np.stack([values[place, which] for values in training.history[metric]], 1)
+
+
+def mean_success(training: lanes.Training, run: Run) -> tuple[float, float]:
+    """Success on training and test goals at the last evaluation, mean over seeds."""
+    return tuple(
+        float(curve_of(training, run, f"{group}_goal/success_rate")[:, -1].mean()) for group in ("train", "test")
+    )
+
+
+def is_finished(training: lanes.Training) -> bool:
+    """Whether every run of the batch has levelled off, or the ceiling is reached."""
+    if not training.evaluations:
+        return False
+    if training.evaluations >= budget.budget_of(training.batch.config.task, is_toy(training)).evaluations:
+        return True
+    curves = (curve_of(training, run, "train_goal/success_rate") for run in training.batch.runs.values())
+    return all(budget.levelled(curve) is not None for curve in curves)
+
+
+def is_toy(training: lanes.Training) -> bool:
+    """Whether the batch is at a size at which nothing is learned."""
+    return next(iter(training.batch.runs.values())).toy
+
+
+class Extras(NamedTuple):
+    """What is measured of a run when its training has ended. share: of the learner's loss in the gradient, of the first
+    seed; arrays: of its codes and pictures; error: why something could not be had; seconds: that it took."""
+
+    share: float | None = None
+    arrays: dict[str, np.ndarray] = {}  # noqa: RUF012 (never written to)
+    error: str = ""
+    seconds: float = 0.0
+
+    def missing(self, run: Run) -> list[str]:
+        """What is to be measured of the run and was not."""
+        return needs.missing(run, self.share, self.arrays)
+
+
+def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured: Extras) -> Result:
+    """What a run of a finished batch came to. config: of the run."""
+    batch, (place, which) = training.batch, training.batch.places[run]
+    env = training.env_of(place)
+    evaluations = {
+        name: curve_of(training, run, name).astype(float) for name in training.history if name != "first_reached"
+    }
+    about = {
+        "config": files.recorded_config(config),
+        "data": env.source,
+        "versions": describe(batch.config, env, [0]).versions,
+        "machine": describe_machine(),
+        "updates": batch.config.epochs_per_evaluation * batch.config.updates_per_epoch,
+        "diverged": [seed for seed, good in zip(run.seeds, training.finite[place, which], strict=True) if not good],
+        "learner": training.train.parts.name,
+        "learner_share": measured.share,
+        "measuring_failed": measured.error or (needs.NO_TIME if measured.missing(run) else ""),
+        "episode_length": env.episode_length,
+        "program": {
+            "runs": sorted(each.name for each in batch.runs.values()),
+            "lanes": len(batch.envs) * len(batch.lanes),
+            "compile_seconds": round(training.compile_seconds, 1),
+            "run_seconds": round(training.run_seconds, 1),
+            "spans": training.spans_until_now(),
+        },
+        "measure_seconds": round(measured.seconds, 1),
+        "command": shlex.join(command_of(run)),
+    }
+    first = curve_of(training, run, "first_reached")
+    masks = [np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in masks_of(env)]
+    arrays = {
+        "first_reached": first.astype(np.min_scalar_type(int(first.max()))),
+        "uses": np.select(masks, [0, 1, 2]).astype(np.int8),
+    }
+    return Result(run, about, evaluations, arrays | measured.arrays)
+
+
+def masks_of(env: Any) -> tuple:
+    """Training, validation and test goals."""
+    return env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask
+
+
+def known_of(folder: Path, training: lanes.Training, run: Run) -> Extras:
+    """What an earlier process measured of this very training of a run."""
+    try:
+        found = files.read(files.path_of(folder, run))
+    except UserError:  # There is no file yet, or it is damaged.
+        return Extras()
+    curve = curve_of(training, run, "train_goal/success_rate").astype(np.float32)
+    if found.run != run or not np.array_equal(found.evaluations["train_goal/success_rate"].astype(np.float32), curve):
+        return Extras()
+    arrays = {name: value for name, value in found.arrays.items() if name.partition("/")[0] in ("picture", "codes")}
+    return Extras(found.about["learner_share"], arrays, "", found.about["measure_seconds"])
+
+
+def share_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+    """The share of the learner's loss in the gradient, of the first seed."""
+    place, which = training.batch.places[run]
+    state, hyper = jax.tree.map(lambda leaf: leaf[place, which.start], (training.states, training.hyper))
+    last = training.evaluations * training.batch.config.epochs_per_evaluation - 1
+    return Extras(float(training.share(state, last, hyper, training.env_of(place))))
+
+
+def codes_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+    """What claims say of the codes of all seeds."""
+    place, which = training.batch.places[run]
+    params = jax.tree.map(lambda leaf: leaf[place, which], training.states.params)
+    train = measure.on(training.train, config, training.env_of(place))
+    return Extras(arrays=measure.judged_codes(train, params, run.seeds))
+
+
+def pictures_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+    """What the pictures of the first seed are drawn from."""
+    place, which = training.batch.places[run]
+    params = jax.tree.map(lambda leaf: leaf[place, which.start], training.states.params)
+    train = measure.on(training.train, config, training.env_of(place))
+    return Extras(arrays=measure.pictures(measure.subject_of(train, params, run.seeds[0])))
+
+
+MEASURES = {"share": share_of, "codes": codes_of, "pictures": pictures_of}
+"""How what `needs.missing` names is measured; the most wanted first."""
+
+
+def measured_also(
+    name: str, training: lanes.Training, run: Run, config: TrainConfig, before: Extras
+) -> tuple[Extras, str]:
+    """What was measured of a run before, and this; and the trace of an error. What fails costs a figure, or a mark in a
+    table, and not the run."""
+    started, found, error, trace = time.perf_counter(), Extras(), before.error, ""
+    try:
+        found = MEASURES[name](training, run, config)
+    except Exception as reason:
+        error, trace = f"{type(reason).__name__}: {reason}"[:500], traceback.format_exc()
+    share = before.share if found.share is None else found.share
+    return Extras(share, before.arrays | found.arrays, error, before.seconds + time.perf_counter() - started), trace

@@ -1,0 +1,82 @@
+"""What `infogoal reproduce` does with a folder: it draws when all is done, and mixes no sizes."""
+
+import dataclasses
+from pathlib import Path
+
+import made_up_results
+import numpy as np
+import pytest
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import command, files, numbers
+from infogoal_jax.reproduce.command import DONE, MORE, Asked
+
+
+def asked(folder: Path, **more) -> Asked:
+    """Two runs of FetchPush."""
+    return Asked("table1", ("fetch_push",), ("none", "her"), ("paper",), (), 2, folder, **more)
+
+
+def fill(folder: Path, runs, **about) -> None:
+    """Write made-up files of these runs."""
+    for run in runs:
+        files.save(folder, made_up_results.result_of(run, **about))
+
+
+@pytest.mark.parametrize("statuses", [[130, 0], [0, 130], [130, 130], [0, 0], [-9, 130]])
+def test_several_processes_draw_when_all_is_done_whoever_ended_first(statuses, tmp_path, monkeypatch):
+    """A process that ends while another still trains says that there is more to do."""
+
+    def work(arguments, processes, gpus):
+        fill(tmp_path, asked(tmp_path).runs())
+        return statuses
+
+    monkeypatch.setattr(command, "work_side_by_side", work)
+    assert command.reproduce(asked(tmp_path, processes=2)) == DONE
+    assert (tmp_path / "index.html").exists()
+
+
+def test_several_processes_do_not_draw_while_a_run_is_left(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command, "work_side_by_side", lambda *_: fill(tmp_path, asked(tmp_path).runs()[:1]) or [0, -9])
+    assert command.reproduce(asked(tmp_path, processes=2)) == MORE
+    assert not (tmp_path / "index.html").exists() and "process 1 ended with status -9" in capsys.readouterr().out
+
+
+def test_without_time_to_draw_it_says_so(tmp_path, capsys):
+    fill(tmp_path, asked(tmp_path).runs())
+    assert command.reproduce(asked(tmp_path, minutes=0.5)) == DONE
+    assert "no time was left to draw" in capsys.readouterr().out and not (tmp_path / "index.html").exists()
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_toy_runs_and_real_ones_do_not_mix(first, tmp_path):
+    """In the folder of the runs, among the known numbers, and where numbers are merged or drawn."""
+    run = asked(tmp_path).runs()[0]
+    sizes = {toy: dataclasses.replace(run, toy=toy) for toy in (True, False)}
+    fill(tmp_path / "out", [sizes[first]])
+    with pytest.raises(UserError, match=f"quick = {not first}: .*out"):
+        command.reproduce(asked(tmp_path / "out", quick=not first))
+    numbers.save(numbers.of_folder(tmp_path / "out"), tmp_path / "numbers")
+    with pytest.raises(UserError, match=f"quick = {not first}: .*known"):
+        command.reproduce(asked(tmp_path / "none", quick=not first, known=tmp_path / "numbers"))
+    fill(tmp_path / "other", [sizes[not first]])
+    with pytest.raises(UserError, match="folders = .*toy size"):
+        command.merge([tmp_path / "other"], tmp_path / "numbers")
+
+
+def test_known_runs_that_were_not_measured_are_made_again_with_retry(tmp_path):
+    wanted = dataclasses.replace(asked(tmp_path), methods=("infogoal", "none"))
+    fill(tmp_path / "some", wanted.runs(), learner_share=None)
+    numbers.save(numbers.of_folder(tmp_path / "some"), tmp_path / "known")
+    known = dataclasses.replace(wanted, known=tmp_path / "known")
+    assert known.runs() == []
+    assert [run.method for run in dataclasses.replace(known, retry=True).runs()] == ["infogoal"]
+
+
+def test_known_runs_of_a_lower_ceiling_are_made_again(tmp_path):
+    run = asked(tmp_path).runs()[0]
+    result = made_up_results.result_of(run)
+    rising = result.evaluations | {"train_goal/success_rate": np.linspace(0, 1, 8) * np.ones((2, 1))}
+    files.save(tmp_path / "some", dataclasses.replace(result, evaluations=rising))
+    numbers.save(numbers.of_folder(tmp_path / "some"), tmp_path / "known")
+    assert run in asked(tmp_path, known=tmp_path / "known").runs()
