@@ -45,7 +45,8 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
             for name, value in (("beta", 0.012), ("accuracy", 0.96), ("kl", 20.0))
         }
     uses = np.repeat([0, 2], [GOALS // 2, GOALS // 2]).astype(np.int8)
-    first = draw.integers(1, LENGTH + 2, (len(run.seeds), EVALUATIONS, GOALS, STARTS)).astype(np.uint8)
+    first = draw.integers(1, 5, (len(run.seeds), EVALUATIONS, GOALS, STARTS)) + 3 * (run.method == "infobot")
+    first = np.where(draw.random(first.shape) < level, first, LENGTH + 1).astype(np.uint8)
     arrays = {"first_reached": first, "uses": uses} | (pictures_of(run, draw) if is_pictured(run) else {})
     arrays |= codes_of(run, draw) if is_judged(run) else {}
     known = {
@@ -59,7 +60,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
         "learner_share": 0.3,
         "measuring_failed": "",
         "episode_length": LENGTH,
-        "program": {"runs": [run.name], "lanes": 5, "compile_seconds": 10, "run_seconds": 20},
+        "program": {"runs": [run.name], "lanes": 5, "compile_seconds": 10, "run_seconds": 20, "spans": [[0, 60]]},
         "measure_seconds": 1,
         "command": " ".join(command_of(run)),
     }

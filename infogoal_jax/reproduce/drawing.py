@@ -3,18 +3,24 @@
 OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png    OUT/reproduction.md    OUT/index.html
 """
 
+import hashlib
 import os
 from pathlib import Path
+
+import numpy as np
+from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.reproduce import claims, page, tables
 from infogoal_jax.reproduce.figures import FIGURES
-from infogoal_jax.reproduce.manifest import STUDIES
+from infogoal_jax.reproduce.manifest import STUDIES, Choice
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.tables import Table
+from infogoal_jax.reproduce.table_formats import WRITERS, Table, markdown
 from infogoal_jax.reproduce.titles import DESCRIPTIONS
 from infogoal_jax.runs import disk
 
+NUMBERS = "Numbers"
+"""What a figure's file says beside its pixels: the digest of its numbers."""
 BY_HAND = "<!-- by hand -->"
 """What stands below this line of the page of verdicts is written by hand, and is kept."""
 ABOUT = """# The paper, reproduced
@@ -32,20 +38,52 @@ def draw(studies: tuple[str, ...], results: Results, out: Path, verdicts: Path |
     found, paths = claims.verdicts(results), []
     disk.make_folder(out / "tables")
     for table in shown:
-        for ending, write in tables.WRITERS.items():
+        for ending, write in WRITERS.items():
             paths.append(out / "tables" / f"{table.name}.{ending}")
             disk.write_text(paths[-1], write(table))
     for name in (study for study in studies if study in FIGURES):
-        figure = FIGURES[name](results)
-        if figure is not None:
-            paths.append(out / "figures" / f"{name}.png")
-            canvas.save(figure, paths[-1])
+        figure, path = FIGURES[name](results), out / "figures" / f"{name}.png"
+        if figure is None:
+            path.unlink(missing_ok=True)
+        else:
+            canvas.save(figure, path, metadata={NUMBERS: digest(results, name)})
+            paths.append(path)
+    pictures = current_figures(results, out / "figures")
     if set(studies) == set(STUDIES):
         paths.append(verdicts or out / "reproduction.md")
-        disk.write_text(paths[-1], report(shown, found, out / "figures", paths[-1]))
+        disk.write_text(paths[-1], report(shown, found, pictures, paths[-1]))
     paths.append(out / "index.html")
-    disk.write_text(paths[-1], page.page(shown, found, out / "figures", results))
+    disk.write_text(paths[-1], page.page(shown, found, pictures, results))
     return paths
+
+
+def digest(results: Results, name: str) -> str:
+    """What tells the numbers that a figure is drawn from: those of the runs of its study."""
+    of_study = STUDIES[name](Choice())
+    wanted = {(run.task, run.method, run.relabelling, run.explorer, run.lane.name) for run in of_study}
+    found = hashlib.sha256()
+    for run in sorted(results, key=lambda run: run.name):
+        if (run.task, run.method, run.relabelling, run.explorer, run.lane.name) in wanted:
+            found.update(run.name.encode())
+            evaluations = {key: value.astype(np.float32) for key, value in results[run].evaluations.items()}
+            for key, value in sorted((evaluations | results[run].arrays).items()):
+                found.update(f"{key} {value.dtype} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    return found.hexdigest()[:16]
+
+
+def current_figures(results: Results, folder: Path) -> list[Path]:
+    """The figures in this folder that were drawn from these numbers; one of other numbers must not be shown beside
+    them."""
+    return [path for name in FIGURES if drawn_from(path := folder / f"{name}.png") == digest(results, name)]
+
+
+def drawn_from(path: Path) -> str | None:
+    """The digest of the numbers that a figure was drawn from; None where there is no figure, or it does not say."""
+    try:
+        with Image.open(path) as image:
+            return image.info.get(NUMBERS)
+    except OSError:  # That it is no picture is one, too.
+        return None
 
 
 def is_shown(table: str, studies: tuple[str, ...]) -> bool:
@@ -64,18 +102,17 @@ def verdict_table(found: list) -> Table:
     return Table("verdicts", "Verdicts", head, rows)
 
 
-def report(shown: list[Table], found: list, pictures: Path, path: Path) -> str:
-    """The page of verdicts, as Markdown. pictures: the folder of the figures; path: of the page."""
-    figures = Path(os.path.relpath(pictures, path.parent)).as_posix()
+def report(shown: list[Table], found: list, pictures: list[Path], path: Path) -> str:
+    """The page of verdicts, as Markdown. pictures: the figures; path: of the page."""
     counts = [finding.verdict for _, finding in found]
     kinds = ", ".join(f"{counts.count(kind)} {kind}" for kind in ("holds", "fails", "cannot be told"))
-    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}.", "", tables.markdown(verdict_table(found))]
+    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}.", "", markdown(verdict_table(found))]
     for table in shown:
-        lines += [f"## {table.title}", "", tables.markdown(table)]
-    drawn = [name for name in FIGURES if (pictures / f"{name}.png").exists()]
-    lines += ["## Figures", ""] if drawn else []
-    for name in drawn:
-        lines += [f"![{DESCRIPTIONS[name]}]({figures}/{name}.png)", "", f"*{DESCRIPTIONS[name]}.*", ""]
+        lines += [f"## {table.title}", "", markdown(table)]
+    lines += ["## Figures", ""] if pictures else []
+    for picture in pictures:
+        words, there = DESCRIPTIONS[picture.stem], Path(os.path.relpath(picture, path.parent)).as_posix()
+        lines += [f"![{words}]({there})", "", f"*{words}.*", ""]
     return "\n".join([*lines, BY_HAND]) + kept_by_hand(path)
 
 

@@ -6,7 +6,7 @@ import html
 from pathlib import Path
 
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.tables import Cell, Table
+from infogoal_jax.reproduce.table_formats import Cell, Table
 from infogoal_jax.reproduce.titles import DESCRIPTIONS
 
 STYLE = """
@@ -100,9 +100,8 @@ def commands(results: Results) -> str:
     return f"<h2>Every run, and its command</h2>{table_of(head, rows, 'runs')}"
 
 
-def page(shown: list[Table], found: list, figures: Path, results: Results) -> str:
-    """The page as HTML."""
-    pictures = [figures / f"{name}.png" for name in DESCRIPTIONS if (figures / f"{name}.png").exists()]
+def page(shown: list[Table], found: list, pictures: list[Path], results: Results) -> str:
+    """The page as HTML. pictures: the figures."""
     links = [("verdicts", "Verdicts"), *((table.name, table.title) for table in shown)]
     links += [(path.stem, DESCRIPTIONS[path.stem].partition(":")[0]) for path in pictures] + [("runs", "Runs")]
     nav = "".join(f'<a href="#{name}">{html.escape(words)}</a> ' for name, words in links)

@@ -6,11 +6,13 @@ import numpy as np
 
 from infogoal_jax.reproduce import budget
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import PRESET, WITH_LOSS, parts_of
+from infogoal_jax.reproduce.manifest import LEARNERS, METHODS, PRESET, WITH_LOSS, parts_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
 
+ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
+"""The rows of each way's table."""
 KINDS = {"test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
 """The kinds of goals of Table I, as metrics name them, and in words."""
 TITLES = {
@@ -107,3 +109,9 @@ def rows_of(results: Results, way: str, methods) -> dict[tuple[str, str], Row]:
 def columns() -> list[tuple[str, str]]:
     """(kind of goals, task) of the columns of Table I."""
     return [(kind, task) for kind in KINDS for task in (TASKS if kind == "test_goal" else IMAGE_TASKS)]
+
+
+def has_scores(row: Row | None, kind: str) -> bool:
+    """Whether a row has success on a kind of goals, of a seed that did not diverge."""
+    scores = None if row is None else row.scores(kind)
+    return scores is not None and all(len(each) for each in scores)

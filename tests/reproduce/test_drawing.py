@@ -13,7 +13,7 @@ from places import ROOT
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import claims, drawing, numbers, tables
+from infogoal_jax.reproduce import claims, drawing, numbers, table_formats, tables
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, runs_of
 from infogoal_jax.reproduce.scores import row_of
@@ -51,7 +51,7 @@ def verdict(results, name: str) -> str:
 
 def table1(results) -> str:
     """Table I in the paper's way, as Markdown."""
-    return tables.markdown(tables.table1(results, "paper"))
+    return table_formats.markdown(tables.table1(results, "paper"))
 
 
 def written(results) -> dict[str, str]:
@@ -59,7 +59,7 @@ def written(results) -> dict[str, str]:
     return {
         f"{table.name}.{ending}": write(table)
         for table in tables.all_tables(results)
-        for ending, write in tables.WRITERS.items()
+        for ending, write in table_formats.WRITERS.items()
     }
 
 
@@ -111,9 +111,9 @@ def test_a_cell_is_the_mean_of_its_runs(results):
 
 def test_every_format_has_the_same_numbers(results):
     table = tables.table1(results, "paper")
-    rows = list(csv.reader(io.StringIO(tables.comma_separated(table))))
+    rows = list(csv.reader(io.StringIO(table_formats.comma_separated(table))))
     means = [f"{float(row[1]):.2f}" for row in rows[1:]]
-    for write in (tables.markdown, tables.latex):
+    for write in (table_formats.markdown, table_formats.latex):
         lines = [line for line in write(table).splitlines() if re.match(r"\W*(InfoGoal|RAD|GHRL)\b", line)]
         for line in lines:
             method = next(
@@ -124,9 +124,72 @@ def test_every_format_has_the_same_numbers(results):
 
 def test_best_and_second_best_are_marked(results):
     table = tables.table1(results, "paper")
-    text = tables.markdown(table)
+    text = table_formats.markdown(table)
     assert text.count("**") == 2 * (len(table.head) - 1)
-    assert "\\textbf{" in tables.latex(table) and "\\underline{" in tables.latex(table)
+    assert "\\textbf{" in table_formats.latex(table) and "\\underline{" in table_formats.latex(table)
+
+
+def test_ranks_wait_for_the_whole_column(results):
+    """Until every method ran on every goal set, the best may be missing."""
+    shelf = [run for run in results if run.task == "embodied_qa"]
+    for lacking in (
+        {run for run in shelf if run.method == "cher"},
+        {run for run in shelf if run.method == "cher" and run.goal_set == 2},
+    ):
+        table = tables.table1({run: result for run, result in results.items() if run not in lacking}, "paper")
+        ranks = {title: {row[place].rank for row in table.rows} for place, title in enumerate(table.head) if place}
+        assert ranks.pop("EQA, test") == {0} and all({1, 2} <= found for found in ranks.values())
+
+
+def test_the_comparison_over_tasks_leaves_out_what_does_not_count(results):
+    """HER still rises on object search: it is compared on the others, and named."""
+    table = tables.over_tasks(results, "paper")
+    assert not any("of 6 tasks" in cell for row in table.rows for cell in row)
+    rising = np.linspace(0, 1, 8) * np.ones((3, 1))
+    off = {
+        run: dataclasses.replace(result, evaluations=result.evaluations | {"train_goal/success_rate": rising})
+        for run, result in results.items()
+        if (run.task, run.method) == ("object_search", "her")
+    }
+    table = tables.over_tasks(results | off, "paper")
+    rows = {row[0]: row for row in table.rows}
+    assert rows["HER"][1].endswith(", 5 of 6 tasks") and rows["HER"][2].endswith(", 5 of 6 tasks")
+    assert "tasks" not in rows["CHER"][1] and "Left out of test: HER† on ObjSearch." in table.foot
+    numbers_of = [  # Without the row, the same.
+        tables.over_tasks({run: result for run, result in found.items() if run.task != "object_search"}, "paper")
+        for found in (results, results | off)
+    ]
+    assert numbers_of[0].rows == numbers_of[1].rows
+
+
+def test_the_wall_clock_counts_time_once(results):
+    """Two processes side by side, a pause, and a third."""
+    runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
+    spans = [[[0, 600]], [[300, 900]], [[3000, 3300]]]
+    made = {
+        run: dataclasses.replace(
+            results[run], about=results[run].about | {"program": results[run].about["program"] | {"spans": own}}
+        )
+        for run, own in zip(runs, spans, strict=True)
+    }
+    assert tables.costs(made).rows[-1][-1] == "20"
+    program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
+    made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
+    assert tables.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
+
+
+def test_a_figure_of_other_numbers_is_not_shown(results, tmp_path):
+    """It stands in the folder from before; it is shown again once it is drawn of the numbers, or gone with them."""
+    drawing.draw(("fig12",), results, tmp_path)
+    assert 'id="fig12"' in (tmp_path / "index.html").read_text()
+    run = next(run for run in results if (run.task, run.method) == ("embodied_qa", "infogoal"))
+    other = results | {run: numbers.compact(made_up_results.result_of(run, 0.5))}
+    drawing.draw(("table1",), other, tmp_path)
+    assert 'id="fig12"' not in (tmp_path / "index.html").read_text()
+    drawing.draw(("table1",), results | {run: results[run]}, tmp_path)
+    assert 'id="fig12"' in (tmp_path / "index.html").read_text()
+    drawing.draw(("fig12",), {}, tmp_path)
+    assert not (tmp_path / "figures" / "fig12.png").exists()
 
 
 def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_count(results):
@@ -191,7 +254,6 @@ def test_seeds_that_diverged_are_left_out(results):
         ("relabelling-helps", {"method": "none"}, 0.9),
         ("infobot-helps", {"method": "none"}, 0.95),
         ("relabelling-below-infogoal", {"method": "infogoal"}, 0.1),
-        ("infobot-paths", {"task": "object_search", "method": "infogoal"}, 0.2),
         ("sse-db-test", {"task": "object_search", "method": "infogoal"}, 0.0),
     ],
 )
@@ -210,7 +272,7 @@ def test_a_few_runs_are_enough_to_draw():
     runs = runs_of(("table1",), Choice(tasks=("object_search",), methods=("infogoal",), seeds=1, sets=(0,)))
     results = {run: numbers.compact(made_up_results.result_of(run)) for run in runs}
     (line,) = (line for line in table1(results).splitlines() if line.startswith("| InfoGoal"))
-    assert re.fullmatch(r"\| InfoGoal \| \*\*0\.\d\d\*\* \(0\.93\) \|", line)
+    assert re.fullmatch(r"\| InfoGoal \| 0\.\d\d \(0\.93\) \|", line)
     assert FIGURES["fig10"](results) is not None and claims.verdicts(results)
 
 
@@ -242,6 +304,8 @@ def test_the_docs_say_what_the_numbers_give():
     results = numbers.load(folder)
     shown = tables.all_tables(results)
     for table in shown:
-        for ending, write in tables.WRITERS.items():
+        for ending, write in table_formats.WRITERS.items():
             assert (folder / "tables" / f"{table.name}.{ending}").read_text() == write(table), table.name
-    assert page.read_text() == drawing.report(shown, claims.verdicts(results), folder / "figures", page)
+    pictures = drawing.current_figures(results, folder / "figures")
+    assert {path.name for path in pictures} == {path.name for path in (folder / "figures").iterdir()}
+    assert page.read_text() == drawing.report(shown, claims.verdicts(results), pictures, page)
