@@ -47,6 +47,8 @@ def over_tasks(results: Results, way: str) -> Table | None:
                 over_some(probability_of_improvement, ran, *(list(each) for each in zip(*scores, strict=True)))
             )
         body.append(cells)
+    filled = [place for place in range(len(head)) if any(row[place] for row in body)]
+    head, body = [head[place] for place in filled], [[row[place] for place in filled] for row in body]
     foot = [
         "Interquartile mean over runs and tasks, and probability that a run of InfoGoal has more success than one of "
         "the method on the same goal set (rliable's definitions), with the 95 % interval of a bootstrap over goal sets "

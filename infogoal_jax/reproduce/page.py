@@ -21,6 +21,13 @@ tbody td:first-child,thead th:first-child{position:sticky;left:0;background:Canv
 .holds{color:#1a7f37;font-weight:700}.fails{color:#cf222e;font-weight:700}
 .told{color:#9a6700;font-weight:700}img{max-width:100%;height:auto;background:white}figure{margin:1.2rem 0}
 figcaption,.foot{font-size:.86rem;color:#777}code{font-size:.82rem;overflow-wrap:anywhere}
+[id^=over_tasks] td{white-space:nowrap}
+@media(max-width:45rem){:is(#verdicts,#runs) thead{display:none}
+:is(#verdicts,#runs) tr{display:block;padding:.5rem 0}:is(#verdicts,#runs) tr+tr{border-top:1px solid #8884}
+:is(#verdicts,#runs) td{display:block;position:static;border:0;padding:.1rem .55rem;overflow-wrap:anywhere}
+:is(#verdicts,#runs) td:empty{display:none}:is(#verdicts,#runs) td:first-child{font-weight:600}
+#verdicts td:nth-child(5)::before{content:"test: "}#verdicts td:nth-child(6)::before{content:"in the paper: "}
+#runs td:nth-child(2)::after{content:" updates of each seed"}}
 """
 SORT = """
 document.querySelectorAll("th").forEach(head=>head.addEventListener("click",()=>{
