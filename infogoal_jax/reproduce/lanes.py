@@ -163,8 +163,8 @@ def fitting(config: TrainConfig, env: Any, count: int) -> int:
 
 
 def begin(batch: Batch) -> Training:
-    """A batch before its first epoch, neither compiled nor with states: a checkpoint may have them, or show that nothing
-    is left to train."""
+    """A batch before its first epoch, neither compiled nor with states: a checkpoint may have them, or show that
+    nothing is left to train."""
     began, started = time.time(), time.perf_counter()
     train = make_train(batch.config, batch.envs[0])
     flat = [jax.tree.leaves(env) for env in batch.envs]

@@ -143,18 +143,18 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     if checkpoints.resume(work.folder, training):
         work.say(f"{name}: goes on after evaluation {training.evaluations}")
     resumed_at, size = training.evaluations, bytes_of(training.states)
+    if not finishing.is_finished(training):
+        lanes.prepare(training)
+        work.say(f"{name}: {training.finite.size} lanes compiled in {training.compile_seconds:.0f} s")
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while not finishing.is_finished(training):
             if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + size / BYTES_A_SECOND:
-                checkpoints.save(path, training)
+                if training.evaluations > resumed_at:
+                    checkpoints.save(path, training)
                 work.say(f"{name}: stopped after evaluation {training.evaluations}; a checkpoint is kept")
                 outcome.stopped = True
                 return
-            if training.chunk is None:
-                lanes.compile_program(training)
-                count = len(batch.envs) * len(batch.lanes)
-                work.say(f"{name}: {count} lanes compiled in {training.compile_seconds:.0f} s")
             lanes.go_on(training)
             say_how_far(name, training, work)
             for run in batch.runs.values():
