@@ -12,6 +12,7 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.reproduce import claims, page, tables
+from infogoal_jax.reproduce.effects import INTERVALS
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import STUDIES, Choice
 from infogoal_jax.reproduce.numbers import Results
@@ -106,7 +107,7 @@ def report(shown: list[Table], found: list, pictures: list[Path], path: Path) ->
     """The page of verdicts, as Markdown. pictures: the figures; path: of the page."""
     counts = [finding.verdict for _, finding in found]
     kinds = ", ".join(f"{counts.count(kind)} {kind}" for kind in ("holds", "fails", "cannot be told"))
-    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}.", "", markdown(verdict_table(found))]
+    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", "", markdown(verdict_table(found))]
     for table in shown:
         lines += [f"## {table.title}", "", markdown(table)]
     lines += ["## Figures", ""] if pictures else []

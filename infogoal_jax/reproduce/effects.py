@@ -21,6 +21,7 @@ from infogoal_jax.reproduce.statistics import Bounds, over_tasks
 Verdict = Literal["holds", "fails", "cannot be told"]
 Paired = dict[int, dict[int, float]]
 """A number of each seed, by goal set and seed."""
+INTERVALS = "Effects are paired by goal set and seed; intervals are over seeds or goal sets, whichever is wider."
 LEAST_SEEDS = 3
 """On each goal set, for anything to be told."""
 

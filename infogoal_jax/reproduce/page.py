@@ -5,6 +5,7 @@ import base64
 import html
 from pathlib import Path
 
+from infogoal_jax.reproduce.effects import INTERVALS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.table_formats import Cell, Table
 from infogoal_jax.reproduce.titles import DESCRIPTIONS
@@ -78,7 +79,7 @@ def verdicts(found: list) -> str:
         effect = f'<td class="number">{html.escape(finding.shown)}</td>'
         rows.append([cell(claim.says), verdict, effect, cell(finding.words + why), cell(claim.test), cell(claim.where)])
     head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
-    return f"<h2>Verdicts</h2>{table_of(head, rows, 'verdicts')}"
+    return f'<h2>Verdicts</h2>{table_of(head, rows, "verdicts")}<p class="foot">{INTERVALS}</p>'
 
 
 def figure(path: Path) -> str:

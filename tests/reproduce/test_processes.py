@@ -56,5 +56,7 @@ def test_the_quick_way_does_all_of_it(tmp_path):
     """Every table and figure from training to the page, at a size at which nothing is learned."""
     assert main(["reproduce", "all", "--quick", "--out", str(tmp_path), "--processes", "2"]) == 0
     assert {path.stem for path in tmp_path.glob("figures/*.png")} == set(FIGURES)
+    made = [files.read(path) for path in Path(tmp_path).rglob("runs/**/*.npz")]
+    assert [result.run.name for result in made if result.missing() or result.about["measuring_failed"]] == []
     assert {"table1_paper", "table1_her", "table2", "costs"} <= {path.stem for path in tmp_path.glob("tables/*.md")}
     assert (tmp_path / "reproduction.md").exists() and (tmp_path / "index.html").exists()
