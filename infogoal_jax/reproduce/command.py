@@ -1,6 +1,7 @@
 """What `infogoal reproduce` does: plan, train what is left, then draw what was asked for."""
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 
@@ -90,7 +91,8 @@ def reproduce(asked: Asked) -> int:
         list_programs(asked, runs)
         return DONE
     ENGINES[asked.engine](asked, runs, deadline)
-    states = {run: progress.sound_state_of(asked.out, run, config_of(run, asked.goal_images)) for run in runs}
+    config = functools.partial(config_of, goal_images=asked.goal_images)
+    states = {run: progress.sound_state_of(asked.out, run, config) for run in runs}
     print(progress.summary(asked.out, runs, states), flush=True)
     for run, state in states.items():
         if state.kind in ("failed", "not measured"):

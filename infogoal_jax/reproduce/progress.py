@@ -3,6 +3,7 @@
 import html
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -89,13 +90,13 @@ def state_of(folder: Path, run: Run) -> State:
     return State("left", "was stopped, goes on from its checkpoint" if noted.exists() else "")
 
 
-def sound_state_of(folder: Path, run: Run, config: TrainConfig) -> State:
+def sound_state_of(folder: Path, run: Run, config_of: Callable[[Run], TrainConfig]) -> State:
     """How far a run is. A finished one is read: it is left where its file is damaged or of another configuration, or
     where it is not measured and will be."""
     state = state_of(folder, run)
     if state.kind != "done":
         return state
-    status, why = files.status_of(folder, run, config)
+    status, why = files.status_of(folder, run, config_of(run))
     if status == "not measured":
         waits = why == needs.NO_TIME and checkpoints.has(folder, run)
         return State("left", "is trained, and to be measured") if waits else State(status, why)

@@ -67,7 +67,7 @@ def test_what_was_not_measured_is_measured_at_the_next_start(end, whole, tmp_pat
             reproduce(tmp_path, 1, killed)
     assert len(kept(tmp_path)) == 1
     assert all(files.path_of(tmp_path, run).exists() for run in (FIRST, SECOND)), "what is trained has its file"
-    state = progress.sound_state_of(tmp_path, SECOND, config_of(SECOND))
+    state = progress.sound_state_of(tmp_path, SECOND, config_of)
     assert (state.kind, state.words) == ("left", "is trained, and to be measured")
     no_training()
     again = []

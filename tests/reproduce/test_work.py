@@ -106,11 +106,14 @@ def test_a_remake_that_fails_over_a_damaged_file_has_failed(whole, tmp_path, mon
     def fails(training):
         raise ValueError("out of luck")
 
-    assert progress.sound_state_of(tmp_path, run, killed_reproduction.config_of(run)).kind == "left"
+    assert progress.sound_state_of(tmp_path, run, killed_reproduction.config_of).kind == "left"
     with monkeypatch.context() as patch:
         patch.setattr(lanes, "go_on", fails)
         assert reproduce(tmp_path, 1).failed == [run]
-    for state in (progress.state_of(tmp_path, run), progress.sound_state_of(tmp_path, run, None)):
+    for state in (
+        progress.state_of(tmp_path, run),
+        progress.sound_state_of(tmp_path, run, killed_reproduction.config_of),
+    ):
         assert state.kind == "failed" and "out of luck" in state.words
     assert not reproduce(tmp_path, 1).finished
     assert reproduce(tmp_path, 1, retry=True).finished == [run]
