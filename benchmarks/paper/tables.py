@@ -1,73 +1,107 @@
-"""Every table that a page shows of a study, written from the study's numbers.
+"""Every table that a page shows of what was measured, written from the numbers in docs/results.
 
-    python benchmarks/paper/tables.py [STUDY ...]
+    python benchmarks/paper/tables.py [SOURCE ...] [--picture]
 
-A table stands in README.md or docs/*.md between `<!-- table: STUDY/NAME -->` and `<!-- end -->`; what is between them
-is replaced by what docs/results/STUDY/numbers.npz gives, and docs/results/STUDY/study.md is written anew. To show new
-numbers, run the study's script with `--out FOLDER`, copy FOLDER/numbers.npz there, and then run this. (A numbers.npz
-that lies in FOLDER beforehand is added to.) The trials have a numbers.csv, which `trials.py --merge FOLDER` adds to,
-and no study.md.
+A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
+is replaced by what the numbers of the source give. Sources:
+
+    paper     the runs of `infogoal reproduce`, in table1.npz; docs/reproduction.md has all that is made of them
+    tuning    the searches of tuning.py, in tuning.jsonl
+    trials    the trials of trials.py, in trials/numbers.csv
+
+--picture draws docs/results/learning.png, the picture of the README, too.
 """
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
 
-import fetch_study
-import frames_study
-import house_study
-import methods_study
-import sb3_her
-import study_numbers
+import numpy as np
+import trial_numbers
 import trials
-import tuning_study
+import tuning
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
+from infogoal_jax.reproduce import numbers, scores
+from infogoal_jax.reproduce import tables as reproduced
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-STUDIES = {
-    "house_study": house_study,
-    "fetch_study": fetch_study,
-    "frames_study": frames_study,
-    "methods_study": methods_study,
-    "tuning": tuning_study,
-    "trials": trials,
-    "sb3_her": sb3_her,
-}
-OWN = {"trials": lambda: trials.load(trials.NUMBERS), "sb3_her": sb3_her.load}
-"""What reads the numbers of those that have no numbers.npz and no study.md."""
 MARKED = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.S)
+SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "none": ("DQN", "tab:orange")}
+"""Methods of the picture, with name and colour."""
 
 
-def load(name: str):
-    """The numbers of a study."""
-    return OWN[name]() if name in OWN else study_numbers.load(RESULTS / name / study_numbers.FILE)
+def paper_tables(results: numbers.Results) -> dict[str, str]:
+    """The table of the README: the columns of test goals of Table I in the paper's way."""
+    table = reproduced.table1(results, "paper")
+    if table is None:
+        return {}
+    columns = [place for place, title in enumerate(table.head) if not place or title.endswith(", test")]
+    lines = [[reproduced.markdown_cell(row[place]) for place in columns] for row in table.rows]
+    head = [table.head[place].removesuffix(", test") for place in columns]
+    return {"overview": "\n\n".join([trial_numbers.markdown(head, lines), "\n".join(table.foot)])}
 
 
-def written(studies: list[str]) -> dict[Path, str]:
-    """What every page and every study.md should be, by its path; tables of other studies stay as they are."""
-    results = {name: load(name) for name in studies}
-    tables = {
-        f"{name}/{table}": text for name in studies for table, text in STUDIES[name].tables(results[name]).items()
-    }
+SOURCES: dict[str, Callable[[], dict[str, str]]] = {
+    "paper": lambda: paper_tables(numbers.load(RESULTS)),
+    "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
+    "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
+}
+"""The tables of each source, by name."""
+
+
+def written(sources: list[str]) -> dict[Path, str]:
+    """What every page should be, by its path; tables of other sources stay as they are."""
+    tables = {f"{name}/{table}": text for name in sources for table, text in SOURCES[name]().items()}
 
     def replace(match: re.Match) -> str:
         before, name, after = match.groups()
-        return f"{before}{tables[name]}\n{after}" if name.split("/")[0] in studies else match[0]
+        return f"{before}{tables[name]}\n{after}" if name.split("/")[0] in sources else match[0]
 
-    pages = {page: MARKED.sub(replace, page.read_text()) for page in PAGES}
-    return pages | {
-        RESULTS / name / "study.md": STUDIES[name].report(results[name]) for name in studies if name not in OWN
-    }
+    return {page: MARKED.sub(replace, page.read_text()) for page in PAGES}
+
+
+def learning_figure(results: numbers.Results) -> Figure:
+    """Success on training (dashed) and test goals of object search against environment steps, a panel a house: mean
+    over seeds, 95 % band, every seed a thin line."""
+    rows = {method: scores.row_of(results, "paper", "object_search", method) for method in SHOWN}
+    runs = {method: {each.run.goal_set: each for each in row.results} for method, row in rows.items() if row}
+    houses = sorted(set.intersection(*(set(own) for own in runs.values())))
+    figure = Figure(figsize=(4.2 * len(houses), 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, house in zip(np.atleast_1d(figure.subplots(1, len(houses), sharey=True)), houses, strict=True):
+        for method, own in runs.items():
+            label, colour = SHOWN[method]
+            values = own[house].evaluations
+            steps = values["env_steps"].mean(0) / 1e3
+            draw_curve(axes, steps, values["test_goal/success_rate"], colour, f"{label}, test goals", SHARE)
+            training = values["train_goal/success_rate"].mean(0)
+            axes.plot(steps, training, color=colour, linestyle="--", label=f"{label}, training goals")
+        axes.set_title(f"synthetic house {house} (a stand-in)")
+        axes.set_xlabel("environment steps a seed (thousands)")
+        finish_share_axis(axes, "success rate")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), fontsize=8, loc="outside upper center", ncols=6)
+    return figure
 
 
 def main():
     """Write the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("studies", nargs="*", metavar="STUDY", help=f"{', '.join(STUDIES)}; left out: all")
+    parser.add_argument("sources", nargs="*", metavar="SOURCE", help=f"{', '.join(SOURCES)}; left out: all")
+    parser.add_argument("--picture", action="store_true", help="draw the picture of the README too")
     arguments = parser.parse_args()
-    for path, text in written(arguments.studies or list(STUDIES)).items():
+    for path, text in written(arguments.sources or list(SOURCES)).items():
         path.write_text(text)
+    if arguments.picture:
+        with figure_style():
+            save(learning_figure(numbers.load(RESULTS)), picture := RESULTS / "learning.png")
+        Image.open(picture).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 
 if __name__ == "__main__":

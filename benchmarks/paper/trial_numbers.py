@@ -14,10 +14,8 @@ A cell is empty where a trial has no such number.
 import csv
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from study import KINDS, markdown
 
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 
@@ -26,14 +24,15 @@ LAST = 3
 """Evaluations over which tables take the mean: a single one of few goals jumps by 0.05 and more."""
 FEWEST_SEEDS = 3
 """Seeds from which on an interval is shown: of two it is 12.7 times the standard error, wider than what is measured."""
-SUCCESS = (
-    "train_goal",
-    "validation_goal",
-    "test_goal",
-    "corrupted_train_goal",
-    "corrupted_test_goal",
-    "test_goal_mean_code",
-)
+SUCCESS = {
+    "train_goal": "training",
+    "validation_goal": "validation",
+    "test_goal": "test",
+    "corrupted_train_goal": "corrupted training",
+    "corrupted_test_goal": "corrupted test",
+    "test_goal_mean_code": "test, mean code",
+}
+"""Kinds of goals that tables show: as metrics name them, and in words."""
 
 PROBED = {
     f"{kind}/{error}": f"{words}, {said}"
@@ -43,6 +42,13 @@ PROBED = {
 """Columns of the probe's table."""
 
 Row = dict[str, str]
+
+
+def markdown(columns: list[str], rows: Iterable[list[str]]) -> str:
+    """A table."""
+    return "\n".join(
+        [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns), *(f"| {' | '.join(row)} |" for row in rows)]
+    )
 
 
 def read(path: Path) -> list[Row]:
@@ -112,8 +118,7 @@ def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> st
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
     """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
     none."""
-    words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
-    columns = ["trial", "lane", "known goals", "seeds", "updates", *(words[kind] for kind in SUCCESS), "KL", "accuracy"]
+    columns = ["trial", "lane", "known goals", "seeds", "updates", *SUCCESS.values(), "KL", "accuracy"]
     lines = []
     for trial in trials:
         own = [row for row in rows if row["trial"] == trial]
@@ -168,8 +173,4 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
             cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
         lines.append(cells)
         machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
-    words: dict[str, Any] = KINDS | {"test_goal_mean_code": "test, mean code"}
-    return (
-        markdown(["trial", "minus", "updates", *(words[kind] for kind in SUCCESS)], lines)
-        + f"\n\n{'; '.join(machines)}."
-    )
+    return markdown(["trial", "minus", "updates", *SUCCESS.values()], lines) + f"\n\n{'; '.join(machines)}."

@@ -233,6 +233,16 @@ QUEUE = {
             ("cql", "none", {"preset": {}}),
         )
     },
+    # The presets as they are, where no other run shows them.
+    **{
+        f"{task}_preset_{method}{ending}": Trial(f"fetch_{task}", method, relabelling, {}, {"preset": {}}, seeds=5)
+        for task, ending, relabelling, methods in (
+            ("push", "", None, ("none", "infogoal")),
+            ("pick_and_place", "", None, ("none", "infogoal")),
+            ("reach", "_her", "her", ("infobot", "gcb")),
+        )
+        for method in methods
+    },
     # The best threshold lies just below the accuracy that can be had without compression: does following that do on
     # every task what a threshold of its own does on each?
     "reach_infogoal_her_relative": Trial("fetch_reach", "infogoal", "her", FETCH | RELATIVE, MARGINS, seeds=3),

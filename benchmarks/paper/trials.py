@@ -27,7 +27,7 @@ import trial_numbers
 from probe import code_errors
 from trial_numbers import Row
 from trial_queue import ALL_GOALS_TABLES, COMPARISONS, QUEUE, TABLES, Trial
-from tuning_study import tuning_house
+from tuning import tuning_house
 
 from infogoal_jax import jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig

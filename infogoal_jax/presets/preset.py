@@ -1,7 +1,7 @@
 """What a preset is: the tuned configuration of a task, with what each method changes in it.
 
 `[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project, `[T]` one that
-`infogoal tune` found to be better on validation goals, by the rule of docs/methods.md (docs/results/tuning).
+`infogoal tune` found to be better on validation goals, by the rule of docs/tuning.md.
 """
 
 import dataclasses

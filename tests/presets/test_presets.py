@@ -11,25 +11,22 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.train import tune
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
-import study_numbers
+import tuning
 
-SEARCHES = study_numbers.load(ROOT / "docs" / "results" / "tuning" / study_numbers.FILE).runs
+SEARCHES = tuning.load(tuning.NUMBERS)
 
 
-def trials_of(run: study_numbers.StudyRun) -> list[tune.Trial]:
+def trials_of(search: tuning.Search) -> list[tune.Trial]:
     """The trials of a search or final, in order; success by evaluation and seed."""
-    found, values = run.about["result"], run.evaluations.values
     return [
-        tune.Trial(
-            int(number), own, values[f"trial_{number}/success_rate"].T.tolist(), [], found["diverged"].get(number, [])
-        )
-        for number, own in found["values"].items()
+        tune.Trial(trial["trial"], trial["values"], trial["success"], [], trial["diverged"])
+        for trial in search["trials"]
     ]
 
 
-def best_of(run: study_numbers.StudyRun) -> dict[str, float]:
+def best_of(search: tuning.Search) -> dict[str, float]:
     """The values of the best trial."""
-    return run.about["result"]["values"][str(run.about["result"]["best"])]
+    return next(trial["values"] for trial in search["trials"] if trial["trial"] == search["best"])
 
 
 @pytest.mark.parametrize("method", [name for name in presets.METHODS if f"fetch_reach/{name}/final" in SEARCHES])
@@ -40,7 +37,7 @@ def test_on_fetch_reach_a_preset_is_what_won_the_final(method):
     assert [(trial.number, trial.values) for trial in ran] == [
         (trial.number, trial.values) for trial in tune.finalists(trials_of(searched), 4)
     ]
-    assert len(final.evaluations.seeds) == 8 and not set(searched.evaluations.seeds) & set(final.evaluations.seeds)
+    assert len(final["seeds"]) == 8 and not set(searched["seeds"]) & set(final["seeds"])
     assert max(ran, key=lambda trial: trial.order).values == best_of(final)
     assert values_of(presets.load("fetch_reach", method).hyper).items() >= best_of(final).items()
 

@@ -1,16 +1,16 @@
 """How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result
 is reported on.
 
-    python benchmarks/paper/tuning_study.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
+    python benchmarks/paper/tuning.py --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
     [--trials 16] [--seeds 2] [--final]
+    python benchmarks/paper/tuning.py --merge FOLDER
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
 objects are given the names of objects that the task does not have, and are the validation goals. Fetch is tuned on the
 validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a search (docs/tuning.md); what is there is
 not run again, so that searches may come from several machines and several processes. With --final the preset and the
-three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. FOLDER/numbers.npz holds
-every trial of all that is there (study_numbers.py: a search is a run whose metrics are `trial_N/success_rate`),
-FOLDER/study.md the table.
+three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. --merge puts what is finished
+in FOLDER into docs/results/tuning.jsonl, a line a search; `tables.py tuning` then writes the tables of docs/tuning.md.
 """
 
 import argparse
@@ -20,18 +20,21 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import study
-import study_numbers
-from study import METHODS
-from study_numbers import Study, StudyRun
+from trial_numbers import markdown
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
-from infogoal_jax.report.tables import Table
+from infogoal_jax.reproduce.manifest import METHODS
 from infogoal_jax.stand_ins.house import build_house
 
+NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "tuning.jsonl"
+Search = dict[str, Any]
+"""search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
+evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
+[evaluations][seeds] and the seeds that diverged."""
 HOUSE = 100
 VALIDATION = {
     "crystal_hot_sauce": "pringles_bbq",
@@ -112,77 +115,75 @@ def final(task: str, method: str, folder: Path) -> None:
         subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
-def read_search(folder: Path) -> StudyRun:
-    """A search or final: its trials' values, the best trial, and the success of every trial, seed and evaluation."""
-    about, best = (json.loads((folder / name).read_text()) for name in ("config.json", "best.json"))
+def read_search(folder: Path, name: str) -> Search:
+    """The finished search or final in this folder."""
+    about, best = (json.loads((folder / file).read_text()) for file in ("config.json", "best.json"))
     trials = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
-    success = {f"trial_{trial['trial']}/success_rate": np.asarray(trial["success"], float).T for trial in trials}
-    result = {
-        "best": best["trial"],
+    return {
+        "search": name,
+        "data": about["data"],
+        "device": about["device"],
+        "num_epochs": about["config"]["num_epochs"],
+        "seeds": about["seeds"],
+        "epochs": trials[0]["epochs"],
         "goals": best["goals"],
-        "values": {str(trial["trial"]): trial["values"] for trial in trials},
-        "diverged": {str(trial["trial"]): trial["diverged"] for trial in trials if trial["diverged"]},
-        "compile_seconds": best["compile_seconds"],
-        "run_seconds": best["run_seconds"],
+        "best": best["trial"],
+        "trials": [{key: trial[key] for key in ("trial", "values", "success", "diverged")} for trial in trials],
     }
-    return StudyRun(about | {"result": result}, Table(about["seeds"], np.asarray(trials[0]["epochs"], int), success))
 
 
-def collect(folder: Path) -> Study:
-    """The study in this folder: what its numbers.npz holds already, and every search and final below it."""
-    known = study_numbers.load(folder / study_numbers.FILE).runs if (folder / study_numbers.FILE).exists() else {}
-    return Study(
-        known
-        | {str(path.parent.relative_to(folder)): read_search(path.parent) for path in sorted(folder.rglob("best.json"))}
-    )
+def load(path: Path) -> dict[str, Search]:
+    """The searches of a file, by name."""
+    return {search["search"]: search for search in map(json.loads, path.read_text().splitlines())}
 
 
-def report(results: Study) -> str:
-    """The searches and finals as Markdown: for each task and method the preset's score, the best one's and its values,
-    and how far they came."""
-    lines = []
+def merge(folder: Path, path: Path) -> list[str]:
+    """Put the finished searches of a folder into the file, in place of what it holds of them. Returns their names."""
+    names = {str(found.parent.relative_to(folder)): found.parent for found in sorted(folder.rglob("best.json"))}
+    new = {name: read_search(found, name) for name, found in names.items()}
+    searches = (load(path) if path.exists() else {}) | new
+    path.write_text("".join(json.dumps(searches[name]) + "\n" for name in sorted(searches)))
+    return list(new)
+
+
+def tables(searches: dict[str, Search]) -> dict[str, str]:
+    """The tables that docs/tuning.md shows: the searches of each task, and the finals."""
+    shown = {}
     for task in presets.TASKS:
-        found = results.finished(task, METHODS)
-        finals = {
-            name.removesuffix("/final"): run
-            for name, run in results.finished(task, [f"{method}/final" for method in METHODS]).items()
-        }
-        lines += [f"### {task}", "", *table(found, task)] if found else []
-        lines += ["Finals, of the preset and the best of each search:", "", *table(finals, task)] if finals else []
-    return "\n".join(lines)
+        for ending in ("", "/final"):
+            names = [f"{task}/{method}{ending}" for method in METHODS]
+            if any(name in searches for name in names):
+                found = {
+                    method: searches[name] for method, name in zip(METHODS, names, strict=True) if name in searches
+                }
+                shown[task + ending.replace("/", "_")] = table(found)
+    return shown
 
 
-def tables(results: Study) -> dict[str, str]:
-    """The tables that pages show: none."""
-    return {}
-
-
-def table(found: dict[str, StudyRun], task: str) -> list[str]:
-    """Rows of Markdown for these searches or finals, by method, and what they were made on."""
+def table(found: dict[str, Search]) -> str:
+    """A line for each method: the preset's score, the best one's and its values; what they were made on below."""
     rows, footers = [], {}
-    for method, run in found.items():
-        result, final = run.about["result"], run.evaluations.last()
-        scores = [f"{final[f'trial_{trial}/success_rate'].mean():.2f}" for trial in (0, result["best"])]
-        values = ", ".join(f"{name} {value:.3g}" for name, value in result["values"][str(result["best"])].items())
-        epochs = f"{run.evaluations.epochs[-1]} of {run.about['config']['num_epochs']}"
-        rows.append([study.title_of(method, task), *scores, str(result["best"]), values, epochs])
-        seeds = ", ".join(map(str, run.evaluations.seeds))
-        lanes = f"{len(result['values'])} trials, of which 0 is the preset, with the seeds {seeds}"
-        footer = (
-            f"Success on {result['goals']} goals at the last of these epochs; {lanes}; {run.about['device']}. "
-            f"{run.about['data']}"
-        )
-        footers.setdefault(footer, []).append(study.title_of(method, task))
-    lines = [study.markdown(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows), ""]
-    for footer, methods in footers.items():
-        lines += [footer if len(footers) == 1 else f"{', '.join(methods)}: {footer}", ""]
-    return lines
+    for method, search in found.items():
+        trials = {trial["trial"]: trial for trial in search["trials"]}
+        best = trials[search["best"]]
+        scores = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (trials[0], best)]
+        values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
+        epochs = f"{search['epochs'][-1]} of {search['num_epochs']}"
+        rows.append([METHODS[method], *scores, str(search["best"]), values, epochs])
+        seeds = ", ".join(map(str, search["seeds"]))
+        footers[
+            f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
+            f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
+        ] = None
+    lines = markdown(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows)
+    return "\n\n".join([lines, *footers])
 
 
 def main():
-    """Search what is not there yet, then write the table of all that is."""
+    """Search what is not there yet, or keep what came out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--merge", type=Path, metavar="FOLDER", help=f"put what is finished there into {NUMBERS.name}")
     parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=presets.TASKS)
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--trials", type=int, default=16)
@@ -191,12 +192,16 @@ def main():
         "--final", action="store_true", help="run the best of each search again, with more and other seeds"
     )
     arguments = parser.parse_args()
+    if arguments.merge is not None:
+        print(f"{NUMBERS.name}: {', '.join(merge(arguments.merge, NUMBERS))}")
+        return
+    if arguments.out is None:
+        parser.error("give --out or --merge")
     for task in arguments.tasks:
         for method in arguments.methods:
             search(task, method, arguments.trials, arguments.seeds, arguments.out)
             if arguments.final:
                 final(task, method, arguments.out)
-    study.finish(arguments.out, report, collect)
 
 
 if __name__ == "__main__":
