@@ -62,9 +62,9 @@ def configuration(trial: Trial, folder: Path) -> TrainConfig:
 
 def preset_of(trial: Trial) -> TrainConfig:
     """The preset of a trial with its settings."""
-    return with_values(
-        presets.load(trial.task, trial.method, relabelling=trial.relabelling, agent=trial.agent), trial.settings
-    )
+    method, _, relabelling = trial.method.partition("+")
+    config = presets.load(trial.task, method, relabelling=relabelling or None, agent=trial.agent)
+    return with_values(config, trial.settings)
 
 
 def commanded_by_name(env):
