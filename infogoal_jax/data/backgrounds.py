@@ -12,9 +12,9 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from infogoal_jax.data import pictures
 from infogoal_jax.data.archives import regular, user_cache
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.stopping import temporary
@@ -94,12 +94,6 @@ def _chosen(total: int, count: int) -> np.ndarray:
     return np.random.default_rng(0).permutation(total)[:count]
 
 
-def _resized(image: np.ndarray) -> np.ndarray:
-    """An image at SIZE x SIZE. What shrinks is averaged over areas: interpolation between single pixels would alias."""
-    shrinks = min(image.shape[:2]) > SIZE
-    return cv2.resize(image, (SIZE, SIZE), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-
-
 def _read_crops(folder: Path, count: int) -> Backgrounds:
     """Crops of photographs, as `infogoal data build backgrounds` writes them."""
     try:
@@ -111,7 +105,8 @@ def _read_crops(folder: Path, count: int) -> Backgrounds:
             f"backgrounds = {str(folder)!r}: {CROPS_FILE} is not a file of `infogoal data build backgrounds`: {error}"
         ) from error
     train, test = (
-        np.stack([_resized(crops[index]) for index in _chosen(len(crops), count)]) for crops in (train, test)
+        np.stack([pictures.resized(crops[index], SIZE, SIZE) for index in _chosen(len(crops), count)])
+        for crops in (train, test)
     )
     return Backgrounds(
         train, test, f"crops of {len(photographs)} public-domain and CC0 photographs, stand-in for CIFAR-10"
@@ -143,16 +138,12 @@ def _read_images(folder: Path, names: list[str], count: int) -> Backgrounds:
 
 def _read_image(file: Path) -> np.ndarray:
     """One image, uint8 RGB [SIZE, SIZE, 3], whatever its own shape."""
-    encoded = np.frombuffer(regular(file).read_bytes(), np.uint8)
-    try:
-        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
-    except cv2.error:
-        image = None
+    image = pictures.decoded(regular(file).read_bytes())
     if image is None:
         raise UserError(
             f"backgrounds = {str(file.parent)!r}: {file.name} cannot be decoded as an image; repair or remove it"
         )
-    return _resized(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
+    return pictures.resized(image, SIZE, SIZE)
 
 
 def _read_cifar10(folder: Path, count: int) -> Backgrounds:
@@ -168,7 +159,8 @@ def _read_cifar10(folder: Path, count: int) -> Backgrounds:
         np.concatenate([_read_batch(folder / name) for name in names]) for names in (TRAIN_BATCHES, TEST_BATCHES)
     )
     train, test = (
-        np.stack([_resized(images[index]) for index in _chosen(len(images), count)]) for images in (train, test)
+        np.stack([pictures.resized(images[index], SIZE, SIZE) for index in _chosen(len(images), count)])
+        for images in (train, test)
     )
     return Backgrounds(train, test, f"CIFAR-10, {folder}")
 

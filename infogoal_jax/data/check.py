@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from infogoal_jax.data import scene_images
@@ -180,6 +179,8 @@ def _read_images(scene: Path, annotated: set[str]) -> tuple[dict[str, tuple[int,
 
 def _decode(path: Path) -> tuple[int, int] | None:
     """Size of an image that decodes to its end, else None. An eighth of the resolution still reads all the data."""
+    import cv2  # Only now: it takes a tenth of a second.
+
     try:
         data = regular(path).read_bytes()
     except OSError:

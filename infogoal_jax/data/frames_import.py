@@ -12,10 +12,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from infogoal_jax.data import frames, frames_grid
+from infogoal_jax.data import frames, frames_grid, pictures
 from infogoal_jax.data.archives import regular
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.data.frames_table import (
@@ -144,8 +143,7 @@ def read_images(
                 cells["image"],
                 f"{found}, another shape; crop it, so that nothing is distorted",
             )
-            shrinks = here[0] >= size[0] and here[1] >= size[1]
-            image = cv2.resize(image, (size[1], size[0]), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+            image = pictures.resized(image, *size)
         pixels[row] = image
 
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
@@ -159,7 +157,7 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
     """One image as OpenCV decodes it, uint8 RGB [H, W, 3]."""
     name = cells["image"]
     try:
-        content = np.frombuffer(regular(folder / name).read_bytes(), np.uint8)
+        content = regular(folder / name).read_bytes()
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
         raise UserError(
@@ -170,10 +168,7 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
             f"{table}: row {number}: image = {name!r}: cannot be read ({error}); correct the name, or the rights of "
             "the file"
         ) from error
-    try:
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
-    except cv2.error:
-        image = None
+    image = pictures.decoded(content)
     wants(
         image is not None,
         table,
@@ -182,4 +177,4 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
         name,
         f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row",
     )
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return image

@@ -8,7 +8,6 @@ import os
 import zipfile
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from infogoal_jax.data import archives
@@ -59,6 +58,8 @@ def scene_pictures(
 
 def read_grey(path: Path, image_size: int) -> tuple[np.ndarray, tuple[int, int]]:
     """One image as a small grey square, and its own width and height."""
+    import cv2  # Only now: it takes a tenth of a second.
+
     try:
         data = regular(path).read_bytes()
     except OSError as error:

@@ -8,7 +8,6 @@ the same orientation. Goals are therefore the different orientations. A goal is 
 import dataclasses
 import warnings
 
-import cv2
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -220,10 +219,11 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
 
 def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
     """Images [B, H, W, 3] at the size of the dataset's frames."""
-    height, width = data.frames.shape[1:3]
-    if images.shape[1:3] == (height, width):
+    import cv2  # Only now: it takes a tenth of a second.
+
+    if images.shape[1:3] == data.frames.shape[1:3]:
         return images
-    return np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in images])
+    return np.stack([cv2.resize(image, data.frames.shape[2:0:-1], interpolation=cv2.INTER_AREA) for image in images])
 
 
 def traits(config: ObjectManipulationConfig) -> Traits:
