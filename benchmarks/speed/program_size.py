@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from infogoal_jax import jit, make_train, presets
 from infogoal_jax.presets import TASKS
 from infogoal_jax.report.machine import describe_machine
-from infogoal_jax.train.compilation import without_garbage_collection
-from infogoal_jax.train.program_size import operations
+from infogoal_jax.train.compilation import operations, without_garbage_collection
 
 
 def measure(task: str, method: str, num_seeds: int) -> tuple[int, float, float, float]:

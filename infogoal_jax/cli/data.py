@@ -7,8 +7,7 @@ from pathlib import Path
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group
-from infogoal_jax.cli.data_building import BUILD
-from infogoal_jax.cli.data_files import new_file, print_size, progress_bar
+from infogoal_jax.cli.data_building import BUILD, new_file, print_size, progress_bar
 from infogoal_jax.errors import UserError
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff
 
-from infogoal_jax.cli.choice import AUTO, config_of_run, preset_of, read_choice
+from infogoal_jax.cli.choice import AUTO, all_tasks, config_of_run, of_task, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
 from infogoal_jax.cli.folders import check_resumed_in_place, new_folder, seeds_from
 from infogoal_jax.errors import require
@@ -126,8 +126,6 @@ def run_to_go_on_with(config: Any, seeds: range, out: str) -> str:
 def tasks(arguments: list[str]) -> TaskCommands:
     """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is
     chosen as its defaults."""
-    from infogoal_jax.cli.by_task import all_tasks, of_task
-
     task, choice = read_choice(arguments, "infogoal train")
     if not task and choice.resume in (None, "", AUTO):
         return all_tasks(train, HELP, arguments, choice)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.choice import config_of_run, preset_of, read_choice
+from infogoal_jax.cli.choice import all_tasks, config_of_run, of_task, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands
 from infogoal_jax.cli.folders import check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require
@@ -69,8 +69,6 @@ def tune(
 def tasks(arguments: list[str]) -> TaskCommands:
     """`tune` for each task; for one that is named, or known from a search to go on with, with the configuration that is
     chosen as its defaults."""
-    from infogoal_jax.cli.by_task import all_tasks, of_task
-
     task, choice = read_choice(arguments, "infogoal tune")
     if not task and not choice.resume:
         return all_tasks(tune, HELP, arguments, choice)

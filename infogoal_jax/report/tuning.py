@@ -11,7 +11,7 @@ from rich.table import Table
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.presets.flags import train_flags
+from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs.description import Description
 from infogoal_jax.runs.search import Best, TrialLine, read_plan, read_trials, write_scores
 from infogoal_jax.train.progress import progress_line

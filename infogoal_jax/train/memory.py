@@ -18,8 +18,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs.checkpoint import is_key
+from infogoal_jax.train.compilation import inner_programs
 from infogoal_jax.train.program import Train, make_train
-from infogoal_jax.train.program_size import inner_programs
 
 MEMORY_SHARE = 0.8
 """Of the device's memory that a sweep may fill before it is sliced."""

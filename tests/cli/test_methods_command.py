@@ -20,7 +20,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
-from infogoal_jax.presets.flags import train_flags
+from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
 from infogoal_jax.runs.configuration import from_dict, to_json

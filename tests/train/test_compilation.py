@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
-from infogoal_jax.train.compilation import compiler_options
-from infogoal_jax.train.program_size import operations
+from infogoal_jax.train.compilation import compiler_options, operations
 
 COUNT_HITS = """
 import sys

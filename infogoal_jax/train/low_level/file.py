@@ -15,8 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.joint_level import JointLevel, network_input
-from infogoal_jax.agents.low_level import LowLevel
+from infogoal_jax.agents.low_level import JointLevel, LowLevel, joint_input
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import find
@@ -85,7 +84,7 @@ def load_joint_level(
                 "--agent.low-level"
             )
         hidden, joints = header.hidden, jnp.zeros(num_joints)
-        params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), network_input(joints, joints))
+        params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), joint_input(joints, joints))
         return JointLevel(params, hidden, num_moves)
 
     return read(file, task, empty_joint_level)

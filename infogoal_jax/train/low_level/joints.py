@@ -15,8 +15,7 @@ import optax
 
 from infogoal_jax import networks
 from infogoal_jax.agents import dqn
-from infogoal_jax.agents.joint_level import JointLevel, network_input, values_of
-from infogoal_jax.agents.low_level import LowLevelConfig
+from infogoal_jax.agents.low_level import JointLevel, LowLevelConfig, joint_input, joint_values
 from infogoal_jax.angles import wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulation, ObjectManipulationConfig
 from infogoal_jax.errors import require
@@ -112,7 +111,7 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
     hidden, num_updates = config.network.hidden, config.updates_per_epoch
 
     def initial(key, hyper):
-        return networks.MLP(hidden, num_moves).init(key_of(key, INITIAL, 0), network_input(joints[0], joints[0])), ()
+        return networks.MLP(hidden, num_moves).init(key_of(key, INITIAL, 0), joint_input(joints[0], joints[0])), ()
 
     def policy(params, experience) -> JointLevel:
         return JointLevel(params, hidden, num_moves)
@@ -160,7 +159,7 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
         here, there = joints[frame], joints[next_node[frame, move]]
         done = at_target(there, target, precision)
         next_values, target_values = (
-            values_of(each, hidden, num_moves, there, target) for each in (params, target_params)
+            joint_values(each, hidden, num_moves, there, target) for each in (params, target_params)
         )
         value = dqn.double_q_target(
             done.astype(jnp.float32),
@@ -169,7 +168,7 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
             target_values,
             jnp.ones(next_values.shape, bool),
         )
-        return dqn.td_loss(values_of(params, hidden, num_moves, here, target), move, value, huber=False)
+        return dqn.td_loss(joint_values(params, hidden, num_moves, here, target), move, value, huber=False)
 
     def learning_rate(hyper, update):
         return optax.linear_schedule(hyper.learning_rate, 0.0, config.num_epochs * num_updates)(update)

@@ -11,7 +11,7 @@ from infogoal_jax.envs import load
 from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.environment import LATE
 from infogoal_jax.envs.fetch.tasks import TASKS
-from infogoal_jax.train.program_size import operations
+from infogoal_jax.train.compilation import operations
 
 CASES = [
     ("fetch_reach", model.FAST),
