@@ -90,7 +90,7 @@ def export_minari(path: Positional[str], out: str) -> int:
 
 
 def cifar10(path: Positional[str] = "", url: str = "") -> int:
-    """Download CIFAR-10, 170 MB, as background images (docs/backgrounds.md).
+    """Download CIFAR-10, 170 MB, as background images (docs/goal_images.md).
 
     Args:
         path: Folder to unpack into; empty: the user's cache, where `cifar10` as the path of the backgrounds finds it.

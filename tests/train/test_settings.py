@@ -14,11 +14,6 @@ from infogoal_jax.train.settings import clean_view, corrupted_view
 
 
 @pytest.fixture(scope="module")
-def env():
-    return hand_made_points.points()
-
-
-@pytest.fixture(scope="module")
 def train():
     return make_train(hand_made_points.config(), hand_made_points.steered())
 
@@ -100,17 +95,17 @@ def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
         np.testing.assert_array_equal(other.steps, scores.steps[rows][:, columns])
 
 
-def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none(env):
+def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none():
     """The evaluation steps the low level, and counts every group of goals."""
-    steered = hand_made_points.steered(env)
+    steered = hand_made_points.steered()
 
     def straight(observation, goal, key):
-        return jnp.clip((env.unwrapped.positions[goal] - observation[:, :3]) / steered.subgoal_scale, -1.0, 1.0)
+        return jnp.clip((steered.unwrapped.positions[goal] - observation[:, :3]) / steered.subgoal_scale, -1.0, 1.0)
 
     def stay(observation, goal, key):
         return jnp.zeros((len(goal), steered.action_size))
 
-    goals = env.goals.evaluated
+    goals = steered.goals.evaluated
     oracle, idle = (
         jax.jit(lambda policy=policy: evaluate(policy, steered, goals, STARTS))() for policy in (straight, stay)
     )

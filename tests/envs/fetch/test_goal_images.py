@@ -6,8 +6,8 @@ import zipfile
 
 import numpy as np
 import pytest
-from goal_banks import NAMES, differing_pixels
 
+from infogoal_jax import presets
 from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
 from infogoal_jax.envs.fetch import goal_choice, goal_rendering
@@ -16,7 +16,7 @@ from infogoal_jax.errors import UserError
 
 SHAPES = {"fetch_reach": (13, 13, 13), "fetch_push": (13, 13, 1), "fetch_pick_and_place": (13, 13, 19)}
 
-each_task = pytest.mark.parametrize("name", NAMES)
+each_task = pytest.mark.parametrize("name", presets.FETCH_TASKS)
 
 
 @each_task
@@ -67,7 +67,7 @@ def test_the_nearest_cell_is_the_nearest(banks, name):
 
 
 @each_task
-def test_neighbours_can_be_told_apart_and_no_image_comes_twice(banks, name):
+def test_neighbours_can_be_told_apart_and_no_image_comes_twice(banks, name, differing_pixels):
     bank = banks[name]
     grid = bank.images[bank.rows(GRID)].reshape(*bank.grid_shape, 64, 64, 3)
     for axis in range(3):

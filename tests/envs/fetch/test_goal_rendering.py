@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from goal_banks import NAMES, differing_pixels
 
+from infogoal_jax import presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN
 from infogoal_jax.envs.fetch import goal_rendering
@@ -67,8 +67,8 @@ def test_the_command_refuses_before_it_draws(arguments, expected, monkeypatch, t
     assert (tmp_path / "fetch_push.npz").read_text() == "kept"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_drawing_again_gives_the_shipped_images(banks, name):
+@pytest.mark.parametrize("name", presets.FETCH_TASKS)
+def test_drawing_again_gives_the_shipped_images(banks, name, differing_pixels):
     """Up to what another OpenGL does differently at edges."""
     if importlib.util.find_spec("gymnasium_robotics") is None:
         pytest.skip("gymnasium-robotics is not installed; pip install 'infogoal-jax[goal-images]'")

@@ -1,0 +1,201 @@
+"""The learner, the agent and the task that docs/own_learner.md, own_agent.md and own_task.md make outside of the
+repository are complete, short, and do what the pages say."""
+
+import hand_made
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from pages import block_of, in_hand_made_rooms, lines_of, run
+
+import infogoal_jax
+from infogoal_jax import agents, envs, learners, presets
+from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.train.evaluation import evaluate, random_policy
+
+SMALL = {"evaluation_starts": 1}
+LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
+AGENT_SIZES = SMALL | {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 5}
+LONG_SIZES = {
+    "num_epochs": 12,
+    "epochs_per_evaluation": 12,
+    "updates_per_epoch": 100,
+    "batch_size": 64,
+    "evaluation_starts": 20,
+}
+QUANTILES = 8
+REGISTERED = "walled_square", envs.registry, presets.registry
+
+
+@pytest.mark.parametrize(("page", "lines"), [("own_learner.md", 40), ("own_agent.md", 80), ("own_task.md", 80)])
+def test_a_page_needs_few_lines(page, lines):
+    assert lines_of(block_of(page)) <= lines
+
+
+@pytest.fixture(scope="module")
+def own_learner() -> dict:
+    """The names that the page's script leaves behind, run on the hand-made rooms instead of a house, with nothing else
+    changed."""
+    with run(
+        block_of("own_learner.md"), "mine", learners.registry, prepare=in_hand_made_rooms(**LEARNER_SIZES)
+    ) as names:
+        yield names
+
+
+def test_the_learners_loss_is_reported_under_its_name_and_falls(own_learner):
+    pull, floor = (np.asarray(own_learner["result"].epochs[f"mine/{name}"]) for name in ("pull", "floor"))
+    assert np.isfinite(pull).all() and pull.shape == (LEARNER_SIZES["num_epochs"],)
+    assert (pull + floor)[-1] < 0.1 * (pull + floor)[0]
+
+
+def test_goals_of_one_room_come_to_lie_together(own_learner):
+    """Goals in view together are pulled together; the floor keeps the rooms apart. Under the agent's loss alone they
+    lie about equally far."""
+    result, train, config = own_learner["result"], own_learner["train"], own_learner["config"]
+    assert presets.names_of(config)["learner"] == train.parts.name == "mine"
+    codes = np.asarray(
+        own_learner["make"](own_learner["MineConfig"]()).encode(result.params["goal"], train.env.goals.inputs).mean
+    )
+    room = np.asarray(train.env.goals.regions)
+    distance = np.linalg.norm(codes[:, None] - codes[None], axis=-1)
+    same = room[:, None] == room[None]
+    within, between = distance[same & ~np.eye(len(room), dtype=bool)], distance[~same]
+    assert within.mean() < 0.1 * between.mean()
+
+
+def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
+    with pytest.raises(infogoal_jax.UserError, match="learner.window"):
+        hand_made.config("none", learner=own_learner["MineConfig"](window=-1))
+
+
+@pytest.fixture(scope="module")
+def own_agent() -> dict:
+    """The same of the agent's page."""
+    with run(block_of("own_agent.md"), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES)) as names:
+        yield names
+
+
+def test_the_agent_trains_with_infogoal_and_reports_the_spread(own_agent):
+    result, config = own_agent["result"], own_agent["config"]
+    assert presets.names_of(config)["agent"] == "qr_dqn" and presets.names_of(config)["learner"] == "infogoal"
+    assert np.asarray(result.epochs["agent/spread"]).shape == (AGENT_SIZES["num_epochs"],)
+    assert all(np.isfinite(values).all() for values in jax.tree.leaves((result.epochs, result.params)))
+
+
+@pytest.mark.long
+def test_the_agent_learns_its_training_goals():
+    """Twice as often as a random policy reaches them."""
+    with run(block_of("own_agent.md"), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES)) as names:
+        env, success = names["train"].env, names["result"].metrics["train_goal/success_rate"][-1]
+    chance = evaluate(random_policy(env), env, env.goals.commanded, LONG_SIZES["evaluation_starts"]).success.mean()
+    assert 2 * chance < success > 0.7
+
+
+def test_the_agents_loss_finds_the_quantiles_of_the_reward(own_agent):
+    """Of one state whose action ends the episode with a reward that is uniform in [0, 1]: 1/16, 3/16, ..., 15/16."""
+    env = hand_made.environment()
+    agent = own_agent["make"](own_agent["QRDQNConfig"](hidden=(16,), num_quantiles=QUANTILES), env)
+    hyper = own_agent["QRDQNHyperparameters"](threshold=0.01)
+    params, state = agent.init(jax.random.key(0), jnp.ones(2), jnp.ones(3))
+    size, optimizer = 256, optax.adam(optax.linear_schedule(0.02, 0.0, 1000))
+    features, code, mask = jnp.ones((size, 2)), jnp.ones((size, 3)), jnp.ones((size, env.action_size), bool)
+
+    def step(carry, key):
+        params, moments = carry
+        batch = AgentBatch(
+            observation=None,
+            next_observation=None,
+            features=features,
+            code=code,
+            action=jnp.zeros(size, jnp.int32),
+            next_features=features,
+            next_code=code,
+            target_features=features,
+            target_code=code,
+            reward=jax.random.uniform(key, (size,)),
+            discount=jnp.zeros(size),
+            action_mask=mask,
+            next_action_mask=mask,
+        )
+        gradient, metrics = jax.grad(agent.loss, has_aux=True)(params, params, batch, state, hyper, key)
+        change, moments = optimizer.update(gradient, moments)
+        return (optax.apply_updates(params, change), moments), metrics
+
+    keys = jax.random.split(jax.random.key(1), 1000)
+    (_, _), metrics = jax.jit(lambda carry: jax.lax.scan(step, carry, keys))((params, optimizer.init(params)))
+    expected = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    assert metrics["spread"][-1] == pytest.approx(expected.std(), abs=0.03)
+    assert metrics["value"][-1] == pytest.approx(0.5, abs=0.03)
+
+
+def test_settings_of_the_agent_that_make_no_sense_are_refused(own_agent):
+    with pytest.raises(infogoal_jax.UserError, match="agent.num_steps"):
+        hand_made.config("infogoal", agent=own_agent["QRDQNConfig"](num_steps=21))
+
+
+@pytest.fixture(scope="module")
+def own_task() -> dict:
+    """The names that the task's page leaves behind, with half of the training."""
+    block = block_of("own_task.md")
+    assert block.count("num_epochs=20") == 1
+    with run(block.replace("num_epochs=20", "num_epochs=10"), *REGISTERED) as names:
+        yield names
+
+
+def test_the_task_is_being_learned(own_task):
+    """A random walk reaches a third of the goals."""
+    metrics = own_task["result"].metrics
+    assert metrics["train_goal/success_rate"][-1] > 0.5 and metrics["test_goal/success_rate"][-1] > 0.4
+
+
+@pytest.mark.long
+def test_the_task_is_learned():
+    """Goals that were never commanded too."""
+    with run(block_of("own_task.md"), *REGISTERED) as names:
+        metrics = names["result"].metrics
+    assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7
+
+
+def test_the_task_keeps_the_contract(own_task):
+    """What is not written has the default that most tasks need."""
+    env = own_task["train"].env
+    assert isinstance(env, Environment) and env.discrete and env.recorded is None and not env.has_target_states
+    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 50))
+    assert not np.any(env.reached(env.achieved(state), state.goal)) and np.all(env.goals.train_mask[state.goal])
+    assert (
+        env.action_mask(env.observe(state)).shape == (50, 4)
+        and env.action_mask(env.observe(state)).all()
+        and env.decides(state).all()
+    )
+
+
+def test_the_door_is_the_only_way(own_task):
+    """Every cell can be reached from every other through the door, and only through it."""
+    env = own_task["train"].env
+    near = np.eye(64, dtype=bool)
+    for _ in range(64):
+        near |= near[:, np.asarray(env.next_cell)].any(-1)
+    assert near.all()
+    crossings = [
+        (cell, following)
+        for cell, row in enumerate(np.asarray(env.next_cell))
+        for following in row
+        if cell // 32 != following // 32
+    ]
+    assert sorted(map(tuple, np.asarray(crossings).tolist())) == [(25, 33), (33, 25)]
+
+
+def test_all_actions_can_be_taken_after_vectors_too(own_task):
+    """The contract's default tells the axes of a batch from those of an observation."""
+    env = own_task["train"].env
+
+    class SeenAsVectors(own_task["WalledSquare"]):
+        observe = lambda self, state: jnp.zeros(3)  # noqa: E731
+
+    assert SeenAsVectors(env.next_cell, env.goals, env.episode_length).action_mask(jnp.zeros((5, 2, 3))).shape == (
+        5,
+        2,
+        4,
+    )
