@@ -38,14 +38,15 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 
 
 def paper_tables(results: numbers.Results) -> dict[str, str]:
-    """The table of the README: the columns of test goals of Table I in the paper's way."""
+    """The table of the README: the columns of test goals of Table I in the paper's way, and what its marks mean."""
     table = reproduced.table1(results, "paper")
     if table is None:
         return {}
     columns = [place for place, title in enumerate(table.head) if not place or title.endswith(", test")]
     lines = [[reproduced.markdown_cell(row[place]) for place in columns] for row in table.rows]
     head = [table.head[place].removesuffix(", test") for place in columns]
-    return {"overview": "\n\n".join([trial_numbers.markdown(head, lines), "\n".join(table.foot)])}
+    marks = "\n".join(f"- {line}" for line in table.foot[1:])
+    return {"overview": "\n\n".join(filter(None, [trial_numbers.markdown(head, lines), marks]))}
 
 
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
