@@ -34,7 +34,7 @@ def run(
 
     prepare: sets what is other than it is for a user, while the block runs.
     """
-    names = {"__name__": "page"}
+    names, before = {"__name__": "page"}, [registry.get(name) for registry in registries]
     with pytest.MonkeyPatch.context() as kept:
         for registry in registries:
             kept.setitem(registry, name, None)  # The script sets it.
@@ -42,7 +42,7 @@ def run(
             prepare(patch)
             exec(compile(block, "page", "exec"), names)
         yield names
-    assert not any(name in registry for registry in registries)
+    assert [registry.get(name) for registry in registries] == before
 
 
 def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:
