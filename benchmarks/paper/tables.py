@@ -5,7 +5,7 @@
 A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
 is replaced by what the numbers of the source give. Sources:
 
-    paper     the runs of `infogoal reproduce`, in table1.npz; docs/reproduction.md has all that is made of them
+    paper     Table I as `infogoal reproduce` drew it, in tables/; docs/reproduction.md has all that is made of its runs
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
 
@@ -18,16 +18,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import trial_numbers
 import trials
 import tuning
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+from trial_numbers import markdown
 
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_jax.reproduce import numbers, scores
-from infogoal_jax.reproduce import tables as reproduced
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
@@ -37,20 +36,21 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 """Methods of the picture, with name and colour."""
 
 
-def paper_tables(results: numbers.Results) -> dict[str, str]:
+def paper_tables() -> dict[str, str]:
     """The table of the README: the columns of test goals of Table I in the paper's way, and what its marks mean."""
-    table = reproduced.table1(results, "paper")
-    if table is None:
-        return {}
-    columns = [place for place, title in enumerate(table.head) if not place or title.endswith(", test")]
-    lines = [[reproduced.markdown_cell(row[place]) for place in columns] for row in table.rows]
-    head = [table.head[place].removesuffix(", test") for place in columns]
-    marks = "\n".join(f"- {line}" for line in table.foot[1:])
-    return {"overview": "\n\n".join(filter(None, [trial_numbers.markdown(head, lines), marks]))}
+    head, _, *lines = (RESULTS / "tables" / "table1_paper.md").read_text().splitlines()
+    titles = head.strip("| ").split(" | ")
+    columns = [place for place, title in enumerate(titles) if not place or title.endswith(", test")]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    marks = [f"- {line}" for line in lines if line and not line.startswith(("|", "Success rate"))]
+    shown = markdown(
+        [titles[place].removesuffix(", test") for place in columns], [[row[place] for place in columns] for row in rows]
+    )
+    return {"overview": "\n".join([shown, "", *marks]).strip()}
 
 
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
-    "paper": lambda: paper_tables(numbers.load(RESULTS)),
+    "paper": paper_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
 }
