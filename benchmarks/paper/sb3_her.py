@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from study import markdown
+from trial_numbers import markdown
 
 from infogoal_jax.report import canvas
 

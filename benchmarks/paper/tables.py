@@ -8,6 +8,7 @@ is replaced by what the numbers of the source give. Sources:
     paper     Table I as `infogoal reproduce` drew it, in tables/; docs/reproduction.md has all that is made of its runs
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
+    sb3_her   the curves of sb3_her.py, in sb3_her/
 
 --picture draws docs/results/learning.png, the picture of the README, too.
 """
@@ -18,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import sb3_her
 import trials
 import tuning
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -53,8 +55,9 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "paper": paper_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
+    "sb3_her": lambda: sb3_her.tables(sb3_her.load()) if sb3_her.FOLDER.exists() else {},
 }
-"""The tables of each source, by name."""
+"""The tables of each source, by name; none where it has no numbers yet."""
 
 
 def written(sources: list[str]) -> dict[Path, str]:
