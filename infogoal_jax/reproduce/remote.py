@@ -72,7 +72,7 @@ class Worker:
                     job.retry,
                     job.goal_images,
                     job.most_lanes,
-                    lambda words: self.said.append(words),
+                    say=lambda words: self.said.append(words),
                 )
             try:
                 work_on(list(job.runs), self.work)
