@@ -65,12 +65,13 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
 
 
 def written(sources: list[str]) -> dict[Path, str]:
-    """What every page should be, by its path; tables of other sources stay as they are."""
-    tables = {f"{name}/{table}": text for name in sources for table, text in SOURCES[name]().items()}
+    """What every page should be, by its path; tables of other sources, or of one without numbers, stay as they are."""
+    found = {name: tables for name in sources if (tables := SOURCES[name]())}
 
     def replace(match: re.Match) -> str:
         before, name, after = match.groups()
-        return f"{before}{tables[name]}\n{after}" if name.split("/")[0] in sources else match[0]
+        source, _, table = name.partition("/")
+        return f"{before}{found[source][table]}\n{after}" if source in found else match[0]
 
     return {page: MARKED.sub(replace, page.read_text()) for page in PAGES}
 

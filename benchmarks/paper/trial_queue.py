@@ -204,10 +204,6 @@ QUEUE = {
         for name, method, lanes in (("infogoal", "infogoal", chosen(THRESHOLDS, 0.99, 0.999)), ("cql", "none", PRESET))
     },
     # The presets as they are, where no other run shows them.
-    "push_preset_none": Trial("fetch_push", "none", {}, seeds=5),
-    "push_preset_infogoal": Trial("fetch_push", "infogoal", {}, seeds=5),
-    "pick_and_place_preset_none": Trial(PICK_AND_PLACE, "none", {}, seeds=5),
-    "pick_and_place_preset_infogoal": Trial(PICK_AND_PLACE, "infogoal", {}, seeds=5),
     "reach_preset_infobot_her": Trial(REACH, "infobot+her", {}, seeds=5),
     "reach_preset_gcb_her": Trial(REACH, "gcb+her", {}, seeds=5),
     # The best threshold lies just below the accuracy that can be had without compression: does following that do on
