@@ -1,8 +1,11 @@
-"""Who may import whom, as docs/architecture.md says it: no file of the package imports from a layer above its own."""
+"""Who may import whom, as docs/architecture.md says it: no file of the package imports from a layer above its own; and
+what benchmarks import of the package is there."""
 
 import ast
+import importlib
 from pathlib import Path
 
+import pytest
 from places import ROOT
 
 PACKAGE = ROOT / "infogoal_jax"
@@ -84,3 +87,13 @@ def test_data_and_environments_know_nothing_of_learning():
         for other in imported_by(path) & learning - NOT_OF_LEARNING[own]
     }
     assert not known
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*/*.py")), ids=lambda path: path.name)
+def test_what_benchmarks_import_of_the_package_is_there(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == PACKAGE.name:
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                if not hasattr(module, alias.name):
+                    importlib.import_module(f"{node.module}.{alias.name}")  # Raises what is missing.

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.report.machine import describe_machine
-from infogoal_jax.train.rollout import expand
+from infogoal_jax.train.rollout import chosen
 
 CORNERS = jnp.array([[float(2 * (number >> bit & 1) - 1) for bit in range(4)] for number in range(16)])
 CHUNK = 200
@@ -57,8 +57,7 @@ def make_chunk(env, batch: int):
             finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(seen)]).all()
             fresh = jax.vmap(env.reset)(jax.random.split(reset_key, batch))
             finished = stepped.terminated | stepped.truncated
-            following = jax.tree.map(lambda new, old: jnp.where(expand(finished, old), new, old), fresh, stepped)
-            return following, (stepped.diverged.sum(), finite)
+            return chosen(finished, fresh, stepped), (stepped.diverged.sum(), finite)
 
         states, (diverged, finite) = jax.lax.scan(
             one, states, (jax.random.split(key, CHUNK), first + jnp.arange(CHUNK))

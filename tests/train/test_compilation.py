@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
+from infogoal_jax.train.chunk import chunk_of
 from infogoal_jax.train.compilation import compiler_options, operations
 
 COUNT_HITS = """
@@ -68,6 +70,25 @@ def test_garbage_is_collected_again_after_compiling_and_after_an_error():
     with pytest.raises(ValueError, match="matmul"):
         compiled(lambda x: x @ 1, jnp.ones(3))
     assert gc.isenabled()
+
+
+def test_a_chunk_in_two_programs_is_the_chunk_of_training():
+    train = make_train(hand_made.config("infogoal", updates_per_epoch=2), hand_made.environment())
+    shared = jnp.arange(1), train.config.hyper, train.env
+    begin = jax.jit(lambda: train.initial(jax.random.key(0), *shared[1:]))
+    finish = chunk_of(train.epochs, train.evaluation).compiling(jax.eval_shape(begin), *shared)
+    states, expected = begin(), jax.jit(train.chunk)(begin(), *shared)
+    found = finish()(states, *shared)
+    assert jax.tree.leaves(states.params)[0].is_deleted()  # Its memory was given back.
+    for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        if not jnp.issubdtype(one.dtype, jax.dtypes.prng_key):
+            np.testing.assert_allclose(one, two, atol=1e-5)
+
+
+def test_a_chunk_that_cannot_be_compiled_says_so():
+    chunk = chunk_of(lambda states, numbers: (states @ numbers, {}), lambda states: {})
+    with pytest.raises(TypeError, match="dot_general|matmul"):
+        chunk.compiling(jnp.ones(3), jnp.ones(4))
 
 
 def test_of_what_has_a_form_for_each_device_one_is_counted():
