@@ -75,8 +75,8 @@ CLAIMS = (
         "infobot-helps",
         "InfoBot reaches many more test goals than the bare agent",
         "Sec. V-E",
-        BARE,
-        compare(("infobot",), ("none",), "test_goal", ONLINE),
+        f"{BARE}; above {COMPARABLE}",
+        compare(("infobot",), ("none",), "test_goal", ONLINE, COMPARABLE),
     ),
     Claim(
         "infobot-paths",

@@ -10,6 +10,7 @@ from infogoal_jax.reproduce.effects import (
     Finding,
     Paired,
     by_seed,
+    by_task,
     difference,
     faults_of,
     finding,
@@ -84,7 +85,7 @@ def grouped(view: int = 0) -> Callable[[Results], Finding]:
         if not tasks:
             return Finding(None, f"no runs that count{without}")
         tasks = enough(tasks)
-        return finding(tasks, f"silhouette by region, mean over {', '.join(map(TITLES.get, tasks))}{without}", counted)
+        return finding(tasks, f"silhouette by region, {by_task(tasks)}{without}", counted)
 
     return find
 
@@ -104,5 +105,5 @@ def reward_near_goal(results: Results) -> Finding:
     if not tasks:
         return Finding(None, f"no runs that count{without}")
     tasks = enough(tasks)
-    words = f"minus Spearman's correlation with the distance, mean over {', '.join(map(TITLES.get, tasks))}{without}"
+    words = f"minus Spearman's correlation with the distance, {by_task(tasks)}{without}"
     return finding(tasks, words)

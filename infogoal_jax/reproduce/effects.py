@@ -131,6 +131,12 @@ def mean_of(several: Sequence[Paired]) -> Paired:
     return combined(lambda *values: np.mean(values), *several)
 
 
+def by_task(tasks: dict[str, Paired]) -> str:
+    """`mean over Push 0.12, EQA 0.15`: a mean may hide a task that is otherwise."""
+    means = {task: np.mean([np.mean([*seeds.values()]) for seeds in sets.values()]) for task, sets in tasks.items()}
+    return f"mean over {', '.join(f'{TITLES[task]} {mean + 0.0:.2f}' for task, mean in means.items())}"
+
+
 def left_out_words(left_out: Sequence[str]) -> str:
     """Which comparisons are left out, and why."""
     return f"; left out, because a row does not count: {', '.join(left_out)}" if left_out else ""

@@ -7,6 +7,7 @@ import numpy as np
 from infogoal_jax.reproduce.effects import (
     Finding,
     Paired,
+    by_task,
     combined,
     difference,
     faults_of,
@@ -89,8 +90,7 @@ def compare(
         without = left_out_words(left_out)
         if not differences:
             return Finding(None, f"no runs that count{without}")
-        on = ", ".join(TITLES[task] for task in differences)
-        return finding(differences, f"mean over {on}{without}", above=above)
+        return finding(differences, f"{by_task(differences)}{without}", above=above)
 
     return find
 
@@ -113,8 +113,7 @@ def own_loss(results: Results) -> Finding:
     without = left_out_words(left_out)
     if not tasks:
         return Finding(None, f"no runs that count{without}")
-    on = ", ".join(TITLES[task] for task in tasks)
-    words = f"mean loss of success over {on}; more than {COMPARABLE} is asked for{without}"
+    words = f"loss of success, {by_task(tasks)}; more than {COMPARABLE} is asked for{without}"
     return finding(tasks, words, above=COMPARABLE)
 
 

@@ -147,6 +147,29 @@ def test_codes_of_rows_that_do_not_count_are_left_out_and_named(results, name):
     assert found.verdict == "holds" and "left out" in found.words and "on ObjSearch" in found.words
 
 
+def test_a_mean_over_tasks_says_what_each_task_gives(results):
+    """HER is better than InfoGoal on one task of six; the mean holds, and the task is seen in it."""
+    other = changed(results, lambda result: made_up(result, 0.4), task="fetch_push", method="infogoal")
+    found = finding(other, "relabelling-below-infogoal")
+    assert found.verdict == "holds" and "Push -0." in found.words and "EQA 0." in found.words
+
+
+def test_few_more_goals_are_not_many_more(results):
+    """0.03 above the bare agent, for sure, is not what the claim says."""
+    few = changed(results, lambda result: made_up(result, 0.23), method="infobot")
+    exact = {
+        run: dataclasses.replace(
+            result,
+            evaluations=result.evaluations
+            | {"test_goal/success_rate": np.full_like(result.evaluations["test_goal/success_rate"], level)},
+        )
+        for run, result in few.items()
+        if (level := {"infobot": 0.23, "none": 0.2}.get(run.method)) is not None
+    }
+    found = finding(few | exact, "infobot-helps")
+    assert found.effect.low == pytest.approx(0.03) and found.verdict == "fails"
+
+
 def test_a_fixed_beta_that_is_missing_might_be_the_best(results):
     lane = fixed(FIXED_BETAS[1])[0]
     without = {run: result for run, result in results.items() if run.lane.name != lane}
