@@ -1,5 +1,6 @@
 """The tests that decide what the paper says of Table I: success, and how long paths are."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -14,15 +15,12 @@ from infogoal_jax.reproduce.effects import (
     finding,
     lacking_rows,
     left_out_words,
-    mean_of,
     of_row,
-    pair_words,
     success,
 )
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import METHODS
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.reproduce.scores import TITLES, Row, row_of
 
 COMPARABLE = 0.05
@@ -48,73 +46,58 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
         if "infogoal" not in rows or len(rows) < 2:
             return Finding(None, "no runs")
         means = {method: row.mean(kind).mean for method, row in rows.items()}
-        found = {}
+        found = []
         for method in (method for method in rows if method != "infogoal"):
             other = f"{METHODS[method]} {means[method]:.2f}"
             words = f"InfoGoal {means['infogoal']:.2f}, {other}, closest of {len(rows)} rows"
-            found[method] = finding({task: paired(rows["infogoal"], rows[method], kind)}, words, [*rows.values()])
-        found = {method: each for method, each in found.items() if each.effect is not None}
+            found.append(finding({task: paired(rows["infogoal"], rows[method], kind)}, words, [*rows.values()]))
+        found = [each for each in found if each.effect is not None]
         if not found:
             return Finding(None, "no runs of the same seeds")
-        better = [method for method in found if found[method].effect.high < 0]
-        closest = (
-            min(better, key=lambda method: found[method].effect.high)
-            if better
-            else min(found, key=lambda method: np.nan_to_num(found[method].effect.low, nan=-np.inf))
-        )
-        return found[closest] if len(rows) == len(METHODS) else lacking_rows(found[closest])
+        return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
 
     return find
+
+
+def weakest(found: Sequence[Finding]) -> Finding:
+    """Of findings that must all hold, the one that decides: which surely does not, or is not known, or is least certain
+    to hold."""
+    known = [each for each in found if each.effect is not None]
+    failing = [each for each in known if each.effect.high < each.above]
+    if failing:
+        return min(failing, key=lambda each: each.effect.high)
+    unknown = [each for each in found if each.effect is None]
+    return unknown[0] if unknown else min(known, key=lambda each: np.nan_to_num(each.effect.low, nan=-np.inf))
 
 
 def compare(
-    first: Sequence[str], second: Sequence[str], kind: str, tasks: Sequence[str], above: float = 0.0
+    pairs: Sequence[tuple[str, str]], kind: str, tasks: Sequence[str], above: float = 0.0, other: str | None = None
 ) -> Callable[[Results], Finding]:
-    """The methods `first` minus the methods `second`, over all tasks on which both ran."""
+    """Of each pair the first method minus the second (on another kind of goals), over the tasks on which both count. A
+    claim about several methods is one about each: the weakest decides."""
 
-    def find(results: Results) -> Finding:
+    def of_pair(results: Results, one: str, two: str) -> Finding:
         differences, left_out = {}, []
         for task in tasks:
-            of_task = []
-            for one in first:
-                for two in second:
-                    rows = [row_of(results, "paper", task, method) for method in (one, two)]
-                    if not all(row is not None and row.mean(kind) for row in rows):
-                        continue
-                    if faults_of(*rows):
-                        left_out.append(pair_words(one, two, task))
-                        continue
-                    of_task.append(paired(*rows, kind))
-            if of_task and (mean := mean_of(of_task)):
-                differences[task] = mean
+            rows = [row_of(results, "paper", task, method) for method in (one, two)]
+            if not all(row is not None and row.mean(kind) and row.mean(other or kind) for row in rows):
+                continue
+            if faults_of(*rows):
+                left_out.append(TITLES[task])
+            elif difference := paired(*rows, kind, other):
+                differences[task] = difference
+        names = METHODS[one] if one == two else f"{METHODS[one]} minus {METHODS[two]}"
         without = left_out_words(left_out)
         if not differences:
-            return Finding(None, f"no runs that count{without}")
-        return finding(differences, f"{by_task(differences)}{without}", above=above)
+            return Finding(None, f"{names}: no runs that count{without}")
+        return finding(differences, f"{names}, {by_task(differences)}{without}", above=above)
+
+    def find(results: Results) -> Finding:
+        decisive = weakest([of_pair(results, *pair) for pair in pairs])
+        weakest_of = f"; the weakest of {len(pairs)}" if len(pairs) > 1 else ""
+        return dataclasses.replace(decisive, words=f"{decisive.words}{weakest_of}")
 
     return find
-
-
-def own_loss(results: Results) -> Finding:
-    """What HER, CHER and GHRL lose when test goals are corrupted."""
-    tasks, left_out = {}, []
-    for task in IMAGE_TASKS:
-        of_task = []
-        for method in RELABELLINGS:
-            row = row_of(results, "paper", task, method)
-            if row is None or not row.mean("corrupted_test_goal"):
-                continue
-            if faults_of(row):
-                left_out.append(f"{METHODS[method]} on {TITLES[task]}")
-                continue
-            of_task.append(paired(row, row, "test_goal", "corrupted_test_goal"))
-        if of_task and (mean := mean_of(of_task)):
-            tasks[task] = mean
-    without = left_out_words(left_out)
-    if not tasks:
-        return Finding(None, f"no runs that count{without}")
-    words = f"loss of success, {by_task(tasks)}; more than {COMPARABLE} is asked for{without}"
-    return finding(tasks, words, above=COMPARABLE)
 
 
 def steps_where_both_reach(first: Row, second: Row) -> tuple[Paired, Paired, str]:

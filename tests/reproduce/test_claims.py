@@ -203,3 +203,18 @@ def test_a_row_that_is_surely_better_decides_against_a_first_place(results):
 def made_up(result, level: float):
     """The run with another success."""
     return numbers.compact(made_up_results.result_of(result.run, level))
+
+
+def test_a_claim_about_several_methods_is_one_about_each(results):
+    """One that is better than InfoGoal everywhere fails it, whatever the others' mean is."""
+    assert finding(results, "relabelling-below-infogoal").verdict == "holds"
+
+    def better(result):
+        return dataclasses.replace(
+            result, evaluations={name: np.ones_like(values) for name, values in result.evaluations.items()}
+        )
+
+    found = finding(changed(results, better, method="cher"), "relabelling-below-infogoal")
+    assert found.verdict == "fails" and "InfoGoal minus CHER" in found.words and "weakest of 3" in found.words
+    without = {run: result for run, result in results.items() if run.method != "ghrl"}
+    assert finding(without, "relabelling-below-infogoal").verdict == "cannot be told"
