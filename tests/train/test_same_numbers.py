@@ -7,9 +7,8 @@ machine:
     PYTHONPATH=tests python tests/train/test_same_numbers.py record FILE [TASK ...]     # before the change
     PYTHONPATH=tests python tests/train/test_same_numbers.py compare FILE [TASK ...]    # after it
 
-Set XLA_FLAGS=--xla_cpu_parallel_codegen_split_count=1 for both. Otherwise XLA compiles a program in several pieces, and
-a change in one place of it can move the rounding of another by a bit. The record in fixtures was made with that and the
-flags of `make test`.
+Programs are compiled with `OPTIONS`, whatever XLA_FLAGS say: other options round differently, and where XLA compiles a
+program in several pieces, a change in one place of it can move the rounding of another by a bit.
 """
 
 import hashlib
@@ -22,7 +21,7 @@ import numpy as np
 import pytest
 from places import FIXTURES
 
-from infogoal_jax import jit, make_train, presets
+from infogoal_jax import make_train, presets
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.train.combinations import reasons_against
 
@@ -30,6 +29,11 @@ RECORD = FIXTURES / "same_numbers.json"
 SMALL = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 3, "batch_size": 16, "evaluation_starts": 1}
 KEPT = ("epochs/agent/loss", "epochs/agent/gradient_norm", "test_goal/success_rate")
 COLLECTED = {"num_envs": 4, "rollout_steps": 25}
+OPTIONS = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
 TOUCHING = ("fetch_push", "fetch_pick_and_place")
 
 
@@ -42,7 +46,7 @@ def small_config(task: str, method: str):
 def numbers(task: str, method: str) -> dict[str, list[float]]:
     """The metrics of both epochs and of the evaluation."""
     train = make_train(small_config(task, method))
-    result = jit(train)(jax.random.key(0), None, train.env)
+    result = jax.jit(train, compiler_options=OPTIONS)(jax.random.key(0), None, train.env)
     values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
     return {
         name: np.ravel(np.asarray(value, np.float64)).tolist()
