@@ -45,7 +45,8 @@ def test_every_table_for_pages_is_on_one():
 
 
 def test_results_are_light():
-    sizes = [path.stat().st_size for path in tables.RESULTS.rglob("*") if path.is_file()]
+    """But for the page that `infogoal reproduce` draws beside them, which is not kept."""
+    sizes = [path.stat().st_size for path in tables.RESULTS.rglob("*") if path.is_file() and path.name != "index.html"]
     assert len(sizes) <= MOST_FILES and sum(sizes) <= MOST_BYTES
 
 
