@@ -13,6 +13,8 @@ from infogoal_jax import stopping
 
 STACK = 64 * 2**20
 """Bytes; a thread's own default is too small for deep programs on some platforms."""
+LISTENING_SECONDS = 0.2
+"""After which the main thread looks for signals at the latest."""
 
 
 def main() -> int:
@@ -31,7 +33,8 @@ def main() -> int:
         threading.stack_size(STACK)
         thread = threading.Thread(target=command, name="command")
         thread.start()
-        thread.join()
+        while thread.is_alive():  # A signal just before an endless wait begins would not be heard until it ends.
+            thread.join(LISTENING_SECONDS)
         flush()
     return status[0] if status else 1  # Its traceback was printed.
 

@@ -139,6 +139,7 @@ class Flight:
         ready = self.wait(lambda: self.picture_fault() == "", self.patience(PICTURE_SECONDS))
         require(ready, "video", self.picture_fault(), "point the camera at the shelf, in light, and try again")
         self.rehearse()
+        self.signals.check()
 
     def rehearse(self) -> None:
         """Use detector and policy once: what they raise, and the seconds of a network's first use, belong here."""

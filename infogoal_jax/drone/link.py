@@ -137,12 +137,15 @@ class Link:
 
     def send(self, command: str, seconds: float, give_up: Callable[[], bool] = lambda: False) -> Answer:
         """Send a command once and wait for its answer, `seconds` of the drone at most and at least one of this
-        machine."""
+        machine. Where `give_up` says so before it is sent, it is not."""
         waiting = self.tello.get_own_udp_object()["responses"]
         while waiting:
             self.log.write("stray answer", text=waiting.pop(0).decode("utf-8", "replace"))
         time.sleep(max(0.0, self.last_answer + SPACING_SECONDS / self.speed - time.monotonic()))
         sent = time.monotonic()
+        if give_up():
+            self.log.write("note", text=f"{command} is not sent any more")
+            return Answer("unanswered", "", sent, sent)
         self.log.write("command", sent, command=command)
         try:
             self.tello.send_command_without_return(command)

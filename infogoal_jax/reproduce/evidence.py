@@ -51,9 +51,6 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
             other = f"{METHODS[method]} {means[method]:.2f}"
             words = f"InfoGoal {means['infogoal']:.2f}, {other}, closest of {len(rows)} rows"
             found.append(finding({task: paired(rows["infogoal"], rows[method], kind)}, words, [*rows.values()]))
-        found = [each for each in found if each.effect is not None]
-        if not found:
-            return Finding(None, "no runs of the same seeds")
         return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
 
     return find

@@ -4,18 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from infogoal_jax.reproduce.effects import (
-    Finding,
-    Paired,
-    by_seed,
-    difference,
-    finding,
-    lacking_rows,
-    mean_of,
-    of_row,
-    success,
-)
-from infogoal_jax.reproduce.evidence import COMPARABLE, longer_paths
+from infogoal_jax.reproduce.effects import Finding, Paired, by_seed, difference, finding, of_row, success
+from infogoal_jax.reproduce.evidence import COMPARABLE, longer_paths, weakest
 from infogoal_jax.reproduce.manifest import METHODS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.scores import Row, row_of
@@ -35,22 +25,21 @@ def area(row: Row, evaluations: int) -> Paired:
 
 
 def more_efficient(*methods: str) -> Callable[[Results], Finding]:
-    """The area under the curve of success on training goals with SSE-DB minus that without, mean over these methods."""
+    """The area under the curve of success on training goals with SSE-DB minus that without, of each method: the weakest
+    decides."""
 
-    def find(results: Results) -> Finding:
-        pairs = [rows for method in methods if None not in (rows := rows_of(results, method))]
-        if not pairs:
-            return Finding(None, "no runs")
-        gains = []
-        for with_it, without in pairs:
-            runs = (*with_it.results, *without.results)
-            count = min(run.evaluations["train_goal/success_rate"].shape[1] for run in runs)
-            gains.append(difference(area(with_it, count), area(without, count)))
-        words = f"area under the curve of training goals, {len(pairs)} of {len(methods)} methods"
-        found = finding({TASK: mean_of(gains)}, words, [row for rows in pairs for row in rows])
-        return found if len(pairs) == len(methods) else lacking_rows(found)
+    def of_method(results: Results, method: str) -> Finding:
+        with_it, without = rows_of(results, method)
+        if with_it is None or without is None:
+            return Finding(None, f"{METHODS[method]}: no runs")
+        shared = {run.run.goal_set for run in with_it.results} & {run.run.goal_set for run in without.results}
+        runs = [run for run in (*with_it.results, *without.results) if run.run.goal_set in shared]
+        count = min((run.evaluations["train_goal/success_rate"].shape[1] for run in runs), default=0)
+        gain = difference(area(with_it, count), area(without, count))
+        words = f"{METHODS[method]}, area under the curve of training goals; the weakest of {len(methods)}"
+        return finding({TASK: gain}, words, (with_it, without))
 
-    return find
+    return lambda results: weakest([of_method(results, method) for method in methods])
 
 
 def less_than_infogoal(results: Results) -> Finding:

@@ -16,10 +16,10 @@ class Chunk(NamedTuple):
     epochs: Callable
     evaluation: Callable
 
-    def trace(self, states: Any, numbers: Any, *shared: Any) -> list[jax.stages.Traced]:
+    def trace(self, states: Any, numbers: Any, *shared: Any) -> tuple[jax.stages.Traced, jax.stages.Traced]:
         """Both programs for arguments of these shapes. Lowering them does not trace them again."""
         with without_garbage_collection():
-            return [self.epochs.trace(states, numbers, *shared), self.evaluation.trace(states, *shared)]
+            return self.epochs.trace(states, numbers, *shared), self.evaluation.trace(states, *shared)
 
     def compiling(self, states: Any, numbers: Any, *shared: Any) -> Callable[[], Callable]:
         """Begin to compile both programs for arguments of these shapes (and shardings). What is returned waits for them

@@ -8,7 +8,7 @@ holds at once at least, whatever the sizes are that ask for it.
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
@@ -177,7 +177,7 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
 
 
 def check_program(
-    traced: Sequence[Any],
+    traced: tuple[Any, Any],
     carried: int,
     held: int,
     train: Train,
@@ -185,13 +185,15 @@ def check_program(
     mesh: jax.sharding.Mesh,
     name: str = "seeds",
 ) -> None:
-    """Raise `UserError`, naming the field that is to blame, if the traced programs of all seeds cannot run.
+    """Raise `UserError`, naming the field that is to blame, if the traced epochs and evaluation of all seeds cannot
+    run.
 
     carried, held: bytes of the states that a program is given to overwrite, and of its other arguments, on all
     devices of the mesh together; name: of the number of seeds.
     """
-    # What the epochs return stands where the states stood, and is part of their peak.
-    running = max(carried, *(peak_bytes(program.jaxpr) for program in traced))
+    # What the epochs return stands where the states stood, and is part of their peak; the evaluation reads the states.
+    epochs, evaluation = (peak_bytes(program.jaxpr) for program in traced)
+    running = max(epochs, carried + evaluation)
     needed, memory = (held + running) / mesh.size, mesh_memory(mesh)
     if needed > memory:
         raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)

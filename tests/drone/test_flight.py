@@ -175,6 +175,19 @@ def test_signals_land(tmp_path, name):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_a_signal_while_a_network_is_tried_on_the_ground_stays_there(tmp_path):
+    """Its first use takes seconds, in which a person may see what is wrong."""
+
+    def interrupt(image):
+        os.kill(os.getpid(), signal.SIGINT)
+        return []
+
+    flight, drone = make_flight(tmp_path, detect=interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        flight.fly()
+    assert not drone.sent and reason_in_log(tmp_path) == "interrupted on the ground"
+
+
 def test_a_take_off_that_is_not_answered_lands(tmp_path):
     flight, drone = make_flight(tmp_path, {"takeoff": [""]})
     assert "takeoff was unanswered" in flight.fly().reason

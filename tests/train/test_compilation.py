@@ -72,6 +72,7 @@ def test_garbage_is_collected_again_after_compiling_and_after_an_error():
     assert gc.isenabled()
 
 
+@pytest.mark.long
 def test_a_chunk_in_two_programs_is_the_chunk_of_training():
     train = make_train(hand_made.config("infogoal", updates_per_epoch=2), hand_made.environment())
     shared = jnp.arange(1), train.config.hyper, train.env
