@@ -49,7 +49,7 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
         found = []
         for method in (method for method in rows if method != "infogoal"):
             other = f"{METHODS[method]} {means[method]:.2f}"
-            words = f"InfoGoal {means['infogoal']:.2f}, {other}, closest of {len(rows)} rows"
+            words = f"InfoGoal {means['infogoal']:.2f}, {other}, least certain of {len(rows) - 1}"
             found.append(finding({task: paired(rows["infogoal"], rows[method], kind)}, words, [*rows.values()]))
         return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
 
