@@ -31,13 +31,19 @@ def costs(results: Results) -> Table | None:
         return None
     body.append(["all", *cost_cells(totals, list(results.values()))])
     head = ["task", "runs", "programs", "compiling and measuring (s)", "training (s)", "process-minutes"]
-    foot = [
-        f"{'; '.join(machines)}.",
+    foot = (
         "Seconds and process-minutes are sums over processes. Several share a GPU and its host, each with a clock of "
-        "its own, so that the sums are more than the time of the GPU. Wall clock: the time in which at least one "
-        "process was at work, of the runs that recorded it.",
-    ]
-    return Table("costs", "What it cost", [*head, "wall clock (min)"], body, foot)
+        "its own, so that the sums are more than the time of the GPU."
+    )
+    if any("spans" in result.about["program"] for result in results.values()):
+        head.append("wall clock (min)")
+        foot += (
+            " Wall clock: the time in which at least one process was at work, of the runs that recorded it; empty "
+            "where none did."
+        )
+    else:
+        body = [row[:-1] for row in body]
+    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
 
 
 def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:

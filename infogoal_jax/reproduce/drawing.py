@@ -26,9 +26,9 @@ BY_HAND = "<!-- by hand -->"
 """What stands below this line of the page of verdicts is written by hand, and is kept."""
 ABOUT = """# The paper, reproduced
 
-Written by `infogoal reproduce`: Tables I and II, Figures 8 to 15 and a verdict on each claim of the paper, from the
-numbers of the runs. [reproducing.md](reproducing.md) says how runs are made and repeated. Datasets are stand-ins
-(README), so that numbers compare methods on them.
+Written by `infogoal reproduce` from the numbers of the runs: a verdict on each claim of the paper, and those of its
+tables and figures that there are runs for. A verdict says so where runs are missing. [reproducing.md](reproducing.md)
+says how runs are made and repeated. Datasets are stand-ins (README), so that numbers compare methods on them.
 """
 
 

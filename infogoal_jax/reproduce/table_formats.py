@@ -64,9 +64,13 @@ def latex_cell(cell: Cell | str) -> str:
     return (words + paper).strip()
 
 
+LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$"}
+"""Characters of the tables that LaTeX writes otherwise."""
+
+
 def latex_words(words: str) -> str:
     """Words as LaTeX has them."""
-    for plain, written in {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S"}.items():
+    for plain, written in LATEX.items():
         words = words.replace(plain, written)
     return words
 

@@ -16,7 +16,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import claims, drawing, numbers, table_formats, tables
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, runs_of
-from infogoal_jax.reproduce.scores import row_of
+from infogoal_jax.reproduce.scores import MARKS, row_of
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +122,11 @@ def test_every_format_has_the_same_numbers(results):
             assert means[method] in line
 
 
+def test_latex_has_no_character_that_it_would_not_print():
+    marks = "".join(sign for sign, _ in MARKS.values())
+    assert table_formats.latex_words(f"0.50 ± 0.10{marks} 95 %").isascii()
+
+
 def test_best_and_second_best_are_marked(results):
     table = tables.table1(results, "paper")
     text = table_formats.markdown(table)
@@ -176,6 +181,8 @@ def test_the_wall_clock_counts_time_once(results):
     program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
     made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
     assert tables.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
+    only = tables.costs({runs[0]: made[runs[0]]})
+    assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}
 
 
 def test_a_figure_of_other_numbers_is_not_shown(results, tmp_path):
