@@ -4,7 +4,7 @@
 
 Every flight is a process of `infogoal fly`. The evaluation takes the same policy, questions and starts, and images of a
 hovering drone. The script writes flights.json: how every flight ended, and the times from an image to its command. Copy
-it to docs/results/drone_study and run `python benchmarks/paper/tables.py drone_study`. Flights that are in FOLDER
+it to docs/results/drone and run `python benchmarks/paper/tables.py drone`. Flights that are in FOLDER
 already are not flown again.
 """
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from trial_numbers import markdown
 
-NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "drone_study"
+NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "drone"
 KINDS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
 """Words by which reasons are counted as one, in front of what is special to a flight."""
 

@@ -9,8 +9,7 @@ is replaced by what the numbers of the source give. Sources:
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
     sb3_her   the curves of sb3_her.py, in sb3_her/
-    drone_study
-              the flights of drone_flights.py and drone_faults.py, in drone_study/
+    drone     the flights of drone_flights.py and drone_faults.py, in drone/
 
 --picture draws docs/results/learning.png, the picture of the README, too.
 """
@@ -59,7 +58,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
     "sb3_her": lambda: sb3_her.tables(sb3_her.load()) if sb3_her.FOLDER.exists() else {},
-    "drone_study": lambda: drone_numbers.tables(drone_numbers.load()),
+    "drone": lambda: drone_numbers.tables(drone_numbers.load()),
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 
