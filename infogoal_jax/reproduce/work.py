@@ -55,7 +55,7 @@ class Outcome:
 def work_on(runs: list[Run], work: Work) -> Outcome:
     """Train what is not done of these runs, program by program, until all are done or taken by others, the clock says
     stop, or a signal does. Raises `UserError` where the disk refuses."""
-    outcome = Outcome()
+    outcome, tried = Outcome(), set[Run]()
     programs = programs_of(runs, work.goal_images)
     with stop_on_signal() as stop:
         # First whole programs that nobody has begun, then what others left of those that they have.
@@ -65,7 +65,9 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
                 if outcome.stopped:
                     break
                 with contextlib.ExitStack() as claims:
-                    mine = claim(program, work, claims, whole)
+                    untried = program._replace(runs=tuple(run for run in program.runs if run not in tried))
+                    mine = claim(untried, work, claims, whole)
+                    tried.update(mine)  # What fails here is not begun again before the next start.
                     if mine:
                         train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
     progress.write(work.folder, runs, at_once=True)

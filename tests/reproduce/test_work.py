@@ -97,6 +97,16 @@ def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
     assert progress.state_of(tmp_path, runs(1)[0]).kind == "done"
 
 
+def test_what_fails_again_is_begun_once_a_retry(tmp_path, monkeypatch):
+    def fails(training):
+        raise ValueError("out of luck")
+
+    monkeypatch.setattr(lanes, "go_on", fails)
+    assert reproduce(tmp_path, 1).failed == runs(1)
+    assert reproduce(tmp_path, 1, retry=True).failed == runs(1)
+    assert sorted(log_of(tmp_path, "begun")) == sorted(run.name for run in runs(1) * 2)
+
+
 def test_a_remake_that_fails_over_a_damaged_file_has_failed(whole, tmp_path, monkeypatch):
     """It is no finished run, and waits for retry as others do."""
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
