@@ -7,9 +7,8 @@ another one.
 
 import contextlib
 import dataclasses
-import logging
 import math
-import os
+import time
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import infogoal_jax
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import checkpoints, files, progress
+from infogoal_jax.reproduce.connecting import connected
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, programs_of
 from infogoal_jax.reproduce.processes import MEMORY
@@ -27,7 +27,10 @@ from infogoal_jax.stopping import StopRequest, stop_on_signal
 WAIT = 0.5
 """Seconds between two looks at workers that say nothing."""
 LOSSES = 3
-"""A program whose worker was lost so often has failed: it may be what kills them."""
+"""A program whose worker was lost so often has failed: it may be what kills them. After so many workers in succession
+that could not start, none is hired for a while."""
+PAUSE = 60.0
+"""Seconds of that while."""
 THREADS = 3
 """Of a worker: one trains, the others answer."""
 
@@ -44,35 +47,13 @@ def work_on_cluster(runs: list[Run], work: Work, workers: int = 0, address: str 
         stop.finishing = "the evaluations of its workers"
         try:
             return keeper.run()
+        except Exception:
+            keeper.drain()
+            raise
         finally:
             stop.finishing = ""
             keeper.dismiss()
             progress.write(work.folder, runs, at_once=True)
-
-
-@contextlib.contextmanager
-def connected(address: str):
-    """Inside, the process is connected to the cluster. Gives the module `ray`."""
-    try:
-        import ray
-    except ImportError as error:
-        raise UserError("engine = 'ray': is not installed; pip install 'infogoal-jax[ray]'") from error
-    if ray.is_initialized():
-        yield ray
-        return
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Of the cluster that is started here.
-    own = {} if address else {"include_dashboard": False}
-    try:
-        ray.init(address=address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
-    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
-        raise UserError(
-            f"ray_address = {address!r}: {str(error).strip() or type(error).__name__}; give HOST:PORT of a cluster "
-            "that this machine belongs to, auto for the one that runs here, or ray://HOST:10001"
-        ) from error
-    try:
-        yield ray
-    finally:
-        ray.shutdown()
 
 
 @dataclasses.dataclass(eq=False)
@@ -99,8 +80,10 @@ class Keeper:
         # As in `work_on`: first whole programs that nobody has begun.
         self.queue = deque((program, whole) for whole in (True, False) for program in programs)
         self.losses: dict[str, int] = {}
+        self.ended: set[Run] = set()  # Their job came to its end, or they were given up.
         self.workers: list[Hired] = []
         self.hired = self.unfit = 0
+        self.pause_until = 0.0
         self.outcome = Outcome()
 
     def run(self) -> Outcome:
@@ -126,6 +109,8 @@ class Keeper:
 
     def hire(self) -> None:
         """Start workers until there are as many as there should be; one is lost with its machine, or joins with it."""
+        if time.monotonic() < self.pause_until:
+            return
         machines = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         gpus = int(sum(machine.get("GPU", 0) for machine in machines))
         wanted = self.count or gpus or sum(machine.get("CPU", 0) >= 1 for machine in machines)
@@ -144,7 +129,10 @@ class Keeper:
         for hired in self.workers:
             while hired.starting is None and hired.job is None and self.queue:
                 program, whole = self.queue.popleft()
-                mine = claim(program, self.work, hired.claims, whole)
+                # Where the file system has no locks, nothing else keeps a run from two workers.
+                taken = self.ended.union(*(other.program.runs for other in self.busy()))
+                free = tuple(run for run in program.runs if run not in taken)
+                mine = claim(program._replace(runs=free), self.work, hired.claims, whole)
                 if mine:
                     self.give(hired, program._replace(runs=tuple(mine)))
 
@@ -176,37 +164,35 @@ class Keeper:
         awaited = [hired.starting or hired.job for hired in self.workers if hired.starting or hired.job]
         if awaited:
             self.ray.wait(awaited, timeout=WAIT)
+        else:
+            time.sleep(WAIT)
         for hired in list(self.workers):
             try:
-                if hired.starting is not None and self.is_there(hired.starting):
-                    self.check_version(self.ray.get(hired.starting))
-                    hired.starting, self.unfit = None, 0
-                if hired.job is None:
-                    continue
-                if self.is_there(hired.news):
-                    # The job is looked at first: news that come after its end hold nothing.
-                    ended = self.is_there(hired.job)
-                    self.keep(hired, self.ray.get(hired.news))
-                    if ended:
-                        self.end(hired)
-                    else:
-                        hired.news = hired.actor.news.remote()
-            except self.ray.exceptions.RayTaskError:
-                raise  # A mistake in what it was asked, and not the loss of the worker.
-            except self.ray.exceptions.RayError as error:
+                self.hear(hired)
+            except self.ray.exceptions.RayError as error:  # Also one that its own code raised, but for its job's.
                 self.lose(hired, error)
+
+    def hear(self, hired: Hired) -> None:
+        """Keep what a worker answered, if it did."""
+        if hired.starting is not None and self.is_there(hired.starting):
+            version = self.ray.get(hired.starting)
+            if version != infogoal_jax.__version__:
+                self.lose(hired, UserError(another_version(version)))
+                return
+            hired.starting, self.unfit = None, 0
+        if hired.job is None or not self.is_there(hired.news):
+            return
+        # The job is looked at first: news that come after its end hold nothing.
+        ended = self.is_there(hired.job)
+        self.keep(hired, self.ray.get(hired.news))
+        if ended:
+            self.end(hired)
+        else:
+            hired.news = hired.actor.news.remote()
 
     def is_there(self, answer: Any) -> bool:
         """Whether an answer has come."""
         return bool(self.ray.wait([answer], timeout=0)[0])
-
-    def check_version(self, version: str) -> None:
-        """Raise `UserError` for a worker whose package is another one."""
-        if version != infogoal_jax.__version__:
-            raise UserError(
-                f"ray_address: a worker has infogoal-jax {version}, and this machine {infogoal_jax.__version__}; "
-                "install the same one everywhere"
-            )
 
     def keep(self, hired: Hired, news: News) -> None:
         """Write what a worker sent, and repeat what it said."""
@@ -233,6 +219,7 @@ class Keeper:
                 self.outcome.finished.append(run)
             elif self.sent_as(failure) in hired.received:
                 self.outcome.failed.append(run)
+        self.ended.update(hired.program.runs)
         checkpoints.delete_measured(self.work.folder, hired.program.runs)
         self.release(hired)
 
@@ -247,16 +234,15 @@ class Keeper:
         hired.claims.close()
 
     def lose(self, hired: Hired, error: Exception) -> None:
-        """Go on without a worker, and have what it left done by another one. Raises `UserError` where workers cannot
-        even start."""
+        """Go on without a worker, and have what it left done by another one. Raises `UserError` where none is left and
+        none can start."""
         self.workers.remove(hired)
         self.ray.kill(hired.actor)  # It may only have been out of reach: nothing is trained twice.
         if hired.starting is not None:
-            self.unfit += 1
-            if self.unfit >= LOSSES:
-                raise UserError(f"ray_address: workers cannot start there: {error}") from error
+            self.count_unfit(hired, error)
             return
-        self.work.say(f"{hired.number}: is lost: {str(error).strip().splitlines()[0]}")
+        self.work.say(f"{hired.number}: is lost: {first_line(error)}")
+        self.unfit, self.pause_until = 0, 0.0  # Its place is free, and may be the only good one.
         if hired.program is None:
             return
         program, name = hired.program, hired.program.runs[0].name
@@ -266,9 +252,47 @@ class Keeper:
             self.queue.appendleft((program, False))
         else:
             self.give_up(program, error)
+            self.ended.update(program.runs)
+
+    def count_unfit(self, hired: Hired, error: Exception) -> None:
+        """Hire none for a while if too many in succession could not start; the others go on. Raises `UserError` where
+        there are no others."""
+        self.unfit += 1
+        self.work.say(f"{hired.number}: cannot start: {first_line(error)}")
+        if self.unfit >= LOSSES:
+            self.pause_until = time.monotonic() + PAUSE
+            if not self.workers:
+                raise UserError(f"ray_address: workers cannot start there: {error}") from error
+
+    def drain(self) -> None:
+        """After an error: have busy workers stop, each after its evaluation, and keep what they send."""
+        while self.busy():
+            for hired in self.busy():
+                try:
+                    hired.actor.stop.remote()
+                    self.hear(hired)
+                except Exception as error:  # The first error is the one to be raised; here as much is kept as can be.
+                    self.work.say(f"{hired.number}: what it had is not kept: {first_line(error)}")
+                    self.workers.remove(hired)
+                    self.ray.kill(hired.actor)
+                    hired.claims.close()
+            time.sleep(WAIT)
 
     def dismiss(self) -> None:
         """Send all workers away, and let all runs be free."""
         for hired in self.workers:
             self.ray.kill(hired.actor)
             hired.claims.close()
+
+
+def another_version(version: str) -> str:
+    """What is wrong with a worker whose package is of this version."""
+    return (
+        f"a worker has infogoal-jax {version}, and this machine {infogoal_jax.__version__}; install the same one "
+        "everywhere"
+    )
+
+
+def first_line(error: Exception) -> str:
+    """What an error says, in one line."""
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)

@@ -1,0 +1,117 @@
+"""What the keeper of a Ray cluster does when workers cannot start, are lost, or the disk refuses: what others train is
+kept, and no run is handed out twice. The cluster is `fake_ray`; test_cluster.py has a real one."""
+
+import contextlib
+
+import fake_ray
+import killed_reproduction
+import pytest
+from fake_ray import FakeRay, RayError, RayTaskError, Scripted
+from killed_reproduction import runs
+
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import cluster, files, remote, work
+from infogoal_jax.reproduce.work import Outcome, Work
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, tmp_path):
+    """Nobody waits, and programs are small."""
+    monkeypatch.setattr(cluster, "WAIT", 0.0)
+    with killed_reproduction.small_programs(tmp_path):
+        yield
+
+
+def finishing(job) -> dict[str, bytes]:
+    """Files of finished runs, as far as the keeper looks into them."""
+    return {f"runs/{run.name}.npz": b"numbers" for run in job.runs}
+
+
+def failing(job) -> dict[str, bytes]:
+    """Files of runs that failed."""
+    return {f"runs/{run.name}.failed.json": b'{"why": "out of luck", "trace": ""}' for run in job.runs}
+
+
+def work_with(ray: FakeRay, monkeypatch, folder, wanted, **settings) -> tuple[Outcome, list[str]]:
+    """What came of these runs on this cluster, and what was said."""
+    said: list[str] = []
+    monkeypatch.setattr(cluster, "connected", lambda address: contextlib.nullcontext(ray))
+    return cluster.work_on_cluster(wanted, Work(folder, say=said.append, **settings)), said
+
+
+def handed_out(ray: FakeRay) -> list[str]:
+    """Names of the runs of all jobs."""
+    return sorted(run.name for worker in ray.workers for job in worker.jobs for run in job.runs)
+
+
+@pytest.mark.parametrize("answer", [RayError("out of disk"), RayTaskError("no such module"), "0.0.1"])
+def test_a_machine_without_workers_leaves_the_others_at_work(answer, tmp_path, monkeypatch):
+    """One machine of two cannot start a worker, or has another version: the other trains everything."""
+    good = Scripted(after=5, files=finishing)
+    ray = FakeRay(2, [Scripted(starting=answer), good], lambda: Scripted(starting=answer))
+    outcome, said = work_with(ray, monkeypatch, tmp_path, runs(3))
+    assert sorted(run.name for run in outcome.finished) == sorted(run.name for run in runs(3)) == handed_out(ray)
+    # Those before the good one started do not count.
+    assert sum("cannot start" in words for words in said) <= cluster.LOSSES + 1, "it is tried without end"
+
+
+@pytest.mark.parametrize(("answer", "named"), [(RayError("out of disk"), "out of disk"), ("0.0.1", "install the same")])
+def test_where_no_worker_can_start_the_user_is_told_why(answer, named, tmp_path, monkeypatch):
+    ray = FakeRay(2, [], lambda: Scripted(starting=answer))
+    with pytest.raises(UserError, match=f"ray_address.*{named}"):
+        work_with(ray, monkeypatch, tmp_path, runs(1))
+
+
+def test_a_worker_is_hired_in_place_of_the_only_good_one(tmp_path, monkeypatch):
+    """Also while no more are hired, as others could not start."""
+    bad = [Scripted(starting=RayError("out of disk")) for _ in range(cluster.LOSSES)]
+    lost = Scripted(after=None)
+    lost.news = lambda: fake_ray.Answer(RayError("its machine is gone") if lost.asked > 9 else remote.News([], {}))
+    lost.is_at_its_end = lambda: (setattr(lost, "asked", lost.asked + 1), False)[1]
+    ray = FakeRay(2, [bad[0], lost, *bad[1:]], lambda: Scripted(files=finishing))
+    outcome, _ = work_with(ray, monkeypatch, tmp_path, runs(1))
+    assert outcome.finished == runs(1)
+
+
+def test_an_error_in_the_news_is_the_loss_of_that_worker(tmp_path, monkeypatch):
+    ray = FakeRay(1, [Scripted(news=RayTaskError("disk is full there"))], lambda: Scripted(files=finishing))
+    outcome, said = work_with(ray, monkeypatch, tmp_path, runs(1))
+    assert outcome.finished == runs(1) and any("0: is lost: disk is full there" in words for words in said)
+
+
+def test_after_an_error_busy_workers_bring_their_checkpoints(tmp_path, monkeypatch):
+    """The folder refuses what one sends: the other one stops after its evaluation, and its checkpoint is kept."""
+    refused, slow = Scripted(files=finishing), Scripted(after=None, files=lambda job: {"unfinished/abc": b"states"})
+    whole = remote.write
+
+    def write(folder, path, content):
+        if path.startswith("runs/"):
+            raise UserError("out = full")
+        whole(folder, path, content)
+
+    monkeypatch.setattr(cluster, "write", write)
+    ray = FakeRay(2, [slow, refused])
+    with pytest.raises(UserError, match="out = full"):
+        work_with(ray, monkeypatch, tmp_path, runs(2))
+    assert slow.stopped and (tmp_path / "unfinished" / "abc").read_bytes() == b"states"
+    assert not list(tmp_path.rglob("*.lock"))
+
+
+def test_without_locks_no_run_is_handed_out_twice(tmp_path, monkeypatch):
+    """As on file systems that have none, where whoever asks for a lock gets it."""
+    monkeypatch.setattr(work, "locked", lambda path, folder: contextlib.nullcontext())
+    ray = FakeRay(2, [Scripted(after=20, files=finishing), Scripted(files=finishing)])
+    outcome, _ = work_with(ray, monkeypatch, tmp_path, runs(2))
+    assert handed_out(ray) == sorted(run.name for run in runs(2)) and len(outcome.finished) == 4
+
+
+@pytest.mark.parametrize("end", ["fails", "kills its workers"])
+def test_what_fails_again_is_tried_once_a_retry(end, tmp_path, monkeypatch):
+    for run in runs(1):
+        files.write_failure(tmp_path, run, "out of luck", "")
+    if end == "fails":
+        ray, times = FakeRay(1, [Scripted(files=failing)]), 1
+    else:
+        ray, times = FakeRay(1, [], lambda: Scripted(news=RayError("killed"))), cluster.LOSSES
+    outcome, _ = work_with(ray, monkeypatch, tmp_path, runs(1), retry=True)
+    assert outcome.failed == runs(1) and handed_out(ray) == sorted(run.name for run in runs(1) * times)
