@@ -14,11 +14,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import files, lanes
+from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.reproduce import files, finishing, lanes
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import program_key
 from infogoal_jax.runs import checkpoint, disk
+from infogoal_jax.runs.configuration import from_dict
 from infogoal_jax.train import host
 
 UNFINISHED = "unfinished"
@@ -30,18 +33,22 @@ def path_of(folder: Path, batch: lanes.Batch) -> Path:
     return folder / UNFINISHED / hashlib.sha256(names.encode()).hexdigest()[:16]
 
 
-def kept(folder: Path) -> dict[Path, set[str]]:
-    """The checkpoints in a folder with the names of their runs, the longest trained first; without those that cannot be
-    read."""
+def headers(folder: Path) -> dict[Path, dict[str, Any]]:
+    """The headers of the checkpoints in a folder, the longest trained first; without those that cannot be read."""
     found = []
     for path in sorted((folder / UNFINISHED).glob("[0-9a-f]*")):
         try:
             with open(path, "rb") as file:
                 header = json.loads(file.readline())
-            found.append((header["evaluations"], path, set(header["runs"])))
+            found.append((header["evaluations"], set(header["runs"]), path, header))
         except (OSError, ValueError, KeyError, TypeError):
             continue  # Of an earlier version, damaged, or deleted by another process at this moment.
-    return {path: names for _, path, names in sorted(found, key=lambda each: each[0], reverse=True)}
+    return {path: header for *_, path, header in sorted(found, key=lambda each: each[0], reverse=True)}
+
+
+def kept(folder: Path) -> dict[Path, set[str]]:
+    """The checkpoints in a folder with the names of their runs, in the order of `headers`."""
+    return {path: set(header["runs"]) for path, header in headers(folder).items()}
 
 
 def has(folder: Path, run: Run) -> bool:
@@ -60,8 +67,13 @@ def apart(folder: Path, runs: Sequence[Run]) -> list[list[Run]]:
 
 def program_of(training: lanes.Training) -> dict[str, Any]:
     """What the checkpoint of a batch has to agree in: the program, but for its number of epochs, and the versions."""
-    config = json.loads(program_key(training.batch.config)) | {"num_epochs": None}
+    config = settings_of(training.batch.config)
     return {"config": config, "versions": host.describe(training.batch.config, training.batch.envs[0], [0]).versions}
+
+
+def settings_of(config: TrainConfig) -> dict[str, Any]:
+    """What decides the program, but for its number of epochs."""
+    return json.loads(program_key(config)) | {"num_epochs": None}
 
 
 def lanes_of(training: lanes.Training) -> dict[str, dict[str, Any]]:
@@ -87,6 +99,7 @@ def save(path: Path, training: lanes.Training) -> None:
         "finite": training.finite.tolist(),
         "seconds": [training.compile_seconds, training.run_seconds],
         "spans": training.spans_until_now(),
+        "trained": finishing.cost_of(training) if finishing.is_finished(training) else None,
     }
     disk.make_folder(path.parent)
     checkpoint.save(path, header, training.states)
@@ -135,6 +148,8 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: lanes.Tra
     training.compile_seconds += share * header["seconds"][0]
     training.run_seconds = share * header["seconds"][1]
     training.spans = header["spans"]
+    # A part of what was stopped goes on by itself; a part of what was trained to the end is only measured.
+    training.trained = header.get("trained") if finishing.is_finished(training) else None
 
 
 def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[list[int], list[int]]:
@@ -150,15 +165,21 @@ def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[
 def delete_measured(folder: Path, runs: Iterable[Run]) -> None:
     """Delete the checkpoints that have one of these runs, if each of their runs is finished and measured."""
     own = {run.name for run in runs}
-    for path, names in kept(folder).items():
-        if own & names and all(is_measured(folder, name) for name in names):
+    for path, header in headers(folder).items():
+        if own & set(header["runs"]) and all(is_measured(folder, name, header) for name in header["runs"]):
             path.unlink(missing_ok=True)
 
 
-def is_measured(folder: Path, name: str) -> bool:
-    """Whether the run of this name is finished and measured."""
+def is_measured(folder: Path, name: str, header: dict[str, Any]) -> bool:
+    """Whether the run of this name is finished and measured, with the settings of this checkpoint and no less far: an
+    older file of the run is not what the checkpoint is kept for."""
     path = folder / "runs" / f"{name}.npz"
     try:
-        return path.exists() and not files.read(path).missing()
-    except UserError:
+        found = files.read(path)
+        config = from_dict(found.about["config"])
+    except UserError:  # There is none yet, or it is damaged.
         return False
+    curve = found.evaluations["train_goal/success_rate"]
+    of = json.loads(json.dumps([values_of(config.hyper), found.run.seeds, found.about["data"]]))
+    same = settings_of(config) == header["program"]["config"] and of == header["runs"][name]["of"]
+    return same and curve.shape[1] >= header["evaluations"] and not found.missing()

@@ -78,13 +78,7 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "learner_share": measured.share,
         "measuring_failed": measured.error or (needs.NO_TIME if measured.missing(run) else ""),
         "episode_length": env.episode_length,
-        "program": {
-            "runs": sorted(each.name for each in batch.runs.values()),
-            "lanes": len(batch.envs) * len(batch.lanes),
-            "compile_seconds": round(training.compile_seconds, 1),
-            "run_seconds": round(training.run_seconds, 1),
-            "spans": training.spans_until_now(),
-        },
+        "program": cost_of(training),
         "measure_seconds": round(measured.seconds, 1),
         "command": shlex.join(command_of(run)),
     }
@@ -95,6 +89,19 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "uses": np.select(masks, [0, 1, 2]).astype(np.int8),
     }
     return Result(run, about, evaluations, arrays | measured.arrays)
+
+
+def cost_of(training: lanes.Training) -> dict[str, Any]:
+    """What the file of each run says of the program that trained it. Where a part of a batch is measured later, it is
+    that of the whole batch, whose other runs say the same: costs are counted once a program."""
+    batch = training.batch
+    own = {
+        "runs": sorted(each.name for each in batch.runs.values()),
+        "lanes": len(batch.envs) * len(batch.lanes),
+        "compile_seconds": round(training.compile_seconds, 1),
+        "run_seconds": round(training.run_seconds, 1),
+    }
+    return (training.trained or own) | {"spans": training.spans_until_now()}
 
 
 def masks_of(env: Any) -> tuple:

@@ -57,7 +57,8 @@ class Training:
     returns what waits for it; share: `measure.learner_share`, which compiles at its first call; states: [goal sets,
     lanes, ...], their shapes before `prepare` or a checkpoint gives them; finite: bool [goal sets, lanes]; started:
     seconds of `time.time()`; chunk: the program, None before `prepare`; history: of each metric a list of arrays [goal
-    sets, lanes, ...], one an evaluation; spans: from when to when earlier processes worked on it."""
+    sets, lanes, ...], one an evaluation; spans: from when to when earlier processes worked on it; trained: what the
+    files of its runs say of the program, where an earlier process trained it to the end, perhaps in a larger batch."""
 
     batch: Batch
     train: Train
@@ -75,6 +76,7 @@ class Training:
     run_seconds: float = 0.0
     last_seconds: float = 0.0
     spans: list[list[float]] = dataclasses.field(default_factory=list)
+    trained: dict[str, Any] | None = None
 
     @property
     def evaluations(self) -> int:

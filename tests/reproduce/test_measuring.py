@@ -1,5 +1,6 @@
 """What is measured of a run after its training: once, of this very training, however a process ended in between."""
 
+import shutil
 import time
 
 import numpy as np
@@ -126,6 +127,37 @@ def test_a_run_goes_on_from_the_checkpoint_of_others_too(whole, tmp_path, monkey
         np.testing.assert_allclose(closeness(tmp_path, run), closeness(whole, run), atol=1e-5)
         mine, other = (files.read(files.path_of(folder, run)).evaluations for folder in (tmp_path, whole))
         np.testing.assert_allclose(mine["test_goal/success_rate"], other["test_goal/success_rate"], atol=1e-5)
+
+
+def test_what_is_measured_later_costs_its_training_once(tmp_path, monkeypatch):
+    """A run of a batch of two says of the program what the other one does, whoever measures it alone."""
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "MEASURING", 1e9)
+        reproduce(tmp_path, 1, judge, deadline=time.time() + 3600)
+    reproduce(tmp_path, [SECOND], judge)
+    first, second = (dict(files.read(files.path_of(tmp_path, run)).about["program"]) for run in (FIRST, SECOND))
+    assert len(second.pop("spans")) == len(first.pop("spans")) + 1
+    assert second == first and second["runs"] == sorted([FIRST.name, SECOND.name]) and second["lanes"] == 4
+
+
+def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole, tmp_path, monkeypatch):
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    for run in (FIRST, SECOND):
+        result = files.read(files.path_of(tmp_path, run))
+        result.about["config"]["batch_size"] += 1
+        files.save(tmp_path, result)
+    go_on, count = lanes.go_on, []
+
+    def slow(training):
+        go_on(training)
+        count.append(training.evaluations)
+        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
+
+    monkeypatch.setattr(lanes, "go_on", slow)
+    assert reproduce(tmp_path, 1, judge, deadline=time.time() + 3600).stopped
+    assert reproduce(tmp_path, [FIRST], judge).finished == [FIRST] and len(kept(tmp_path)) == 1
+    assert reproduce(tmp_path, [SECOND], judge).finished == [SECOND] and not kept(tmp_path)
+    assert count == [1, 2, 3, 4, 5, 6, 4, 5, 6]
 
 
 def test_what_is_measured_is_known_without_jax():
