@@ -28,6 +28,9 @@ def main() -> int:
             status.append(main())
         except SystemExit as stopped:  # After a help, and for a flag that is none.
             status.append(stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None))
+        except stopping.Stopped as stopped:  # Another process of the run was asked to stop, or this one a while ago.
+            stopping.say(f"infogoal: stopped; {stopped}")
+            status.append(stopping.STATUS)
 
     with stopping.stop_on_signal(at_once=stopping.leave):
         threading.stack_size(STACK)

@@ -77,9 +77,12 @@ def train(
         numbers = description.read(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     if not several.is_writer():
-        return STATUS if host.run(config, numbers, folder, bool(resume)).stopped else 0
+        sweep = host.run(config, numbers, folder, bool(resume))
+        several.part()
+        return STATUS if sweep.stopped else 0
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
         sweep = host.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
+        several.part()  # Figures may take longer than the others would wait.
         listeners.end_progress()
         from infogoal_jax.report.summary import print_summary
 

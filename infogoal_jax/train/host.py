@@ -143,7 +143,7 @@ def run(
     writes = distributed.is_writer()
     if writes and not resume:
         check_new(folder, RUN)
-    with stop_on_signal() as stop:
+    with stop_on_signal() as stop, distributed.noted(stop):
         train = make_train(config, env)
         programs = programs_of(train, distributed.share(seeds))
         now = describe(config, train.env, list(seeds))
@@ -160,7 +160,7 @@ def run(
                 if not resume or description.read(folder) != now:
                     description.write(folder, now)
             stop.advice = how_to_go_on(folder, point.epoch)
-            stop.check()
+            distributed.check(stop)
             compiling()
             return train_on(train, programs, point, now, folder, listeners, stop)
 
@@ -224,7 +224,7 @@ def train_on(
     compile_seconds, run_seconds, this_session = time.perf_counter() - started, 0.0, 0
     steps_before = int(np.sum(distributed.gathered(jax.device_get(states.env_steps))))
     if done == 0:
-        stop.check()
+        distributed.check(stop)
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while done < config.num_epochs and not distributed.any_process(stop.requested):
@@ -241,7 +241,7 @@ def train_on(
                 env_steps_per_second=(int(metrics["env_steps"].sum()) - steps_before) / run_seconds,
                 updates_per_second=this_session * config.updates_per_epoch * len(seeds) / run_seconds,
             )
-            whole = distributed.gathered(states)
+            whole = distributed.gathered_by_writer(states)
             if not distributed.is_writer():
                 continue
             tables.append_rows(folder, "epochs", epochs)
