@@ -3,8 +3,8 @@ PYTHON ?= python3
 SEEDS ?= 2
 # Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into compiling, which uses one core.
 PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 20
-# Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not optimise. `make test-long` runs the
-# same tests with programs compiled as the command line does it (infogoal_jax/train/compilation.py).
+# Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not optimise. The long tests, which
+# `make test-long` runs after it, train for minutes: their programs are compiled as the command line does it (infogoal_jax/train/compilation.py).
 COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv
@@ -19,8 +19,8 @@ train: $(READY)
 test: $(READY) lint
 	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
 
-test-long: $(READY) $(READY_FOR_ALL)
-	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m "long or not long"
+test-long: test $(READY_FOR_ALL)
+	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m long
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .
