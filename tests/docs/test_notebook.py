@@ -63,10 +63,10 @@ def test_saved_as_it_ran_with_its_pictures(name):
 
 
 @each_notebook
-def test_begins_by_installing_and_says_how_long_it_takes(name):
+def test_begins_by_installing_and_says_what_it_is_sized_for(name):
     notebook = read(name)
     title, install = notebook.cells[:2]
-    assert "minutes on two CPU cores" in title.source and "GPU" in title.source
+    assert "Sized for two CPU cores" in title.source and "GPU" in title.source
     assert "%pip install" in install.source and "RESTART" in install.source
     assert install.source == read("quickstart").cells[1].source
 
@@ -78,9 +78,8 @@ def test_the_task_and_the_learner_are_those_of_the_docs():
         assert set(cells[cell].source.splitlines()) <= set(lines), page
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "quickstart" else pytest.param(name, marks=pytest.mark.long) for name in DRAWS]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", DRAWS)
 def test_runs_without_error_or_warning_and_draws_its_figures(name, monkeypatch, tmp_path):
     folders = ("IPYTHONDIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR")
     for folder in folders:  # The user's own Jupyter is left alone.

@@ -162,6 +162,7 @@ def test_shares_that_cannot_be(config):
         config.check(None)
 
 
+@pytest.mark.long
 def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     """The learner's loss is given the same steps under goals achieved later, with the environment's rewards for them;
     the agent's draws stay."""

@@ -86,6 +86,7 @@ def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
             seconds = min(seconds, time.perf_counter() - started)
 
 
+@pytest.mark.long
 def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp_path):
     kill_and_resume(tmp_path, uninterrupted, kills=1)
 

@@ -81,14 +81,14 @@ def combinations() -> list[tuple[str, str]]:
     ]
 
 
-def tested() -> list[str]:
+def compared() -> list[str]:
     """What the test compares."""
     names = [name.split("/") for name in json.loads(RECORD.read_text())]
     return [f"{task}/{method}" for task, method in names if task not in TOUCHING or method in TOUCHING_METHODS]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", tested())
+@pytest.mark.parametrize("name", compared())
 def test_nothing_is_learned_differently(name):
     """To what rounding on another machine leaves of two epochs; `compare` is exact, on the machine that recorded.
 
