@@ -144,10 +144,8 @@ class Keeper:
 
     def files_of(self, program: Program) -> dict[str, bytes]:
         """What is there of these runs, which are not done: files of some, and checkpoints of what was stopped."""
-        names, there = (
-            {run.name for run in program.runs},
-            [files.path_of(self.work.folder, run) for run in program.runs],
-        )
+        names = {run.name for run in program.runs}
+        there = [files.path_of(self.work.folder, run) for run in program.runs]
         found = {self.sent_as(path): path.read_bytes() for path in there if path.exists()}
         for path, own in checkpoints.kept(self.work.folder).items():
             if names & own:

@@ -190,8 +190,8 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
 
 
 def check_fits(train: Train, programs: Programs) -> None:
-    """Raise `UserError`, naming the field that is to blame, if the traced program of all seeds needs more memory than
-    there is. Lowering it does not trace it again: the types are the same."""
+    """Raise `UserError`, naming the field that is to blame, if the traced programs of all seeds need more memory than
+    there is. Lowering them does not trace them again: the types are the same."""
     numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
     traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
     carried, held = bytes_of(programs.states_shape), bytes_of(train.env)

@@ -109,20 +109,12 @@ def test_an_unmeasured_run_without_a_checkpoint_is_trained_again_on_request(tmp_
     assert np.isfinite(closeness(tmp_path, SECOND)).all()
 
 
-def test_a_run_goes_on_from_the_checkpoint_of_others_too(whole, tmp_path, monkeypatch):
+def test_a_run_goes_on_from_the_checkpoint_of_others_too(whole, tmp_path, evaluations):
     """A process that is asked for a part of the runs finds them in the checkpoint of all."""
-    go_on, count = lanes.go_on, []
-
-    def slow(training):
-        go_on(training)
-        count.append(training.evaluations)
-        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
-
-    monkeypatch.setattr(lanes, "go_on", slow)
     assert reproduce(tmp_path, 1, judge, deadline=time.time() + 3600).stopped
     assert reproduce(tmp_path, [SECOND], judge).finished == [SECOND] and len(kept(tmp_path)) == 1
     assert reproduce(tmp_path, [FIRST, SECOND], judge).finished == [FIRST]
-    assert count == [1, 2, 3, 4, 5, 6, 4, 5, 6] and not kept(tmp_path)
+    assert evaluations == [1, 2, 3, 4, 5, 6, 4, 5, 6] and not kept(tmp_path)
     for run in (FIRST, SECOND):
         np.testing.assert_allclose(closeness(tmp_path, run), closeness(whole, run), atol=1e-5)
         mine, other = (files.read(files.path_of(folder, run)).evaluations for folder in (tmp_path, whole))
@@ -140,24 +132,16 @@ def test_what_is_measured_later_costs_its_training_once(tmp_path, monkeypatch):
     assert second == first and second["runs"] == sorted([FIRST.name, SECOND.name]) and second["lanes"] == 4
 
 
-def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole, tmp_path, monkeypatch):
+def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole, tmp_path, evaluations):
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
     for run in (FIRST, SECOND):
         result = files.read(files.path_of(tmp_path, run))
         result.about["config"]["batch_size"] += 1
         files.save(tmp_path, result)
-    go_on, count = lanes.go_on, []
-
-    def slow(training):
-        go_on(training)
-        count.append(training.evaluations)
-        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
-
-    monkeypatch.setattr(lanes, "go_on", slow)
     assert reproduce(tmp_path, 1, judge, deadline=time.time() + 3600).stopped
     assert reproduce(tmp_path, [FIRST], judge).finished == [FIRST] and len(kept(tmp_path)) == 1
     assert reproduce(tmp_path, [SECOND], judge).finished == [SECOND] and not kept(tmp_path)
-    assert count == [1, 2, 3, 4, 5, 6, 4, 5, 6]
+    assert evaluations == [1, 2, 3, 4, 5, 6, 4, 5, 6]
 
 
 def test_what_is_measured_is_known_without_jax():
