@@ -87,9 +87,16 @@ def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
     return list(new)
 
 
-def updates_of(rows: list[Row]) -> dict[str, int]:
-    """How many updates each trial has made."""
-    return {row["trial"]: int(row["updates"]) for row in sorted(rows, key=lambda row: int(row["updates"]))}
+def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
+    """What was run of each trial: of each of its lanes how many seeds, and the updates that each of them has made."""
+    found: dict[str, dict[str, dict[str, int]]] = {}
+    for row in rows:
+        seeds = found.setdefault(row["trial"], {}).setdefault(row["lane"], {})
+        seeds[row["seed"]] = max(int(row["updates"]), seeds.get(row["seed"], 0))
+    return {
+        trial: {lane: (len(seeds), min(seeds.values())) for lane, seeds in lanes.items()}
+        for trial, lanes in found.items()
+    }
 
 
 def seed_means(rows: list[Row], column: str) -> np.ndarray | None:

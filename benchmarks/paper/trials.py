@@ -174,20 +174,32 @@ def tables(rows: list[Row]) -> dict[str, str]:
     return shown
 
 
+def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
+    """How far a trial has come, in words. updates: that each seed of it should make; ran: `trial_numbers.lanes_of` it.
+
+    A lane of other floats is another lane: what ran counts only under the names and seeds that the queue has.
+    """
+    others = [lane for lane in ran if lane not in trial.lanes]
+    lacking = [lane for lane in trial.lanes if ran.get(lane, (0, 0))[0] < trial.seeds]
+    made = min((ran[lane][1] for lane in trial.lanes if lane in ran), default=0)
+    if len(lacking) == len(trial.lanes):
+        words = "to be run"
+    elif lacking:
+        words = f"without {', '.join(lacking)}"
+    else:
+        words = "done" if made >= updates else f"{made:,} of {updates:,} updates"
+    return f"{words}; the numbers have other lanes: {', '.join(others)}" if others else words
+
+
 def list_queue() -> None:
-    """Print the queue, and how many of its updates each trial has made in the numbers that are kept."""
-    done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
+    """Print the queue, and how far each trial has come in the numbers that are kept."""
+    ran = trial_numbers.lanes_of(load(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
         config = preset_of(trial)
-        updates = (
-            f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates"
-            if name in done
-            else "to be run"
-        )
+        updates = config.num_epochs * config.updates_per_epoch
         print(
             f"{name}: {trial.task}, {presets.name_of(config)}, known goals {config.known_goals}, "
-            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds; "
-            f"{updates}"
+            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds: {progress_of(trial, updates, ran.get(name, {}))}"
         )
 
 
