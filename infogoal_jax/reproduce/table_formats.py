@@ -64,7 +64,7 @@ def latex_cell(cell: Cell | str) -> str:
     return (words + paper).strip()
 
 
-LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$"}
+LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$", "¶": r"\P"}
 """Characters of the tables that LaTeX writes otherwise."""
 
 

@@ -219,6 +219,28 @@ def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_cou
     assert "‡" not in table1(results)
 
 
+def test_methods_on_partly_different_goal_sets_are_marked_and_decide_nothing(results):
+    """InfoBot did not run in the third house; where all lack it, nothing is amiss."""
+
+    def without(*methods):
+        return {
+            run: result
+            for run, result in results.items()
+            if (run.task, run.goal_set) != ("object_search", 2) or run.method not in methods
+        }
+
+    found = without("infobot")
+    assert row_of(found, "paper", "object_search", "infobot").marks() == "¶"
+    assert row_of(found, "paper", "object_search", "infogoal").marks() == ""
+    assert "¶" in table1(found) and "InfoBot¶ on ObjSearch" in " ".join(tables.over_tasks(found, "paper").foot)
+    for name in ("infobot-paths", "first-test-ObjSearch", "infobot-helps"):
+        (claim,) = (claim for claim in claims.CLAIMS if claim.name == name)
+        assert claim.find(results).verdict == "holds"
+        assert "ObjSearch" in claim.find(found).words.partition("left out")[2] or claim.find(found).faults, name
+    assert verdict(found, "infobot-paths") == verdict(found, "first-test-ObjSearch") == "cannot be told"
+    assert "¶" not in table1(without(*METHODS))
+
+
 def test_rows_that_do_not_count_are_left_out_of_means_over_tasks(results):
     """Where the bare agent does not count on object search, no relabelling is compared with it there."""
     (claim,) = (claim for claim in claims.CLAIMS if claim.name == "relabelling-helps")
