@@ -27,10 +27,10 @@ import tuning
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
-from trial_numbers import markdown
 
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_jax.reproduce import numbers, scores
+from infogoal_jax.reproduce.table_formats import markdown_lines
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
@@ -47,7 +47,7 @@ def paper_tables() -> dict[str, str]:
     columns = [place for place, title in enumerate(titles) if not place or title.endswith(", test")]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     marks = [f"- {line}" for line in lines if line and not line.startswith(("|", "Success rate"))]
-    shown = markdown(
+    shown = markdown_lines(
         [titles[place].removesuffix(", test") for place in columns], [[row[place] for place in columns] for row in rows]
     )
     return {"overview": "\n".join([shown, "", *marks]).strip()}

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.reproduce.table_formats import markdown_lines
 
 FILE = "numbers.csv"
 LAST = 3
@@ -42,13 +43,6 @@ PROBED = {
 """Columns of the probe's table."""
 
 Row = dict[str, str]
-
-
-def markdown(columns: list[str], rows: Iterable[list[str]]) -> str:
-    """A table."""
-    return "\n".join(
-        [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns), *(f"| {' | '.join(row)} |" for row in rows)]
-    )
 
 
 def read(path: Path) -> list[Row]:
@@ -144,7 +138,7 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
             cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
-    return markdown(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+    return markdown_lines(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
 
 
 def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
@@ -163,7 +157,7 @@ def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
             lines.append([f"`{trial}`", lane, f"{last[0]:,} to {last[-1]:,}", unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
     columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
-    return markdown(columns, lines) + f"\n\n{'; '.join(machines)}."
+    return markdown_lines(columns, lines) + f"\n\n{'; '.join(machines)}."
 
 
 def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
@@ -180,4 +174,4 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
             cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
         lines.append(cells)
         machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
-    return markdown(["trial", "minus", "updates", *SUCCESS.values()], lines) + f"\n\n{'; '.join(machines)}."
+    return markdown_lines(["trial", "minus", "updates", *SUCCESS.values()], lines) + f"\n\n{'; '.join(machines)}."

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from infogoal_jax.goal_uses import NO_USE
+from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
@@ -38,7 +38,7 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
     std = result.arrays.get("picture/code_std")
     centre, directions, _ = principal_components(mean[0])
     regions = tuple(str(region) for region in range(int(arrays["code_region"].max()) + 1))
-    uses = np.where(use == 3, NO_USE, use)
+    uses = np.where(use == len(USES), NO_USE, use)
     goals = GoalSet.of(np.zeros((len(use), 1)), arrays["code_region"], uses, ("",) * len(use), regions)
     code = GoalCode(mean[view], None if std is None else std[view].astype(float))
     draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size=size)
