@@ -113,5 +113,5 @@ def pictures_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:
 
 def results(seeds: int = 2, **chosen) -> Results:
     """Every run of the manifest, compact, with so many seeds; chosen: further fields of the choice."""
-    runs = runs_of(tuple(STUDIES), Choice(**({"ways": ("paper", "her"), "seeds": seeds} | chosen)))
+    runs = runs_of(tuple(STUDIES), Choice(**({"variants": ("paper", "her"), "seeds": seeds} | chosen)))
     return {run: compact(result_of(run)) for run in runs}

@@ -12,7 +12,7 @@ from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
 
 ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
-"""The rows of each way's table."""
+"""The rows of each variant of Table I."""
 KINDS = {"test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
 """The kinds of goals of Table I, as metrics name them, and in words."""
 TITLES = {
@@ -90,10 +90,10 @@ def scores_of(result: Result, metric: str) -> np.ndarray:
     return result.evaluations[metric][kept, which].mean(1)
 
 
-def row_of(results: Results, way: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
+def row_of(results: Results, variant: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
     """The runs of a row of Table I, or of another lane or explorer, those of the most seeds where there are several;
     None where there are none."""
-    parts = parts_of(way, task, method)
+    parts = parts_of(variant, task, method)
     if parts is None:
         return None
     by_set: dict[int, Result] = {}
@@ -104,13 +104,13 @@ def row_of(results: Results, way: str, task: str, method: str, lane: str = PRESE
     if not by_set:
         return None
     in_table = explorer is None and lane == PRESET[0]  # What is beside it is run on the first goal set alone.
-    lacking = goal_sets_of(results, way, task) - by_set.keys() if in_table else frozenset()
+    lacking = goal_sets_of(results, variant, task) - by_set.keys() if in_table else frozenset()
     return Row(tuple(by_set[number] for number in sorted(by_set)), lacking)
 
 
-def goal_sets_of(results: Results, way: str, task: str) -> frozenset[int]:
-    """The goal sets of a task on which at least one row of a way's table ran."""
-    relabellings = {method: parts[0] for method in METHODS if (parts := parts_of(way, task, method)) is not None}
+def goal_sets_of(results: Results, variant: str, task: str) -> frozenset[int]:
+    """The goal sets of a task on which at least one row of a variant's table ran."""
+    relabellings = {method: parts[0] for method in METHODS if (parts := parts_of(variant, task, method)) is not None}
     return frozenset(
         run.goal_set
         for run in results
@@ -120,9 +120,9 @@ def goal_sets_of(results: Results, way: str, task: str) -> frozenset[int]:
     )
 
 
-def rows_of(results: Results, way: str, methods) -> dict[tuple[str, str], Row]:
+def rows_of(results: Results, variant: str, methods) -> dict[tuple[str, str], Row]:
     """Every row that there is, by (task, method)."""
-    found = {(task, method): row_of(results, way, task, method) for task in TASKS for method in methods}
+    found = {(task, method): row_of(results, variant, task, method) for task in TASKS for method in methods}
     return {key: row for key, row in found.items() if row is not None}
 
 

@@ -4,7 +4,7 @@ import functools
 import math
 
 from infogoal_jax.reproduce.costs import costs
-from infogoal_jax.reproduce.manifest import METHODS, WAYS, Choice, runs_of
+from infogoal_jax.reproduce.manifest import METHODS, VARIANTS, Choice, runs_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.over_tasks import over_tasks
 from infogoal_jax.reproduce.paper import TASKS, reported
@@ -24,20 +24,20 @@ from infogoal_jax.reproduce.statistics import over_seeds_and_sets
 from infogoal_jax.reproduce.table_formats import Cell, Table
 
 
-def table1(results: Results, way: str) -> Table | None:
-    """Table I in one of the ways; None where there are no runs."""
-    rows = rows_of(results, way, ROWS[way])
+def table1(results: Results, variant: str) -> Table | None:
+    """Table I in one of the variants; None where there are no runs."""
+    rows = rows_of(results, variant, ROWS[variant])
     if not rows:
         return None
     shown = [(kind, task) for kind, task in columns() if any(known == task for known, _ in rows)]
-    methods = [method for method in ROWS[way] if any(known == method for _, known in rows)]
+    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
     cells = {
-        (method, kind, task): cell_of(rows.get((task, method)), way, kind, task, method)
+        (method, kind, task): cell_of(rows.get((task, method)), variant, kind, task, method)
         for method in methods
         for kind, task in shown
     }
     for kind, task in shown:
-        if is_complete(rows, way, kind, task):
+        if is_complete(rows, variant, kind, task):
             column = {method: cells[method, kind, task] for method in methods}
             for method, rank in ranks(column).items():
                 cells[method, kind, task] = column[method]._replace(rank=rank)
@@ -53,12 +53,12 @@ def table1(results: Results, way: str) -> Table | None:
         f"{' or '.join(map(str, seeds))} seed(s) on each goal set. Corrupted: background of weight 0.4."
     ]
     foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
-    return Table(f"table1_{way}", f"Table I, {WAYS[way]}", head, body, foot)
+    return Table(f"table1_{variant}", f"Table I, {VARIANTS[variant]}", head, body, foot)
 
 
-def cell_of(row: Row | None, way: str, kind: str, task: str, method: str) -> Cell:
-    """A cell of Table I. The paper has no second way."""
-    paper = reported(task, kind, method) if way == "paper" or method == "her" else ""
+def cell_of(row: Row | None, variant: str, kind: str, task: str, method: str) -> Cell:
+    """A cell of Table I. The paper has no second variant."""
+    paper = reported(task, kind, method) if variant == "paper" or method == "her" else ""
     return Cell(None, paper) if row is None else Cell(row.mean(kind), paper, 0, row.marks(), row.results[0].run.name)
 
 
@@ -69,17 +69,17 @@ def ranks(column: dict[str, Cell]) -> dict[str, int]:
     return {name: order.index(mean) + 1 for name, mean in means.items() if mean in order}
 
 
-def is_complete(rows: dict[tuple[str, str], Row], way: str, kind: str, task: str) -> bool:
-    """Whether each method that the way and the task allow has its number, and all of them on the same goal sets."""
-    wanted = [rows.get((task, method)) for method in ROWS[way] if is_planned(way, task, method)]
+def is_complete(rows: dict[tuple[str, str], Row], variant: str, kind: str, task: str) -> bool:
+    """Whether each method that the variant and the task allow has its number, and all of them on the same goal sets."""
+    wanted = [rows.get((task, method)) for method in ROWS[variant] if is_planned(variant, task, method)]
     sets = {None if row is None else tuple(result.run.goal_set for result in row.results) for row in wanted}
     return len(sets) == 1 and all(has_scores(row, kind) for row in wanted)
 
 
 @functools.cache
-def is_planned(way: str, task: str, method: str) -> bool:
-    """Whether a way has this row on a task."""
-    return bool(runs_of(("table1",), Choice((task,), (method,), (way,), seeds=1)))
+def is_planned(variant: str, task: str, method: str) -> bool:
+    """Whether a variant has this row on a task."""
+    return bool(runs_of(("table1",), Choice((task,), (method,), (variant,), seeds=1)))
 
 
 def table2(results: Results) -> Table | None:
@@ -105,5 +105,5 @@ def table2(results: Results) -> Table | None:
 
 def all_tables(results: Results) -> list[Table]:
     """Every table that there are numbers for."""
-    made = [make(results, way) for way in WAYS for make in (table1, over_tasks)]
+    made = [make(results, variant) for variant in VARIANTS for make in (table1, over_tasks)]
     return [table for table in (*made, table2(results), costs(results)) if table is not None]
