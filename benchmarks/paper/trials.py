@@ -35,6 +35,7 @@ from infogoal_jax.data import questions
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.chunk import chunk_of
+from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
 
@@ -102,7 +103,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
             states, epochs, metrics = chunk(
                 states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env
             )
-            metrics = {
+            split = near_and_far(env, metrics["first_reached"])
+            metrics = split | {
                 f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"])
                 for kind in KINDS
                 if f"{kind}/success_rate" in metrics

@@ -33,7 +33,8 @@ Status = Literal["done", "not measured", "damaged", "other settings", "failed", 
 @dataclasses.dataclass(frozen=True)
 class Result:
     """What a run came to. about: machine, data, versions, times, configuration; evaluations: {metric: [seeds, E]};
-    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, and those of pictures."""
+    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, on Fetch `near` bool
+    [M], and those of pictures."""
 
     run: Run
     about: dict[str, Any]

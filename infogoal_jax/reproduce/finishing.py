@@ -87,6 +87,8 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "first_reached": first.astype(np.min_scalar_type(int(first.max()))),
         "uses": measure.uses_of(env.goals, np.asarray(env.goals.evaluated)),
     }
+    if env.near_goals is not None:
+        arrays["near"] = np.asarray(env.near_goals)[np.asarray(env.goals.evaluated)]
     return Result(run, about, evaluations, arrays | measured.arrays)
 
 

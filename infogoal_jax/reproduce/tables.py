@@ -3,8 +3,11 @@
 import functools
 import math
 
+import numpy as np
+
+from infogoal_jax.goal_uses import TEST
 from infogoal_jax.reproduce.costs import costs
-from infogoal_jax.reproduce.manifest import METHODS, VARIANTS, Choice, runs_of
+from infogoal_jax.reproduce.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.over_tasks import over_tasks
 from infogoal_jax.reproduce.paper import TASKS, reported
@@ -103,7 +106,42 @@ def table2(results: Results) -> Table | None:
     return Table("table2", "Table II: what InfoGoal converges to", head, body, foot) if body else None
 
 
+def near_and_far(results: Results) -> Table | None:
+    """Success on test goals of Fetch near a training goal and far from all of them, at the evaluation at which the run
+    levelled off; of the runs that recorded which are near."""
+    head, columns = ["method"], []
+    for task in FETCH:
+        rows = {method: row_of(results, "paper", task, method) for method in METHODS}
+        rows = {method: row for method, row in rows.items() if row and all("near" in x.arrays for x in row.results)}
+        if rows:
+            head += [f"{TITLES[task]}, near", f"{TITLES[task]}, far"]
+            columns += [(rows, True), (rows, False)]
+    body = [
+        [METHODS[method], *(near_cell(rows.get(method), near) for rows, near in columns)]
+        for method in METHODS
+        if any(method in rows for rows, _ in columns)
+    ]
+    foot = [
+        "Success rate on clean test goals that count as reached from a training goal (near), and on the others (far): "
+        "mean ± 95 % interval over seeds / over goal sets."
+    ]
+    return Table("near_and_far", "Near and far test goals of Fetch", head, body, foot) if body else None
+
+
+def near_cell(row: Row | None, near: bool) -> Cell:
+    """The success of a row on its near test goals, or on its far ones."""
+    if row is None:
+        return Cell(None)
+    scores = []
+    for result in row.results:
+        kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
+        part = (result.arrays["uses"] == TEST) & (result.arrays["near"] == near)
+        scores.append((result.arrays["first_reached"][kept][:, part] <= result.about["episode_length"]).mean((1, 2)))
+    found = over_seeds_and_sets(scores) if all(len(each) and np.isfinite(each).all() for each in scores) else None
+    return Cell(found, "", 0, row.marks(), row.results[0].run.name)
+
+
 def all_tables(results: Results) -> list[Table]:
     """Every table that there are numbers for."""
     made = [make(results, variant) for variant in VARIANTS for make in (table1, over_tasks)]
-    return [table for table in (*made, table2(results), costs(results)) if table is not None]
+    return [table for table in (*made, table2(results), near_and_far(results), costs(results)) if table is not None]

@@ -167,6 +167,24 @@ def test_the_comparison_over_tasks_leaves_out_what_does_not_count(results):
     assert numbers_of[0].rows == numbers_of[1].rows
 
 
+def test_near_and_far_test_goals_of_fetch_are_told_apart(results):
+    """No seed reaches a far test goal any more: near ones stay as they were. Runs from before do not say which."""
+
+    def without_far(result):
+        first, far = result.arrays["first_reached"].copy(), ~result.arrays["near"]
+        first[:, far] = made_up_results.LENGTH + 1
+        return dataclasses.replace(result, arrays=result.arrays | {"first_reached": first})
+
+    push = {run: result for run, result in results.items() if run.task == "fetch_push" and run.method == "her"}
+    before, after = (
+        tables.near_and_far(found) for found in (push, {run: without_far(result) for run, result in push.items()})
+    )
+    assert before.head == ["method", "Push, near", "Push, far"] and before.rows[0][2].ours.mean > 0.3
+    assert after.rows[0][1].ours.mean == before.rows[0][1].ours.mean and after.rows[0][2].ours.mean == 0
+    old = {name: value for name, value in next(iter(push.values())).arrays.items() if name != "near"}
+    assert tables.near_and_far({run: dataclasses.replace(result, arrays=old) for run, result in push.items()}) is None
+
+
 def test_the_wall_clock_counts_time_once(results):
     """Two processes side by side, a pause, and a third."""
     runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
