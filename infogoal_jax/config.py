@@ -40,14 +40,15 @@ class Hyperparameters:
     """Share by which the target networks move towards the trained networks in each update."""
     max_gradient_norm: Annotated[float, Number("(0, inf)")] = 10.0
     """Gradients are scaled down to this global norm."""
-    learner_weight: Annotated[float, Number("[0, inf)", Search(1e-3, 10.0, "log"))] = 1.0
-    """Weight of the goal-representation loss beside the loss of the agent [A]."""
-    intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log"))] = 5.0
+    learner_weight: Annotated[float, Number("[0, inf)", Search(0.01, 10.0, "log", is_term=True))] = 1.0
+    """Weight of the goal-representation loss beside the loss of the agent [A]; searched from where it acts
+    (docs/tuning.md)."""
+    intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log", is_term=True))] = 5.0
     """Weight of the intrinsic reward: that of an episode spent at the mean distance from the goal, in successes; 0
     turns it off."""
     explorer_weight: Annotated[float, Number("[0, inf)")] = 0.01
     """Weight of an explorer's loss beside the loss of the agent: it shapes the state encoder of both [M]."""
-    bonus_weight: Annotated[float, Number("[0, inf)", Search(0.005, 0.5, "log"))] = 0.05
+    bonus_weight: Annotated[float, Number("[0, inf)", Search(0.005, 0.5, "log", is_term=True))] = 0.05
     """Weight of an explorer's bonus beside the environment's reward; its discounted sums have a standard deviation of
     1."""
     learner: Any = NoHyperparameters()

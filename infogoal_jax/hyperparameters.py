@@ -28,13 +28,15 @@ class Search(NamedTuple):
     """Where a search looks for a number.
 
     scale: uniform in it, in its logarithm, or in the logarithm of its distance to 1; always: in every search, or only
-    where it is asked for.
+    where it is asked for; is_term: it is the weight of a term of a method's own, which a search must not turn off: low
+    is its floor.
     """
 
     low: float
     high: float
     scale: Literal["linear", "log", "log of 1 - x"]
     always: bool = True
+    is_term: bool = False
 
     def at(self, share: float) -> float:
         """The value that lies this share, in [0, 1], of the way from low to high; four digits of it, so that it can be
@@ -46,6 +48,11 @@ class Search(NamedTuple):
         else:
             value = 1 - (1 - self.low) * ((1 - self.high) / (1 - self.low)) ** share
         return float(f"{value:.4g}")
+
+    def is_at_floor(self, value: float) -> bool:
+        """Whether the weight of a method's own term lies in the lowest twentieth of its range, or below: a search that
+        ends there would rather have it off."""
+        return self.is_term and value <= self.at(0.05)
 
 
 class Number(NamedTuple):

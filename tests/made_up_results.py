@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 
 from infogoal_jax.reproduce.files import Result, recorded_config
-from infogoal_jax.reproduce.manifest import STUDIES, Choice, Run, command_of, runs_of
+from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.needs import is_judged, is_pictured
 from infogoal_jax.reproduce.numbers import Results, compact
@@ -49,6 +49,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
     first = np.where(draw.random(first.shape) < level, first, LENGTH + 1).astype(np.uint8)
     arrays = {"first_reached": first, "uses": uses} | (pictures_of(run, draw) if is_pictured(run) else {})
     arrays |= codes_of(run, draw) if is_judged(run) else {}
+    arrays |= {"near": np.arange(GOALS) % 2 == 0} if run.task in FETCH else {}
     known = {
         "config": configuration(run.task, run.method, run.relabelling, run.explorer),
         "data": "made up",
@@ -113,5 +114,5 @@ def pictures_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:
 
 def results(seeds: int = 2, **chosen) -> Results:
     """Every run of the manifest, compact, with so many seeds; chosen: further fields of the choice."""
-    runs = runs_of(tuple(STUDIES), Choice(**({"ways": ("paper", "her"), "seeds": seeds} | chosen)))
+    runs = runs_of(tuple(STUDIES), Choice(**({"variants": ("paper", "her"), "seeds": seeds} | chosen)))
     return {run: compact(result_of(run)) for run in runs}

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from trial_numbers import markdown
+
+from infogoal_jax.reproduce.table_formats import markdown_lines
 
 NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "drone"
 KINDS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
@@ -53,7 +54,7 @@ def flights_table(results: dict[str, Any]) -> str:
         [f"99th percentile of {len(latency):,} moves", f"{np.percentile(latency, 99):.0f} ms"],
     ]
     columns = [f"`{results['run']}`, {results['method']}", ""]
-    return f"{markdown(columns, rows)}\n\n{measured(results)}"
+    return f"{markdown_lines(columns, rows)}\n\n{measured(results)}"
 
 
 def faults_table(results: dict[str, Any]) -> str:
@@ -68,7 +69,7 @@ def faults_table(results: dict[str, Any]) -> str:
     total = [str(sum(int(row[column]) for row in rows)) for column in range(1, 5)]
     columns = ["fault", "flights", "on the ground", "inside of the envelope", "log has the reason", "reasons"]
     apart = f" {before} more flights ended, on the ground, before their fault came." if before else ""
-    return f"{markdown(columns, [*rows, ['all', *total, '']])}\n\n{measured(results)}{apart}"
+    return f"{markdown_lines(columns, [*rows, ['all', *total, '']])}\n\n{measured(results)}{apart}"
 
 
 def reasons(flights: list[dict[str, Any]]) -> str:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from trial_numbers import markdown
 
 from infogoal_jax.report import canvas
+from infogoal_jax.reproduce.table_formats import markdown_lines
 
 FOLDER = Path(__file__).parents[2] / "docs" / "results" / "sb3_her"
 NAMES = {"numbers.csv": "Stable-Baselines3, SAC + HER", "ours.csv": "infogoal-jax, TD3 + HER"}
@@ -58,7 +58,7 @@ def tables(curves: dict[str, list[Curve]]) -> dict[str, str]:
         last = ", ".join(f"{curve.success[-1]:.2f}" for curve in curves[name])
         rows.append([title, first, f"{int(curves[name][0].steps[-1]):,}", last])
     head = ["learner", f"steps to {ENOUGH} (each seed)", "steps in all", "success at the end"]
-    return {"steps": markdown(head, rows)}
+    return {"steps": markdown_lines(head, rows)}
 
 
 def draw(curves: dict[str, list[Curve]], path: Path) -> None:

@@ -5,7 +5,7 @@
 A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
 is replaced by what the numbers of the source give. Sources:
 
-    paper     Table I as `infogoal reproduce` drew it, in tables/; docs/reproduction.md has all that is made of its runs
+    paper     Table I of the runs in table1.npz; docs/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
     sb3_her   the curves of sb3_her.py, in sb3_her/
@@ -27,10 +27,11 @@ import tuning
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
-from trial_numbers import markdown
 
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_jax.reproduce import numbers, scores
+from infogoal_jax.reproduce import tables as paper
+from infogoal_jax.reproduce.table_formats import markdown_cell, markdown_lines
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
@@ -42,15 +43,13 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 
 def paper_tables() -> dict[str, str]:
     """The table of the README: the columns of test goals of Table I in the paper's way, and what its marks mean."""
-    head, _, *lines = (RESULTS / "tables" / "table1_paper.md").read_text().splitlines()
-    titles = head.strip("| ").split(" | ")
-    columns = [place for place, title in enumerate(titles) if not place or title.endswith(", test")]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    marks = [f"- {line}" for line in lines if line and not line.startswith(("|", "Success rate"))]
-    shown = markdown(
-        [titles[place].removesuffix(", test") for place in columns], [[row[place] for place in columns] for row in rows]
+    table = paper.table1(numbers.load(RESULTS), "paper")
+    columns = [place for place, title in enumerate(table.head) if not place or title.endswith(", test")]
+    shown = markdown_lines(
+        [table.head[place].removesuffix(", test") for place in columns],
+        [[markdown_cell(row[place]) for place in columns] for row in table.rows],
     )
-    return {"overview": "\n".join([shown, "", *marks]).strip()}
+    return {"overview": "\n".join([shown, "", *(f"- {line}" for line in table.foot[1:])]).strip()}
 
 
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.reproduce.table_formats import markdown_lines
 
 FILE = "numbers.csv"
 LAST = 3
@@ -28,11 +29,15 @@ SUCCESS = {
     "train_goal": "training",
     "validation_goal": "validation",
     "test_goal": "test",
+    "near_test_goal": "test, near",
+    "far_test_goal": "test, far",
     "corrupted_train_goal": "corrupted training",
     "corrupted_test_goal": "corrupted test",
     "test_goal_mean_code": "test, mean code",
 }
 """Kinds of goals that tables show: as metrics name them, and in words."""
+SPLIT = ("near_test_goal", "far_test_goal")
+"""Kinds that older trials do not have: columns of tables in which there is a number."""
 
 PROBED = {
     f"{kind}/{error}": f"{words}, {said}"
@@ -42,13 +47,6 @@ PROBED = {
 """Columns of the probe's table."""
 
 Row = dict[str, str]
-
-
-def markdown(columns: list[str], rows: Iterable[list[str]]) -> str:
-    """A table."""
-    return "\n".join(
-        [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns), *(f"| {' | '.join(row)} |" for row in rows)]
-    )
 
 
 def read(path: Path) -> list[Row]:
@@ -87,9 +85,25 @@ def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
     return list(new)
 
 
-def updates_of(rows: list[Row]) -> dict[str, int]:
-    """How many updates each trial has made."""
-    return {row["trial"]: int(row["updates"]) for row in sorted(rows, key=lambda row: int(row["updates"]))}
+def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
+    """What was run of each trial: of each of its lanes how many seeds, and the updates that each of them has made."""
+    found: dict[str, dict[str, dict[str, int]]] = {}
+    for row in rows:
+        seeds = found.setdefault(row["trial"], {}).setdefault(row["lane"], {})
+        seeds[row["seed"]] = max(int(row["updates"]), seeds.get(row["seed"], 0))
+    return {
+        trial: {lane: (len(seeds), min(seeds.values())) for lane, seeds in lanes.items()}
+        for trial, lanes in found.items()
+    }
+
+
+def kinds_of(rows: list[Row]) -> dict[str, str]:
+    """The kinds of goals that a table of these rows shows."""
+    return {
+        kind: words
+        for kind, words in SUCCESS.items()
+        if kind not in SPLIT or any(row.get(f"{kind}/success_rate") for row in rows)
+    }
 
 
 def seed_means(rows: list[Row], column: str) -> np.ndarray | None:
@@ -118,7 +132,8 @@ def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> st
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
     """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
     none."""
-    columns = ["trial", "lane", "known goals", "seeds", "updates", *SUCCESS.values(), "KL", "accuracy"]
+    kinds = kinds_of([row for row in rows if row["trial"] in trials])
+    columns = ["trial", "lane", "known goals", "seeds", "updates", *kinds.values(), "KL", "accuracy"]
     lines = []
     for trial in trials:
         own = [row for row in rows if row["trial"] == trial]
@@ -133,11 +148,11 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
                 str(len({row["seed"] for row in shown})),
                 f"{last[0]:,} to {last[-1]:,}",
             ]
-            cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in SUCCESS]
+            cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
             cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
-    return markdown(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+    return markdown_lines(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
 
 
 def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
@@ -156,21 +171,22 @@ def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
             lines.append([f"`{trial}`", lane, f"{last[0]:,} to {last[-1]:,}", unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
     columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
-    return markdown(columns, lines) + f"\n\n{'; '.join(machines)}."
+    return markdown_lines(columns, lines) + f"\n\n{'; '.join(machines)}."
 
 
 def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
     """A line for each pair of (trial, lane): success of the first minus that of the second, seed by seed, over the last
     evaluations that both have."""
     lines, machines = [], {}
+    kinds = kinds_of([row for pair in pairs for row in rows if (row["trial"], row["lane"]) in pair])
     for pair in pairs:
         first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
         last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
         shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
         cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[0]):,} to {int(last[-1]):,}"]
-        for kind in SUCCESS:
+        for kind in kinds:
             values = [seed_means(own, f"{kind}/success_rate") for own in shown]
             cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
         lines.append(cells)
         machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
-    return markdown(["trial", "minus", "updates", *SUCCESS.values()], lines) + f"\n\n{'; '.join(machines)}."
+    return markdown_lines(["trial", "minus", "updates", *kinds.values()], lines) + f"\n\n{'; '.join(machines)}."

@@ -35,6 +35,7 @@ from infogoal_jax.data import questions
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.chunk import chunk_of
+from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
 
@@ -102,7 +103,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
             states, epochs, metrics = chunk(
                 states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env
             )
-            metrics = {
+            split = near_and_far(env, metrics["first_reached"])
+            metrics = split | {
                 f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"])
                 for kind in KINDS
                 if f"{kind}/success_rate" in metrics
@@ -174,20 +176,32 @@ def tables(rows: list[Row]) -> dict[str, str]:
     return shown
 
 
+def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
+    """How far a trial has come, in words. updates: that each seed of it should make; ran: `trial_numbers.lanes_of` it.
+
+    A lane of other floats is another lane: what ran counts only under the names and seeds that the queue has.
+    """
+    others = [lane for lane in ran if lane not in trial.lanes]
+    lacking = [lane for lane in trial.lanes if ran.get(lane, (0, 0))[0] < trial.seeds]
+    made = min((ran[lane][1] for lane in trial.lanes if lane in ran), default=0)
+    if len(lacking) == len(trial.lanes):
+        words = "to be run"
+    elif lacking:
+        words = f"without {', '.join(lacking)}"
+    else:
+        words = "done" if made >= updates else f"{made:,} of {updates:,} updates"
+    return f"{words}; the numbers have other lanes: {', '.join(others)}" if others else words
+
+
 def list_queue() -> None:
-    """Print the queue, and how many of its updates each trial has made in the numbers that are kept."""
-    done = trial_numbers.updates_of(load(NUMBERS)) if NUMBERS.exists() else {}
+    """Print the queue, and how far each trial has come in the numbers that are kept."""
+    ran = trial_numbers.lanes_of(load(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
         config = preset_of(trial)
-        updates = (
-            f"{done.get(name, 0):,} of {config.num_epochs * config.updates_per_epoch:,} updates"
-            if name in done
-            else "to be run"
-        )
+        updates = config.num_epochs * config.updates_per_epoch
         print(
             f"{name}: {trial.task}, {presets.name_of(config)}, known goals {config.known_goals}, "
-            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds; "
-            f"{updates}"
+            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds: {progress_of(trial, updates, ran.get(name, {}))}"
         )
 
 

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from trial_numbers import markdown
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.reproduce.manifest import METHODS
+from infogoal_jax.reproduce.table_formats import markdown_lines
 from infogoal_jax.stand_ins.house import build_house
 
 NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "tuning.jsonl"
@@ -175,7 +175,7 @@ def table(found: dict[str, Search]) -> str:
             f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
             f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
         ] = None
-    lines = markdown(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows)
+    lines = markdown_lines(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows)
     return "\n\n".join([lines, *footers])
 
 

@@ -13,7 +13,7 @@ from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.methods import methods
 from infogoal_jax.cli.pretraining import pretrain
-from infogoal_jax.cli.reproduce import REPRODUCE
+from infogoal_jax.cli.reproduce import REPRODUCE, check_flags
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import train
 from infogoal_jax.cli.tuning import final, tune
@@ -63,6 +63,8 @@ def run(arguments: list[str]) -> int:
     if arguments[0] in commands:
         name = arguments[0]
         commands = {name: commands[name]}  # So that what is said about a mistake is about this command.
+        if name == "reproduce":
+            check_flags(arguments)
         if name in BY_TASK:
             commands[name], rest, registry = BY_TASK[name](arguments[1:])
             check_names(commands[name], rest, f"{name} ")

@@ -7,17 +7,27 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, named
+from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce.titles import DESCRIPTIONS
 
+RENAMED = {"--ways": "--variants", "--lanes": "--vmap-size"}
+"""Flags of earlier versions."""
 HELP = "Train what a table or figure of the paper needs, and draw it."
 TITLES = DESCRIPTIONS | {"all": "All tables and figures, and the verdict on every claim"}
+
+
+def check_flags(arguments: list[str]) -> None:
+    """Raise `UserError` for a flag of an earlier version."""
+    for word in (word.partition("=")[0] for word in arguments):
+        if word in RENAMED:
+            raise UserError(f"{word}: is called {RENAMED[word]} today")
 
 
 def study(
     name: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "all",
     tasks: tuple[str, ...] = (),
     methods: tuple[str, ...] = (),
-    ways: tuple[str, ...] = ("paper", "her"),
+    variants: tuple[str, ...] = ("paper", "her"),
     sets: tuple[int, ...] = (),
     seeds: int = 5,
     out: str = "runs/reproduction",
@@ -27,7 +37,7 @@ def study(
     list_runs: Annotated[FlagCreatePairsOff[bool], tyro.conf.arg(name="list")] = False,
     goal_images: str = "",
     known: str = "",
-    lanes: int = 64,
+    vmap_size: int = 64,
     from_: Annotated[str, tyro.conf.arg(name="from")] = "",
     page: str = "",
     processes: int = 0,
@@ -42,7 +52,7 @@ def study(
         name: Of the table or figure.
         tasks: Tasks; empty: all.
         methods: Rows of Table I; empty: all.
-        ways: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER besides.
+        variants: Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too.
         sets: Goal sets; empty: all of each task.
         seeds: Seeds of each run, from 0 on.
         out: Folder of the runs, tables and figures; processes that have the same folder share the work.
@@ -52,7 +62,7 @@ def study(
         list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
         goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
         known: Folder of compact numbers, such as docs/results: runs that it holds are not trained.
-        lanes: Seeds, settings and goal sets that are trained side by side at most.
+        vmap_size: Seeds, settings and goal sets that one program trains side by side (`jax.vmap`) at most.
         from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
         page: File that the verdicts are written to; empty: reproduction.md in the folder.
         processes: How many work on the folder side by side; 0: one, here, or of a cluster one on each device.
@@ -72,7 +82,7 @@ def study(
             name,
             tasks,
             methods,
-            ways,
+            variants,
             sets,
             seeds,
             Path(out),
@@ -82,7 +92,7 @@ def study(
             list_runs,
             Path(goal_images) if goal_images else None,
             Path(known) if known else None,
-            lanes,
+            vmap_size,
             Path(from_) if from_ else None,
             Path(page) if page else None,
             processes,

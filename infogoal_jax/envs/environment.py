@@ -68,6 +68,9 @@ class Environment:
     """The same for evaluation: other images."""
     goal_positions: jax.Array | None = None
     """Where goals lie, float32 [N, D]; None: unknown."""
+    near_goals: jax.Array | None = None
+    """bool [N], goals that count as reached from a training goal: of test goals these are reported apart from the
+    others. None: they are not told apart."""
     num_cells: int = 1
     """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False

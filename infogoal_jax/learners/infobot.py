@@ -49,8 +49,8 @@ class InfoBotConfig(GoalEncoderConfig):
 class InfoBotHyperparameters:
     """Float hyperparameters of InfoBot."""
 
-    beta: Annotated[float, Number("[0, 1]", Search(1e-6, 1e-2, "log"))] = 0.01
-    """Weight of the KL in bits, after the warm-up [A]."""
+    beta: Annotated[float, Number("[0, 1]", Search(1e-5, 1e-2, "log", is_term=True))] = 0.01
+    """Weight of the KL in bits, after the warm-up [A]; searched from where it acts (docs/tuning.md)."""
 
 
 @flax.struct.dataclass

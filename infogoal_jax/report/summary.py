@@ -19,6 +19,7 @@ from infogoal_jax.runs import checkpoint, results
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import jit
+from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.program import make_train
 from infogoal_jax.train.settings import has_image_goals
 
@@ -27,6 +28,8 @@ GOALS = {
     "train_goal": "training",
     "validation_goal": "validation",
     "test_goal": "test",
+    "near_test_goal": "test, near",
+    "far_test_goal": "test, far",
     "corrupted_train_goal": "training, corrupted",
     "corrupted_test_goal": "test, corrupted",
 }
@@ -56,7 +59,9 @@ def score_table(scores: dict[str, np.ndarray]) -> Table:
         for suffix, code in CODES.items():
             if f"{goals}{suffix}/success_rate" in scores:
                 cells = [
-                    mean_interval(scores[f"{goals}{suffix}/{column}"]).show(decimals)
+                    mean_interval(scores[name]).show(decimals)
+                    if (name := f"{goals}{suffix}/{column}") in scores
+                    else ""
                     for column, (_, decimals) in columns.items()
                 ]
                 table.add_row(goals_title, code, *cells)
@@ -212,6 +217,7 @@ def evaluate_run(
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
+    scores |= near_and_far(train.env, scores["first_reached"])
     found = results.Evaluation(
         epoch=epoch,
         starts=starts,
@@ -228,6 +234,8 @@ def evaluate_run(
         "actions random"
     )
     protocol += corruption_in_words(scores, weight)
+    if "near_test_goal/success_rate" in scores:
+        protocol += "; near: test goals that count as reached from a training goal"
     head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
     console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
     console.print(score_table(scores))

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs.description import Description
 from infogoal_jax.runs.search import Best, TrialLine, read_plan, read_trials, write_scores
@@ -110,5 +111,9 @@ def print_result(result: TuneResult) -> None:
         f"time        {result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running",
         f"best        {command_of(result)}",
     ]
+    space = search_space(result.config.hyper)
+    floored = [field for field, value in result.best.values.items() if space[field].is_at_floor(value)]
+    if floored:
+        lines.append(f"floor       at the lower end of its range: {', '.join(floored)}; the term is all but off")
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -3,12 +3,14 @@
 import numpy as np
 from scipy import stats
 
+from infogoal_jax.goal_uses import TEST, TRAINING
+
 
 def closeness(mean: np.ndarray, region: np.ndarray, use: np.ndarray) -> float:
     """How much nearer the codes of goals are to those of their region than to those of the nearest other region: the
     silhouette by region, in [-1, 1], mean over training and test goals that are not alone in theirs; NaN without such.
     mean [M, d], region int [M], use int [M] as in `measure.codes_of`."""
-    kept = (use == 0) | (use == 2)
+    kept = (use == TRAINING) | (use == TEST)
     mean, region = mean[kept].astype(float), region[kept]
     names = np.unique(region)
     apart = np.linalg.norm(mean[:, None] - mean, axis=-1)

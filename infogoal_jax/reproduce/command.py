@@ -27,7 +27,7 @@ class Asked:
     name: str
     tasks: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-    ways: tuple[str, ...] = ("paper", "her")
+    variants: tuple[str, ...] = ("paper", "her")
     sets: tuple[int, ...] = ()
     seeds: int = 5
     out: Path = Path("runs/reproduction")
@@ -37,7 +37,7 @@ class Asked:
     list_runs: bool = False
     goal_images: Path | None = None
     known: Path | None = None
-    lanes: int = 64
+    vmap_size: int = 64
     numbers: Path | None = None
     page: Path | None = None
     processes: int = 0
@@ -54,13 +54,18 @@ class Asked:
     def choice(self) -> Choice:
         """What was asked for, as the manifest takes it."""
         return Choice(
-            self.tasks or TASKS, self.methods or tuple(METHODS), self.ways, self.sets or None, self.seeds, self.quick
+            self.tasks or TASKS,
+            self.methods or tuple(METHODS),
+            self.variants,
+            self.sets or None,
+            self.seeds,
+            self.quick,
         )
 
     def runs(self) -> list[Run]:
         """The runs that are needed. Raises `UserError` where there are none."""
         runs = runs_of(self.studies, self.choice(), fetch_sets(self.goal_images))
-        require(bool(runs), self.name, "", "these tasks, methods, ways and sets have no run in it; name others")
+        require(bool(runs), self.name, "", "these tasks, methods, variants and sets have no run in it; name others")
         if self.known is None:
             return runs
         known = numbers.load(self.known)
@@ -72,7 +77,7 @@ class Asked:
 def reproduce(asked: Asked) -> int:
     """Train what is left, and draw. Returns the exit status."""
     require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
-    require(asked.lanes > 0, "lanes", asked.lanes, "give at least 1")
+    require(asked.vmap_size > 0, "vmap_size", asked.vmap_size, "give at least 1")
     require(0 <= asked.processes <= 1000, "processes", asked.processes, "give 0 to 1000")
     require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
     by_ray = asked.engine == "ray"
@@ -129,7 +134,7 @@ def check_size(asked: Asked) -> None:
 def work_of(asked: Asked, deadline: float) -> Work:
     """The work on the folder that was asked for."""
     say = lambda words: print(words, flush=True)  # noqa: E731
-    return Work(asked.out, deadline, asked.retry, asked.goal_images, asked.lanes, say)
+    return Work(asked.out, deadline, asked.retry, asked.goal_images, asked.vmap_size, say)
 
 
 def work_here(asked: Asked, runs: list[Run], deadline: float) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from infogoal_jax.goal_uses import TEST
 from infogoal_jax.reproduce.effects import (
     Finding,
     Paired,
@@ -27,8 +28,6 @@ COMPARABLE = 0.05
 """By how much success may be lower where the paper says that it is comparable, or close to; and the share by which a
 path may be shorter where it says that paths are not shortened."""
 RELABELLINGS = ("her", "cher", "ghrl")
-TEST = 2
-"""The number of test goals in `uses`."""
 
 
 def paired(first: Row, second: Row, kind: str, other: str | None = None) -> Paired:

@@ -10,6 +10,7 @@ import dataclasses
 import io
 import json
 import operator
+import shlex
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce import budget, needs
-from infogoal_jax.reproduce.manifest import Lane, Run
+from infogoal_jax.reproduce.manifest import Lane, Run, command_of
 from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.configuration import from_dict, to_dict
@@ -32,7 +33,8 @@ Status = Literal["done", "not measured", "damaged", "other settings", "failed", 
 @dataclasses.dataclass(frozen=True)
 class Result:
     """What a run came to. about: machine, data, versions, times, configuration; evaluations: {metric: [seeds, E]};
-    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, and those of pictures."""
+    arrays: `first_reached` int [seeds, E, M, starts], `uses` int [M] of the evaluated goals, on Fetch `near` bool
+    [M], and those of pictures."""
 
     run: Run
     about: dict[str, Any]
@@ -41,8 +43,8 @@ class Result:
 
     @property
     def command(self) -> str:
-        """The command line that makes the run."""
-        return str(self.about["command"])
+        """The command line that makes the run, in the words that it has today; the file keeps those of its time."""
+        return shlex.join(command_of(self.run))
 
     def missing(self) -> list[str]:
         """What is to be measured of the run and was not."""

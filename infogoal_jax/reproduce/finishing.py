@@ -83,11 +83,12 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "command": shlex.join(command_of(run)),
     }
     first = curve_of(training, run, "first_reached")
-    masks = [np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in masks_of(env)]
     arrays = {
         "first_reached": first.astype(np.min_scalar_type(int(first.max()))),
-        "uses": np.select(masks, [0, 1, 2]).astype(np.int8),
+        "uses": measure.uses_of(env.goals, np.asarray(env.goals.evaluated)),
     }
+    if env.near_goals is not None:
+        arrays["near"] = np.asarray(env.near_goals)[np.asarray(env.goals.evaluated)]
     return Result(run, about, evaluations, arrays | measured.arrays)
 
 
@@ -102,11 +103,6 @@ def cost_of(training: lanes.Training) -> dict[str, Any]:
         "run_seconds": round(training.run_seconds, 1),
     }
     return (training.trained or own) | {"spans": training.spans_until_now()}
-
-
-def masks_of(env: Any) -> tuple:
-    """Training, validation and test goals."""
-    return env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask
 
 
 def known_of(folder: Path, training: lanes.Training, run: Run) -> Extras:

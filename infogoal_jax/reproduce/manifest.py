@@ -1,7 +1,7 @@
 """Which runs each table and figure of the paper is made of.
 
-A run is a method on a task and one of its goal sets, with all its seeds. Two ways of running the methods are told
-apart: the paper's, in which only HER, CHER and GHRL relabel, and one in which every learner is given HER besides.
+A run is a method on a task and one of its goal sets, with all its seeds. Table I has two variants: the
+paper's, in which only HER, CHER and GHRL relabel, and one in which every learner is given HER besides.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ METHODS = {
 LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
 WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
 """Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
-WAYS = {"paper": "the paper's way", "her": "every learner with HER"}
+VARIANTS = {"paper": "relabelling as in the paper", "her": "every learner with HER"}
 SETS = {"object_search": (0, 1, 2), "object_manipulation": (0, 1, 2), "embodied_qa": (0, 1, 2)}
 """Goal sets of a task: seeds of the house, of the cube with its poses and of the shelf, none of which was used for
 tuning. Fetch has the shipped goal images as set 0, and further ones where a folder of them is given."""
@@ -37,9 +37,9 @@ FETCH = presets.FETCH_TASKS
 GOAL_IMAGES = "GOAL_IMAGES"
 """Stands in commands for the folder of the further goal images of Fetch, wherever it lies."""
 DRAWN = ("infogoal", "infobot", "gcb", "none")
-"""Methods whose codes and ways Figures 9, 10 and 11 show."""
+"""Methods whose codes and trajectories Figures 9, 10 and 11 show."""
 EXTERNAL = ("external reward alone", (("intrinsic_weight", 0.0),))
-"""A lane without intrinsic reward: its name and floats."""
+"""The setting without intrinsic reward: its name and floats."""
 FIXED_BETAS = (1e-4, 1e-3, 1e-2, 1e-1)
 PRESET = ("preset", ())
 
@@ -109,14 +109,14 @@ class Choice(NamedTuple):
 
     tasks: tuple[str, ...] = TASKS
     methods: tuple[str, ...] = tuple(METHODS)
-    ways: tuple[str, ...] = ("paper",)
+    variants: tuple[str, ...] = ("paper",)
     sets: tuple[int, ...] | None = None
     seeds: int = 5
     toy: bool = False
 
     def check(self) -> None:
         """Raise `UserError` for names that are none."""
-        for field, known in (("tasks", TASKS), ("methods", tuple(METHODS)), ("ways", tuple(WAYS))):
+        for field, known in (("tasks", TASKS), ("methods", tuple(METHODS)), ("variants", tuple(VARIANTS))):
             for name in getattr(self, field):
                 require(name in known, field, name, f"give some of {', '.join(known)}")
         require(0 < self.seeds <= 1000, "seeds", self.seeds, "give 1 to 1000")
@@ -129,13 +129,13 @@ class Choice(NamedTuple):
         return there if self.sets is None else tuple(number for number in there if number in self.sets)
 
 
-def parts_of(way: str, task: str, method: str) -> tuple[str | None, str | None] | None:
-    """(method's relabelling, explorer) of a row of Table I; None where the way has no such row.
+def parts_of(variant: str, task: str, method: str) -> tuple[str | None, str | None] | None:
+    """(method's relabelling, explorer) of a row of Table I; None where the variant has no such row.
 
-    The shelf's preset relabels every method with the names of objects. In the paper's way the bare agent does not.
+    The shelf's preset relabels every method with the names of objects. In the paper's variant the bare agent does not.
     """
     own = presets.registry[task].relabelling
-    if way == "paper":
+    if variant == "paper":
         return ("none", None) if method == "none" and own != "none" else (None, None)
     if method in LEARNERS:
         return (None if own == "her" else "her"), None
@@ -147,9 +147,9 @@ def table1(choice: Choice, fetch_sets: tuple[int, ...] = (0,)) -> list[Run]:
     return [
         Run(task, method, *parts, goal_set, Lane(*PRESET), tuple(range(choice.seeds)), choice.toy)
         for task in choice.tasks
-        for way in choice.ways
+        for variant in choice.variants
         for method in choice.methods
-        if (parts := parts_of(way, task, method)) is not None
+        if (parts := parts_of(variant, task, method)) is not None
         for goal_set in choice.sets_of(task, fetch_sets)
     ]
 
@@ -179,8 +179,8 @@ def fig8(choice: Choice) -> list[Run]:
 
 
 def fig9(choice: Choice) -> list[Run]:
-    """Fig. 9: codes and ways under corruption, with external rewards alone. Methods without an intrinsic reward are as
-    in Table I."""
+    """Fig. 9: codes and trajectories under corruption, with external rewards alone. Methods without an intrinsic reward
+    are as in Table I."""
     tasks = fetch, cube = ("fetch_pick_and_place", "object_manipulation")
     return [
         *of_methods(choice, (fetch,), ("infogoal",), EXTERNAL),  # With all seeds: Fig. 15 has them too.
@@ -199,7 +199,7 @@ def fixed_betas(choice: Choice, tasks: tuple[str, ...], betas: tuple[float, ...]
 STUDIES = {
     "table1": table1,
     "table2": lambda choice, fetch_sets=(0,): table1(
-        choice._replace(methods=("infogoal",), ways=("paper",)), fetch_sets
+        choice._replace(methods=("infogoal",), variants=("paper",)), fetch_sets
     ),
     "fig8": fig8,
     "fig9": fig9,
@@ -243,7 +243,7 @@ def command_of(run: Run) -> list[str]:
     study = home_of(run)
     words = ["infogoal", "reproduce", study, "--tasks", run.task, "--methods", run.method]
     if study == "table1":
-        words += ["--ways", "her" if run.relabelling == "her" else "paper", "--sets", str(run.goal_set)]
+        words += ["--variants", "her" if run.relabelling == "her" else "paper", "--sets", str(run.goal_set)]
         words += ["--seeds", str(len(run.seeds))]
     elif len(run.seeds) > 1:
         words += ["--seeds", str(len(run.seeds))]

@@ -12,6 +12,8 @@ import optax
 from jax.flatten_util import ravel_pytree
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.goal_uses import USES
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import fetch_figures, pose_figures
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.image_goal_episodes import is_fetch, policy_episodes, seen_images
@@ -113,15 +115,20 @@ def codes_of(train: Train, params: Any) -> dict[str, np.ndarray]:
     else:
         images = [env.goals.inputs_of(which)]
     encoded = [jax.device_get(encode(params, image)) for image in images]
-    masks = [np.asarray(mask)[which] for mask in (env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask)]
     found = {
         "code_mean": np.stack([code.mean for code in encoded], 1).astype(np.float16),
         "code_region": np.asarray(env.goals.regions)[which].astype(np.int16),
-        "code_use": np.select(masks, [0, 1, 2], 3).astype(np.int8),
+        "code_use": uses_of(env.goals, which),
     }
     if encoded[0].std is not None:
         found["code_std"] = np.stack([code.std for code in encoded], 1).astype(np.float16)
     return found
+
+
+def uses_of(goals: GoalSet, which: np.ndarray) -> np.ndarray:
+    """What these goals [M] are used for, int8 [M], as in `goal_uses`; 3 for none of it."""
+    masks = (np.asarray(getattr(goals, f"{use}_mask"))[which] for use in USES)
+    return np.select(list(masks), list(range(len(USES))), len(USES)).astype(np.int8)
 
 
 def judged_codes(train: Train, params: Any, seeds: tuple[int, ...]) -> dict[str, np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from infogoal_jax.reproduce.manifest import DRAWN, PRESET, WITH_LOSS, Run
 
 PICTURED = ("object_search", "embodied_qa", "fetch_pick_and_place", "object_manipulation")
-"""Tasks whose codes and ways are drawn."""
+"""Tasks whose codes and trajectories are drawn."""
 JUDGED = ("infogoal", "none")
 """Methods whose codes a claim compares."""
 NO_TIME = "no time was left to measure it"
@@ -17,7 +17,7 @@ def has_share(run: Run) -> bool:
 
 
 def is_pictured(run: Run) -> bool:
-    """Whether a figure shows codes or ways of this run."""
+    """Whether a figure shows codes or trajectories of this run."""
     return run.goal_set == 0 and run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from infogoal_jax.reproduce.manifest import METHODS, WAYS
+from infogoal_jax.reproduce.manifest import METHODS, VARIANTS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import TASKS
 from infogoal_jax.reproduce.scores import KINDS, MARKS, NOT_COUNTED, ROWS, TITLES, Row, has_scores, rows_of
@@ -17,11 +17,11 @@ def counts(row: Row) -> bool:
     return not NOT_COUNTED.intersection(row.faults())
 
 
-def over_tasks(results: Results, way: str) -> Table | None:
+def over_tasks(results: Results, variant: str) -> Table | None:
     """The interquartile mean of each method over the tasks on which its row counts, and the probability that InfoGoal
     is better over those on which both do; by kind of goals, of the tasks on which all of the methods ran."""
-    rows = rows_of(results, way, ROWS[way])
-    methods = [method for method in ROWS[way] if any(known == method for _, known in rows)]
+    rows = rows_of(results, variant, ROWS[variant])
+    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
     if len(methods) < 2:
         return None
     tasks_of = {
@@ -61,7 +61,7 @@ def over_tasks(results: Results, way: str) -> Table | None:
         foot += [f"Left out of {KINDS[kind]}: {'; '.join(filter(None, left))}."] if any(left) else []
     found = {fault for row in rows.values() for fault in row.faults() if fault in NOT_COUNTED}
     foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
-    return Table(f"over_tasks_{way}", f"Over tasks, {WAYS[way]}", head, body, foot)
+    return Table(f"over_tasks_{variant}", f"Over tasks, {VARIANTS[variant]}", head, body, foot)
 
 
 def pairs_of(rows: dict[tuple[str, str], Row], tasks: list[str], method: str) -> list[tuple[Row, Row]]:

@@ -85,11 +85,11 @@ def repeat(number: int, child: subprocess.Popen, say) -> None:
 def arguments_of(asked, minutes: float) -> list[str]:
     """The arguments of one process: what was asked for, without drawing, for so many minutes."""
     words = ["reproduce", asked.name, "--no-draw", "--out", str(Path(asked.out)), "--seeds", str(asked.seeds)]
-    words += ["--lanes", str(asked.lanes), "--minutes", str(minutes)]
+    words += ["--vmap-size", str(asked.vmap_size), "--minutes", str(minutes)]
     for flag, values in (
         ("tasks", asked.tasks),
         ("methods", asked.methods),
-        ("ways", asked.ways),
+        ("variants", asked.variants),
         ("sets", asked.sets),
     ):
         words += [f"--{flag}", *map(str, values)] if values else []

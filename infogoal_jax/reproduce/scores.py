@@ -12,7 +12,7 @@ from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
 
 ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
-"""The rows of each way's table."""
+"""The rows of each variant of Table I."""
 KINDS = {"test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
 """The kinds of goals of Table I, as metrics name them, and in words."""
 TITLES = {
@@ -31,16 +31,18 @@ MARKS = {
     "off": ("‡", f"the method's own loss makes less than {LEAST_SHARE:.0%} of the goal encoder's gradient"),
     "diverged": ("§", "seeds diverged and are left out"),
     "unmeasured": ("°", "the share of the method's own loss in the gradient was not measured"),
+    "sets": ("¶", "other methods ran on goal sets of the task on which it did not"),
 }
 """What is wrong with a row: its mark, and in words."""
-NOT_COUNTED = {"rises", "off", "unmeasured"}
+NOT_COUNTED = {"rises", "off", "unmeasured", "sets"}
 """Faults with which a row does not count for verdicts."""
 
 
 class Row(NamedTuple):
-    """A method on a task: its runs, one a goal set."""
+    """A method on a task: its runs, one a goal set. lacking: goal sets on which other methods of its table ran."""
 
     results: tuple[Result, ...]
+    lacking: frozenset[int] = frozenset()
 
     def scores(self, kind: str) -> list[np.ndarray] | None:
         """Success on a kind of goals, [seeds] of each goal set, without seeds that diverged; None where the task has no
@@ -67,6 +69,8 @@ class Row(NamedTuple):
             found.append("unmeasured")
         if any(result.about["diverged"] for result in self.results):
             found.append("diverged")
+        if self.lacking:
+            found.append("sets")
         return found
 
     def marks(self) -> str:
@@ -86,10 +90,10 @@ def scores_of(result: Result, metric: str) -> np.ndarray:
     return result.evaluations[metric][kept, which].mean(1)
 
 
-def row_of(results: Results, way: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
+def row_of(results: Results, variant: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
     """The runs of a row of Table I, or of another lane or explorer, those of the most seeds where there are several;
     None where there are none."""
-    parts = parts_of(way, task, method)
+    parts = parts_of(variant, task, method)
     if parts is None:
         return None
     by_set: dict[int, Result] = {}
@@ -97,12 +101,28 @@ def row_of(results: Results, way: str, task: str, method: str, lane: str = PRESE
         own = run.task, run.method, run.relabelling, run.explorer, run.lane.name
         if own == (task, method, parts[0], explorer, lane):
             by_set[run.goal_set] = result
-    return Row(tuple(by_set[number] for number in sorted(by_set))) if by_set else None
+    if not by_set:
+        return None
+    in_table = explorer is None and lane == PRESET[0]  # What is beside it is run on the first goal set alone.
+    lacking = goal_sets_of(results, variant, task) - by_set.keys() if in_table else frozenset()
+    return Row(tuple(by_set[number] for number in sorted(by_set)), lacking)
 
 
-def rows_of(results: Results, way: str, methods) -> dict[tuple[str, str], Row]:
+def goal_sets_of(results: Results, variant: str, task: str) -> frozenset[int]:
+    """The goal sets of a task on which at least one row of a variant's table ran."""
+    relabellings = {method: parts[0] for method in METHODS if (parts := parts_of(variant, task, method)) is not None}
+    return frozenset(
+        run.goal_set
+        for run in results
+        if (run.task, run.explorer, run.lane.name) == (task, None, PRESET[0])
+        and run.method in relabellings
+        and run.relabelling == relabellings[run.method]
+    )
+
+
+def rows_of(results: Results, variant: str, methods) -> dict[tuple[str, str], Row]:
     """Every row that there is, by (task, method)."""
-    found = {(task, method): row_of(results, way, task, method) for task in TASKS for method in methods}
+    found = {(task, method): row_of(results, variant, task, method) for task in TASKS for method in methods}
     return {key: row for key, row in found.items() if row is not None}
 
 

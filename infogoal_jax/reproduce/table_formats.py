@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import io
 import math
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from infogoal_jax.reproduce.statistics import TwoIntervals
@@ -48,11 +49,16 @@ def markdown_cell(cell: Cell | str) -> str:
     return (words + paper).strip()
 
 
+def markdown_lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of words in Markdown, without a line behind it."""
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
 def markdown(table: Table) -> str:
     """The table in Markdown."""
-    lines = [f"| {' | '.join(table.head)} |", "|" + "---|" * len(table.head)]
-    lines += [f"| {' | '.join(markdown_cell(cell) for cell in row)} |" for row in table.rows]
-    return "\n".join([*lines, "", *table.foot]) + "\n"
+    rows = [[markdown_cell(cell) for cell in row] for row in table.rows]
+    return "\n".join([markdown_lines(table.head, rows), "", *table.foot]) + "\n"
 
 
 def latex_cell(cell: Cell | str) -> str:
@@ -64,7 +70,7 @@ def latex_cell(cell: Cell | str) -> str:
     return (words + paper).strip()
 
 
-LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$"}
+LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$", "¶": r"\P"}
 """Characters of the tables that LaTeX writes otherwise."""
 
 

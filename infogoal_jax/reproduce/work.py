@@ -147,7 +147,7 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     resumed_at, size = training.evaluations, bytes_of(training.states)
     if not finishing.is_finished(training):
         lanes.prepare(training)
-        work.say(f"{name}: {training.finite.size} lanes compiled in {training.compile_seconds:.0f} s")
+        work.say(f"{name}: {training.finite.size} seeds and settings compiled in {training.compile_seconds:.0f} s")
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while not finishing.is_finished(training):

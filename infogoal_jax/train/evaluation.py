@@ -10,6 +10,7 @@ from typing import Any
 import flax.struct
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.threefry import written_out
@@ -117,6 +118,25 @@ def group_means(scores: Scores, goals: GoalSet) -> dict[str, dict[str, jax.Array
         name: (value.mean(-1)[..., None, :] * masks).sum(-1) / masks.sum(-1) for name, value in scores.by_name().items()
     }
     return {group: {name: mean[..., place] for name, mean in means.items()} for place, group in enumerate(goals.groups)}
+
+
+def near_and_far(env, first_reached: np.ndarray) -> dict[str, np.ndarray]:
+    """Success on the test goals that are near a training goal (`Environment.near_goals`) and on the far ones, [...]
+    under `near_test_goal/success_rate` and `far_test_goal/success_rate`: the episodes of `test_goal/success_rate`,
+    split by goal. Nothing where a task does not tell them apart, and no part without goals.
+
+    first_reached: int [..., M, S] of all evaluated goals, as in `settings.evaluate_settings`.
+    """
+    if env.near_goals is None:
+        return {}
+    near, test = (np.asarray(mask)[np.asarray(env.goals.evaluated)] for mask in (env.near_goals, env.goals.test_mask))
+    reached = np.asarray(first_reached) <= env.episode_length
+    parts = {"near": test & near, "far": test & ~near}
+    return {
+        f"{name}_test_goal/success_rate": reached[..., part, :].mean((-2, -1))
+        for name, part in parts.items()
+        if part.any()
+    }
 
 
 def random_policy(env) -> Policy:

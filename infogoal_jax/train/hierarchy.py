@@ -57,11 +57,8 @@ class SubgoalEnv(Environment):
     discrete = False
     has_target_states = True
     goals, episode_length, recorded = of_env("goals"), of_env("episode_length"), of_env("recorded")
-    num_observations, num_cells, goal_positions = (
-        of_env("num_observations"),
-        of_env("num_cells"),
-        of_env("goal_positions"),
-    )
+    num_observations, num_cells = of_env("num_observations"), of_env("num_cells")
+    goal_positions, near_goals = of_env("goal_positions"), of_env("near_goals")
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")
     has_shortest_path, unwrapped = of_env("has_shortest_path"), of_env("unwrapped")
     render, reached, goals_of, cell_of = of_env("render"), of_env("reached"), of_env("goals_of"), of_env("cell_of")

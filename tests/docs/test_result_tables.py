@@ -125,6 +125,28 @@ def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
     )
 
 
+def test_what_is_listed_as_run_is_what_the_numbers_are_of():
+    """Trials in the numbers have just the lanes and seeds of the queue, so that its floats are those that ran."""
+    ran = trial_numbers.lanes_of(trials.load(trials.NUMBERS))
+    queued = {name: dict.fromkeys(trial.lanes, trial.seeds) for name, trial in trials.QUEUE.items() if name in ran}
+    assert {name: {lane: seeds for lane, (seeds, _) in lanes.items()} for name, lanes in ran.items()} == queued
+
+
+@pytest.mark.parametrize(
+    ("ran", "words"),
+    [
+        ({}, "to be run"),
+        ({"a": (3, 90), "b": (3, 100)}, "90 of 100 updates"),
+        ({"a": (3, 100), "b": (3, 100)}, "done"),
+        ({"a": (3, 100), "b": (2, 100)}, "without b"),
+        ({"a": (3, 100), "c": (3, 100)}, "without b; the numbers have other lanes: c"),
+    ],
+)
+def test_a_trial_is_done_when_all_its_lanes_and_seeds_are(ran, words):
+    trial = trials.Trial("object_search", "her", {}, {"a": {}, "b": {}}, seeds=3)
+    assert trials.progress_of(trial, 100, ran) == words
+
+
 @pytest.mark.parametrize("name", trials.QUEUE)
 def test_every_trial_is_legal(name, monkeypatch, tmp_path):
     monkeypatch.setattr(trials, "tuning_house", lambda folder: ["--env.dataset", "house", "--env.split", "split.json"])

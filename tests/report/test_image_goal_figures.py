@@ -87,7 +87,8 @@ def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(p
         used = points.train.config.test_corruption if weight is None else weight
         assert json.loads((points.folder / "evaluation.json").read_text())["corruption"] == used
         assert f"background of weight {used:g}" in console.file.getvalue()
-    assert "8 goals x 3 starts" in console.file.getvalue()
+    assert "8 goals x 3 starts" in console.file.getvalue() and "test, far" in console.file.getvalue()
+    np.testing.assert_allclose(scores[0.0]["far_test_goal/success_rate"], scores[0.0]["test_goal/success_rate"], 1e-6)
     for group in ("train", "test"):
         steps = [of_weight[f"{group}_goal_mean_code/episode_length"] for of_weight in scores.values()]
         assert (steps[0] == steps[1]).all() and (steps[0] == steps[2]).all()

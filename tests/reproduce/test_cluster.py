@@ -22,7 +22,7 @@ from infogoal_jax.reproduce.cluster import work_on_cluster
 from infogoal_jax.reproduce.work import Work
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
-TOY = "reproduce table1 --quick --tasks object_search --methods none --ways paper".split()
+TOY = "reproduce table1 --quick --tasks object_search --methods none --variants paper".split()
 PROGRAMS = 24
 """Of two runs each."""
 

@@ -7,6 +7,7 @@ import made_up_results
 import numpy as np
 import pytest
 
+from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import command, files, numbers
 from infogoal_jax.reproduce.command import DONE, MORE, Asked
@@ -80,3 +81,9 @@ def test_known_runs_of_a_lower_ceiling_are_made_again(tmp_path):
     files.save(tmp_path / "some", dataclasses.replace(result, evaluations=rising))
     numbers.save(numbers.of_folder(tmp_path / "some"), tmp_path / "known")
     assert run in asked(tmp_path, known=tmp_path / "known").runs()
+
+
+@pytest.mark.parametrize(("old", "new"), [("--ways", "--variants"), ("--lanes=8", "--vmap-size")])
+def test_a_flag_of_an_earlier_version_is_refused_with_its_name_today(old, new, capsys):
+    assert main(["reproduce", "table1", "--list", old]) == 2
+    assert capsys.readouterr().err == f"infogoal: {old.partition('=')[0]}: is called {new} today\n"

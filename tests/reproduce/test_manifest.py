@@ -23,7 +23,7 @@ def test_table_1_has_every_number_of_the_paper():
                 assert value is None or (task, method) in there
 
 
-def test_the_bare_agent_of_the_shelf_is_not_relabelled_in_the_paper_s_way():
+def test_the_bare_agent_of_the_shelf_is_not_relabelled_in_the_paper_s_variant():
     (bare,) = table1(tasks=("embodied_qa",), methods=("none",), sets=(0,))
     (learner,) = table1(tasks=("embodied_qa",), methods=("infogoal",), sets=(0,))
     assert presets.names_of(plan.config_of(bare))["relabelling"] == "none"
@@ -31,13 +31,13 @@ def test_the_bare_agent_of_the_shelf_is_not_relabelled_in_the_paper_s_way():
 
 
 def test_with_her_every_learner_relabels():
-    runs = table1(ways=("her",), tasks=("fetch_push", "object_search"))
+    runs = table1(variants=("her",), tasks=("fetch_push", "object_search"))
     assert {presets.names_of(plan.config_of(run))["relabelling"] for run in runs} == {"her"}
     assert {run.method for run in runs} == {"infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad", "her"}
 
 
 def test_no_run_is_planned_twice():
-    runs = runs_of(tuple(STUDIES), Choice(ways=("paper", "her")))
+    runs = runs_of(tuple(STUDIES), Choice(variants=("paper", "her")))
     assert len({run.name for run in runs}) == len(runs) == len(set(runs))
     assert STUDIES.keys() == DESCRIPTIONS.keys()
 
@@ -87,13 +87,13 @@ def test_the_command_of_a_run_makes_it(study):
         words = command_of(run)
         flags = {word[2:]: value for word, value in zip(words, [*words[1:], ""], strict=True) if word.startswith("--")}
         chosen = {"tasks": (flags["tasks"],), "methods": (flags["methods"],), "seeds": int(flags.get("seeds", 5))}
-        chosen |= {"ways": (flags["ways"],), "sets": (int(flags["sets"]),)} if "sets" in flags else {}
+        chosen |= {"variants": (flags["variants"],), "sets": (int(flags["sets"]),)} if "sets" in flags else {}
         assert words[2] == home_of(run) and run in runs_of((words[2],), Choice(**chosen))
 
 
 def test_the_quick_way_has_something_for_every_figure():
     for study in STUDIES:
-        assert runs_of((study,), Choice(toy=True, ways=("paper", "her"))), study
+        assert runs_of((study,), Choice(toy=True, variants=("paper", "her"))), study
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_the_quick_way_has_something_for_every_figure():
     [
         ({"tasks": ("fetch",)}, "tasks"),
         ({"methods": ("dqn",)}, "methods"),
-        ({"ways": ("his",)}, "ways"),
+        ({"variants": ("his",)}, "variants"),
         ({"seeds": 0}, "seeds"),
     ],
 )

@@ -39,7 +39,7 @@ def test_two_processes_train_what_one_would(tmp_path, capsys):
         "--methods",
         "none",
         "her",
-        "--ways",
+        "--variants",
         "paper",
         "--out",
         str(tmp_path),

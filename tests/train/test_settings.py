@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import hand_made
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import make_train
-from infogoal_jax.train.evaluation import GoalView, draw_starts, evaluate, flat, group_means
+from infogoal_jax.train.evaluation import GoalView, draw_starts, evaluate, flat, group_means, near_and_far
 from infogoal_jax.train.settings import clean_view, corrupted_view
 
 
@@ -93,6 +94,25 @@ def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
         shown = jax.tree.map(lambda leaf: leaf[rows][:, columns if leaf.shape[1] > 1 else slice(None)], view.shown)
         scores, other = run(view, starts), run(GoalView(goals[rows], shown), other_starts)
         np.testing.assert_array_equal(other.steps, scores.steps[rows][:, columns])
+
+
+def test_test_goals_near_a_training_goal_are_told_apart_and_nothing_else_is_counted(train):
+    """A test goal is moved to 4 cm from a training goal. The parts make up the success on test goals."""
+    points = train.env.unwrapped
+    training, test = points.goals.commanded[0], jnp.flatnonzero(points.goals.test_mask)
+    assert not np.asarray(points.near_goals)[test].any() and np.asarray(points.near_goals)[training]
+    positions = points.positions.at[test[1]].set(points.positions[training] + jnp.array([0.0, 0.04, 0.0]))
+    env = train.env.replace(env=train.env.env.replace(positions=positions))
+    evaluated, never = np.asarray(env.goals.evaluated), env.episode_length + 1
+    first = np.full((2, len(evaluated), STARTS), never)
+    first[0, evaluated == test[1]] = 3  # The first seed reaches the near one,
+    first[1, evaluated == test[0]] = env.episode_length  # the second one of the far ones,
+    first[:, np.isin(evaluated, points.goals.commanded)] = 1  # and both all training goals.
+    split = near_and_far(env, first)
+    np.testing.assert_allclose(split["near_test_goal/success_rate"], [1, 0])
+    np.testing.assert_allclose(split["far_test_goal/success_rate"], [0, 1 / 3])
+    assert near_and_far(train.env, first).keys() == {"far_test_goal/success_rate"}
+    assert near_and_far(hand_made.environment(), first) == {}
 
 
 def test_an_oracle_of_subgoals_reaches_every_goal_and_one_that_stays_none():

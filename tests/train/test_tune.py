@@ -105,7 +105,7 @@ def test_draws_fill_the_range_evenly_on_its_scale(field):
     """Half of them lie below the middle of the scale, and all within the range; a discount's middle is near its upper
     end."""
     found, space = search.draw(jax.random.key(3), SPACE[field], [field], 1000), search_space(SPACE[field])[field]
-    values, (low, high, scale, _) = np.array([trial[field] for trial in found[1:]]), space
+    values, (low, high, scale, *_) = np.array([trial[field] for trial in found[1:]]), space
     middle = {
         "linear": (low + high) / 2,
         "log": np.sqrt(low * high),
@@ -256,3 +256,13 @@ def test_the_table_says_what_was_scored_and_how_to_train(capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "training goals, for want of validation goals" in printed and "0.75" in printed and "s compiling" in printed
     assert "infogoal train object_search --method none" in printed and "--hyper.learning-rate 0.0005" in printed
+
+
+@pytest.mark.parametrize(("weight", "floored"), [(0.012, True), (0.0015, True), (0.1, False)])
+def test_a_best_setting_that_all_but_turns_the_method_off_is_named(weight, floored, capsys):
+    """The search begins where the term acts; a preset may lie below."""
+    found = made(small("vae"), [[0.0], [0.7]])
+    found.trials[1].values["learner_weight"] = weight
+    tuning.print_result(found)
+    assert ("at the lower end of its range: learner_weight" in capsys.readouterr().out) == floored
+    assert search_space(found.config.hyper)["learner_weight"].low == 0.01

@@ -119,6 +119,12 @@ class ImageGoals(Environment):
         return self.positions
 
     @property
+    def near_goals(self) -> jax.Array:
+        """Goals within 5 cm of a training goal, bool [N]."""
+        training = self.positions[self.goals.commanded]
+        return self.robot.reached(training[:, None], self.positions).any(0)
+
+    @property
     def _visit_cells(self) -> Cells:
         return Cells.over(self.space.bounds, VISIT_CELL)
 

@@ -1,10 +1,10 @@
-"""Figures 9, 10, 11 and 14: codes of goals on their principal axes, and the ways of the policy."""
+"""Figures 9, 10, 11 and 14: codes of goals on their principal axes, and the trajectories of the policy."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from infogoal_jax.goal_uses import NO_USE
+from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
@@ -15,7 +15,7 @@ from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.scores import TITLES, row_of
 
-WAYS_IN_WORDS = "stars: goals; circles: starts; crosses: ends, green where the goal was reached"
+PATHS_IN_WORDS = "stars: goals; circles: starts; crosses: ends, green where the goal was reached"
 CODES_IN_WORDS = (
     "large marks: means, circles of training goals and stars of test goals; faded: samples; colours: regions"
 )
@@ -38,7 +38,7 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
     std = result.arrays.get("picture/code_std")
     centre, directions, _ = principal_components(mean[0])
     regions = tuple(str(region) for region in range(int(arrays["code_region"].max()) + 1))
-    uses = np.where(use == 3, NO_USE, use)
+    uses = np.where(use == len(USES), NO_USE, use)
     goals = GoalSet.of(np.zeros((len(use), 1)), arrays["code_region"], uses, ("",) * len(use), regions)
     code = GoalCode(mean[view], None if std is None else std[view].astype(float))
     draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size=size)
@@ -46,8 +46,8 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
     axes.set_yticks([])
 
 
-def ways_panel(axes: Axes, result: Result, view: int, goal: int | None = None, name: str = "way") -> None:
-    """The ways of a run in one view, to all of the drawn goals or to one of them, over the places of its graph."""
+def trajectory_panel(axes: Axes, result: Result, view: int, goal: int | None = None, name: str = "way") -> None:
+    """The trajectories of a run in one view, to all of the drawn goals or to one of them, over its graph."""
     picture = {key.partition("/")[2]: value for key, value in result.arrays.items() if key.startswith("picture/")}
     angles = result.run.task == "object_manipulation"
     if "place" in picture:
@@ -71,8 +71,8 @@ def ways_panel(axes: Axes, result: Result, view: int, goal: int | None = None, n
 
 
 def fig9(results: Results) -> Figure | None:
-    """Codes and ways of four methods under four degrees of corruption, on FetchPickAndPlace and on the cube, trained on
-    external rewards alone."""
+    """Codes and trajectories of four methods under four degrees of corruption, on FetchPickAndPlace and on the cube,
+    trained on external rewards alone."""
     tasks = ("fetch_pick_and_place", "object_manipulation")
     found = {
         (task, method): picture
@@ -83,51 +83,54 @@ def fig9(results: Results) -> Figure | None:
     if not found:
         return None
     below = (
-        f"{CODES_IN_WORDS}; below them ways to corrupted test goals, on the cube the angle to the goal (degrees) "
-        f"against steps; {WAYS_IN_WORDS}; one seed, last parameters, test backgrounds",
+        f"{CODES_IN_WORDS}; below them trajectories to corrupted test goals, on the cube the angle to the goal "
+        f"(degrees) against steps; {PATHS_IN_WORDS}; one seed, last parameters, test backgrounds",
     )
     methods = [method for method in DRAWN if any(known == method for _, known in found)]
     figure = empty_figure(
-        "Codes and ways under corruption, external rewards alone", below, (24, 4.2 * len(methods) + 1)
+        "Codes and trajectories under corruption, external rewards alone", below, (24, 4.2 * len(methods) + 1)
     )
     panels = figure.subplots(2 * len(methods), 2 * len(WEIGHTS), squeeze=False)
     for row, method in enumerate(methods):
         for half, task in enumerate(tasks):
             for place, weight in enumerate(WEIGHTS):
-                codes, ways = panels[2 * row : 2 * row + 2, half * len(WEIGHTS) + place]
+                codes, trajectories = panels[2 * row : 2 * row + 2, half * len(WEIGHTS) + place]
                 if (task, method) not in found:
                     codes.axis("off")
-                    ways.axis("off")
+                    trajectories.axis("off")
                     continue
                 codes_panel(codes, found[task, method], 1 + place)
-                ways_panel(ways, found[task, method], place)
+                trajectory_panel(trajectories, found[task, method], place)
                 if row == 0:
                     codes.set_title(f"{TITLES[task]}, weight {weight:g}", fontsize=11)
         panels[2 * row, 0].set_ylabel(f"{METHODS[method]}: codes", fontsize=11)
-        panels[2 * row + 1, 0].set_ylabel("ways", fontsize=11)
+        panels[2 * row + 1, 0].set_ylabel("trajectories", fontsize=11)
     return figure
 
 
 def codes_and_ways(results: Results, task: str, title: str) -> Figure | None:
-    """A row for each method: codes of the goals, and the ways to a test goal of each region."""
+    """A row for each method: codes of the goals, and the trajectories to a test goal of each region."""
     found = {method: picture for method in DRAWN if (picture := picture_of(results, task, method))}
     if not found:
         return None
     below = (
-        f"{CODES_IN_WORDS}; right: ways to a test goal a region from the farthest start; {WAYS_IN_WORDS}; one seed",
+        f"{CODES_IN_WORDS}; right: trajectories to a test goal a region from the farthest start; {PATHS_IN_WORDS}; "
+        "one seed",
     )
-    ways = min(4, max(result.arrays["picture/way"].shape[1] for result in found.values()))
+    trajectories = min(4, max(result.arrays["picture/way"].shape[1] for result in found.values()))
     # Ways on a shelf, which is wide and low, stand one below the other.
     low = height_of_places(next(iter(found.values()))) < 0.4
-    figure = empty_figure(title, below, (11, 5 * len(found) + 1) if low else (3.6 + 3.6 * ways, 2.9 * len(found) + 1))
-    rows = figure.add_gridspec(len(found), 2, width_ratios=[1, 1.7 if low else ways])
+    figure = empty_figure(
+        title, below, (11, 5 * len(found) + 1) if low else (3.6 + 3.6 * trajectories, 2.9 * len(found) + 1)
+    )
+    rows = figure.add_gridspec(len(found), 2, width_ratios=[1, 1.7 if low else trajectories])
     for row, (method, result) in enumerate(found.items()):
         codes = figure.add_subplot(rows[row, 0])
         codes_panel(codes, result, 0)
         codes.set_ylabel(METHODS[method], fontsize=11)
-        panels = rows[row, 1].subgridspec(*((ways, 1) if low else (1, ways)))
-        for goal in range(min(ways, result.arrays["picture/way"].shape[1])):
-            ways_panel(figure.add_subplot(panels[goal]), result, 0, goal)
+        panels = rows[row, 1].subgridspec(*((trajectories, 1) if low else (1, trajectories)))
+        for goal in range(min(trajectories, result.arrays["picture/way"].shape[1])):
+            trajectory_panel(figure.add_subplot(panels[goal]), result, 0, goal)
     return figure
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infogoal_jax.report.canvas import empty_figure
-from infogoal_jax.reproduce.figures.codes import WAYS_IN_WORDS, height_of_places, picture_of, ways_panel
+from infogoal_jax.reproduce.figures.codes import PATHS_IN_WORDS, height_of_places, picture_of, trajectory_panel
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.scores import TITLES
 
@@ -12,13 +12,13 @@ GOALS = 4
 
 
 def fig12(results: Results) -> Figure | None:
-    """The intrinsic reward of every place for a training goal a region, and the policy's way to it."""
+    """The intrinsic reward of every place for a training goal a region, and the policy's trajectory to it."""
     tasks = {task: picture_of(results, task, "infogoal") for task in ("object_search", "embodied_qa")}
     found = {task: result for task, result in tasks.items() if result and "picture/reward" in result.arrays}
     if not found:
         return None
     below = (
-        f"mean over the images of a place with a goal in view, the mean of all being -1; {WAYS_IN_WORDS}; one seed",
+        f"mean over the images of a place with a goal in view, the mean of all being -1; {PATHS_IN_WORDS}; one seed",
     )
     heights = [0.6 + 3.3 * height_of_places(result) for result in found.values()]
     figure = empty_figure("Intrinsic reward for training goals", below, (15, sum(heights) + 1.2))
@@ -31,7 +31,7 @@ def fig12(results: Results) -> Figure | None:
             count = np.bincount(of_image.ravel()[seen], minlength=len(places))
             total = np.bincount(of_image.ravel()[seen], reward[seen], len(places))
             mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-            ways_panel(axes, result, 0, goal, "reward_way")
+            trajectory_panel(axes, result, 0, goal, "reward_way")
             dots = axes.scatter(*places.T, c=mean, s=26, cmap="viridis", vmax=0, zorder=2)
         line[0].set_ylabel(TITLES[task], fontsize=11)
         figure.colorbar(dots, ax=line, label="intrinsic reward", shrink=0.8)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from infogoal_jax.goal_uses import TEST, TRAINING
 from infogoal_jax.report.canvas import USE_TITLES, draw_curve, empty_figure, finish_share_axis
 from infogoal_jax.report.comparison_figures import COLOURS
 from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, success_within
@@ -14,7 +15,7 @@ from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.scores import row_of
 
 TITLES = {"none": "DQN", "infobot": "InfoBot", "infogoal": "InfoGoal"}
-GROUPS = {"train": 0, "test": 2}
+GROUPS = {"train": TRAINING, "test": TEST}
 """Groups of goals of the figure, and their number in `uses`."""
 
 
