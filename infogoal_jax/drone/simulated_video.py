@@ -5,7 +5,7 @@ from fractions import Fraction
 import av
 import numpy as np
 
-from infogoal_jax.stand_ins import shelf, shelf_render
+from infogoal_jax.stand_ins import shelf
 
 PACKET = 1460
 """Bytes of a packet of the stream; the last packet of an image is shorter."""
@@ -21,19 +21,19 @@ class Camera:
 
     def view(self, position: np.ndarray, roll: float) -> np.ndarray:
         """The map [2, 3] from the wall to the image, for a camera at this place (m [2])."""
-        return shelf_render.camera(position, roll, shelf.SIZE)
+        return shelf.camera(position, roll, shelf.SIZE)
 
     def see(self, position: np.ndarray, roll: float, moving: bool) -> np.ndarray:
         """What it sees, uint8 RGB [720, 960, 3]. moving: the propellers turn, and images are blurred."""
         blur = self.random.normal(0, shelf.BLUR, 2) if moving else None
-        return shelf_render.see(self.wall, self.view(position, roll), shelf_render.STREAM, blur)
+        return shelf.see(self.wall, self.view(position, roll), shelf.STREAM, blur)
 
     def boxes(self, position: np.ndarray, roll: float) -> dict[str, list[float]]:
         """The box of every object that lies in the image with all its corners: left, top, right and bottom, pixels."""
         view, found = self.view(position, roll), {}
         for name, box in zip(self.places, shelf.boxes(self.places), strict=True):
             if shelf.in_view(view, box):
-                corners = shelf_render.pixel_of(box, shelf.SIZE) @ view[:, :2].T + view[:, 2]
+                corners = shelf.pixel_of(box, shelf.SIZE) @ view[:, :2].T + view[:, 2]
                 found[name] = [float(value) for value in (*corners.min(0), *corners.max(0))]
         return found
 
@@ -43,7 +43,7 @@ class Encoder:
 
     def __init__(self, frames_per_second: int):
         self.context = av.CodecContext.create("libx264", "w")
-        self.context.height, self.context.width = shelf_render.STREAM
+        self.context.height, self.context.width = shelf.STREAM
         self.context.pix_fmt, self.context.bit_rate = "yuv420p", BIT_RATE
         self.context.framerate, self.context.time_base = frames_per_second, Fraction(1, frames_per_second)
         key_frames = frames_per_second * KEY_FRAME_SECONDS

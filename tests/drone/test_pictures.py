@@ -6,7 +6,7 @@ import pytest
 
 from infogoal_jax.drone import pictures, simulated_body
 from infogoal_jax.drone.pictures import Picture, fault_of
-from infogoal_jax.stand_ins import shelf, shelf_render
+from infogoal_jax.stand_ins import shelf
 
 RATE = 30
 SIZE = (48, 64)
@@ -23,7 +23,7 @@ def world() -> np.ndarray:
 def hover(world, count: int, seed: int = 0, begin: float = 0.0, at: int = 100) -> list[Picture]:
     """Pictures of a camera that drifts as the simulated drone's does."""
     random, found, drift = np.random.default_rng(seed), [], np.zeros(2)
-    pixels = shelf.DRIFT * shelf_render.PIXELS_PER_METRE
+    pixels = shelf.DRIFT * shelf.PIXELS_PER_METRE
     keep = np.exp(-1 / RATE / simulated_body.DRIFT_SECONDS)
     for number in range(count):
         drift = keep * drift + np.sqrt(1 - keep**2) * random.normal(0, pixels, 2)
@@ -41,7 +41,7 @@ def now_of(found: list[Picture]) -> float:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_hovering_camera_is_trusted(world, seed):
     found = hover(world, 90, seed)
-    before = hover(world, 1, seed, at=100 + round(0.2 * shelf_render.PIXELS_PER_METRE))[0].small
+    before = hover(world, 1, seed, at=100 + round(0.2 * shelf.PIXELS_PER_METRE))[0].small
     assert fault_of(found, now_of(found), 0.0, 1.0, before) == ""
 
 

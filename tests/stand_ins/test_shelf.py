@@ -6,7 +6,7 @@ import pytest
 
 from infogoal_jax.data import frames, questions
 from infogoal_jax.envs.graph import distances
-from infogoal_jax.stand_ins import shelf, shelf_render
+from infogoal_jax.stand_ins import shelf
 
 SEEDS = (0, 1, 2)
 EPISODE = 50
@@ -31,7 +31,7 @@ def corner(monkeypatch):
 def detected(request):
     """Which objects are detected from where, bool [S, 24], without drawing."""
     places = shelf.furnish(np.random.default_rng([request.param, shelf.GENERATOR_VERSION]))
-    views = [shelf_render.camera(place, 0.0, shelf.SIZE) for place in centres()]
+    views = [shelf.camera(place, 0.0, shelf.SIZE) for place in centres()]
     return np.array([[shelf.in_view(view, box) for box in shelf.boxes(places)] for view in views])
 
 
