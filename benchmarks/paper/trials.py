@@ -31,7 +31,7 @@ from tuning import tuning_house
 
 from infogoal_jax import jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.data import questions
+from infogoal_jax.data import splits
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.chunk import chunk_of
@@ -70,7 +70,7 @@ def preset_of(trial: Trial) -> TrainConfig:
 def commanded_by_name(env):
     """Embodied question answering in which questions of validation and test sound like the name of their object. (They
     take part in no training.)"""
-    asked = questions.load(questions.SHIPPED).goals()
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS).goals()
     names = {goal.text: number for number, goal in enumerate(asked)}
     rows = jnp.asarray([names[goal.object] for goal in asked])
     heard = env.goals.inputs[jnp.where(env.goals.train_mask, jnp.arange(len(asked)), rows)]

@@ -1,7 +1,6 @@
 """The shapes that pictures of the cube are made of: the convex solids of the arm, each moving with one link, where they
 are at zero joints; and the stickers of the cube that it holds, scrambled so that its orientations look different.
-Lengths in metres.
-"""
+Lengths in metres."""
 
 import dataclasses
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from infogoal_jax.data import questions
+from infogoal_jax.data import splits
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.stand_ins.shelf_objects import DRAWINGS, draw
 
@@ -115,7 +115,7 @@ def furnished_wall(random: np.random.Generator) -> tuple[np.ndarray, dict[str, n
 def furnish(random: np.random.Generator) -> dict[str, np.ndarray]:
     """Where each object stands: its left end and its foot (m). Each stands in its own region, on a board and in a slot
     drawn at random."""
-    asked, places = questions.load(questions.SHIPPED), {}
+    asked, places = splits.load_questions(splits.SHIPPED_QUESTIONS), {}
     for region, room in enumerate(asked.room_names):
         names = [name for name, its in zip(asked.objects, asked.rooms, strict=True) if its == region]
         boards = BOARDS[2:] if "upper" in room else BOARDS[:2]

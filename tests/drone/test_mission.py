@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.data import questions, text
+from infogoal_jax.data import splits, text
 from infogoal_jax.drone import link, mission
 from infogoal_jax.errors import UserError
 from infogoal_jax.policy_file import ExportedPolicy
@@ -33,8 +33,8 @@ def test_a_question_of_the_policy(policy):
 
 
 def test_a_question_of_the_shipped_embeddings(policy):
-    shipped = text.load(questions.SHIPPED_EMBEDDINGS)
-    asked = mission.read_question(policy, shipped.texts[0], "mug", str(questions.SHIPPED_EMBEDDINGS))
+    shipped = text.load(splits.SHIPPED_EMBEDDINGS)
+    asked = mission.read_question(policy, shipped.texts[0], "mug", str(splits.SHIPPED_EMBEDDINGS))
     np.testing.assert_allclose(asked.goal, shipped.vectors[0] * np.sqrt(384), rtol=1e-6)
 
 
@@ -66,7 +66,7 @@ def test_policies_that_cannot_fly(tmp_path):
     members["program"] = np.array(str(members["program"]).replace("outputs", "output"))
     np.savez(tmp_path / "earlier.npz", **members)
     paths = [tmp_path / f"{name}.npz" for name in ("words", "nothing", "pipe", "cut", "list", "few", "earlier")]
-    for path in (*paths, questions.SHIPPED_EMBEDDINGS):
+    for path in (*paths, splits.SHIPPED_EMBEDDINGS):
         with pytest.raises(UserError, match="no file of `infogoal export`"):
             mission.load_policy(str(path))
     with pytest.raises(UserError, match="cannot fly"):

@@ -4,7 +4,7 @@ is not too easy."""
 import numpy as np
 import pytest
 
-from infogoal_jax.data import frames, questions
+from infogoal_jax.data import frames, splits
 from infogoal_jax.envs.graph import distances
 from infogoal_jax.stand_ins import shelf
 
@@ -67,7 +67,7 @@ def test_an_object_is_detected_where_its_whole_box_is_in_the_view(whole):
 
 
 def test_six_objects_stand_in_each_region_apart_from_each_other():
-    asked = questions.load(questions.SHIPPED)
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS)
     for seed in range(20):
         places = shelf.furnish(np.random.default_rng([seed, shelf.GENERATOR_VERSION]))
         boxes = np.array(shelf.boxes(places))

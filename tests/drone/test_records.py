@@ -5,8 +5,8 @@ import pytest
 
 from infogoal_jax.data import frames, frames_import
 from infogoal_jax.drone.envelope import MOVES, Whereabouts
-from infogoal_jax.drone.pictures import Picture
-from infogoal_jax.drone.recording import TABLE, Explorer, Recorder
+from infogoal_jax.drone.records import TABLE, Explorer, Recorder
+from infogoal_jax.drone.vision import Picture
 from infogoal_jax.errors import UserError
 
 
@@ -93,6 +93,6 @@ def test_a_disk_that_is_full_leaves_no_half_row(tmp_path, monkeypatch):
     assert record(tmp_path, "monday", [("right", "made")]) == 1
     (tmp_path / TABLE).unlink()
     (tmp_path / TABLE).symlink_to("/dev/full")
-    monkeypatch.setattr("infogoal_jax.drone.recording.check_recordings", lambda folder, trajectory: None)
+    monkeypatch.setattr("infogoal_jax.drone.records.check_recordings", lambda folder, trajectory: None)
     with pytest.raises(UserError, match="record = .*cannot be written .No space left"):
         record(tmp_path, "tuesday", [("right", "made")])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from infogoal_jax.drone import simulated_body
-from infogoal_jax.drone.simulated_body import Body
+from infogoal_jax.drone import simulated_drone
+from infogoal_jax.drone.simulated_drone import Body
 
 FIRST = np.array([4.0, 1.2])
 
@@ -20,7 +20,7 @@ def hovering() -> Body:
     """A drone that took off."""
     body = Body(FIRST, np.random.default_rng(0))
     assert body.obey("takeoff", 0.0) == ""
-    let_pass(body, simulated_body.TAKEOFF_SECONDS + 0.1)
+    let_pass(body, simulated_drone.TAKEOFF_SECONDS + 0.1)
     assert body.phase == "hovering"
     return body
 
@@ -31,8 +31,8 @@ def test_a_move_takes_its_time_and_leads_20_cm_on(hovering, move):
     assert hovering.obey(f"{move} 20", hovering.time) == ""
     assert hovering.obey("right 20", hovering.time) == "error Not joystick", "the last is not finished"
     let_pass(hovering, 2.0)
-    step = 0.2 * np.array(simulated_body.DIRECTIONS[move])
-    np.testing.assert_allclose(hovering.nominal - before, step, atol=5 * simulated_body.MOVE_ERROR)
+    step = 0.2 * np.array(simulated_drone.DIRECTIONS[move])
+    np.testing.assert_allclose(hovering.nominal - before, step, atol=5 * simulated_drone.MOVE_ERROR)
 
 
 REFUSALS = {
@@ -63,7 +63,7 @@ def test_it_lands_after_15_s_without_a_command(hovering):
         hovering.obey("battery?", hovering.time)
         let_pass(hovering, 0.1)
         assert hovering.time < last + 20
-    assert hovering.time > last + simulated_body.SILENCE
+    assert hovering.time > last + simulated_drone.SILENCE
     let_pass(hovering, 10)
     assert (hovering.phase, hovering.why_landed) == ("ground", "no command for 15 s")
 
@@ -81,7 +81,7 @@ def test_drift_is_that_of_the_hovering_dataset(hovering):
         hovering.battery = 80.0
         hovering.advance(hovering.time + 0.5)
         drift.append(hovering.drift)
-    np.testing.assert_allclose(np.std(drift, axis=0), simulated_body.shelf.DRIFT, rtol=0.15)
+    np.testing.assert_allclose(np.std(drift, axis=0), simulated_drone.shelf.DRIFT, rtol=0.15)
 
 
 def test_the_state_is_that_of_the_sdk(hovering):
