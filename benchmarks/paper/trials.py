@@ -67,7 +67,7 @@ def preset_of(trial: Trial) -> TrainConfig:
     return with_values(config, trial.settings)
 
 
-def commanded_by_name(env):
+def asked_by_name(env):
     """Embodied question answering in which questions of validation and test sound like the name of their object. (They
     take part in no training.)"""
     asked = splits.load_questions(splits.SHIPPED_QUESTIONS).goals()
@@ -81,7 +81,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     """Train every lane and seed of a trial, one row for each evaluation of each."""
     config = configuration(trial, folder)
     train = make_train(config)
-    env = commanded_by_name(train.env) if trial.by_name else train.env
+    env = asked_by_name(train.env) if trial.by_name else train.env
     lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
     hyper = batched_hyper(config.hyper, list(trial.lanes.values()), trial.seeds)
     machine = describe_machine()

@@ -218,12 +218,12 @@ class GoalEncoding(NamedTuple):
             return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
         return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
-    def of_commanded(self) -> Encode:
+    def of_training_goals(self) -> Encode:
         """Codes of training goals. They are few, so each is encoded once, however large the goal space is."""
         if self.view is not None or self.goals.num_goals <= self.batch_size:
             return self.of_any()
-        commanded = self.goals.commanded
-        return lookup(self.learner.encode(self.params, self.goals.inputs_of(commanded)), self.goals, commanded)
+        goals, training = self.goals, self.goals.training_goals
+        return lookup(self.learner.encode(self.params, goals.inputs_of(training)), goals, training)
 
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:

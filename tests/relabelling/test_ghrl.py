@@ -147,7 +147,7 @@ def test_what_was_achieved_at_the_start_or_was_not_written_does_not_count():
 
 
 def relabelled(config, rows, row, step, **changes):
-    """Goals that 1,000 transitions at this place are given, under commanded goal 0."""
+    """Goals that 1,000 transitions at this place are given, under the desired goal 0."""
     relabelling, places = ghrl.make(config), (jnp.full(1000, row), jnp.full(1000, step), jnp.zeros(1000, jnp.int32))
     return np.asarray(
         jax.jit(
