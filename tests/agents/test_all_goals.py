@@ -4,8 +4,8 @@ masks, and heads that value all goals as they value one."""
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
-from places import FIXTURES
 
 from infogoal_jax.agents import all_goals, td3, value_heads
 from infogoal_jax.agents.agent import AgentBatch, AllGoals
@@ -35,7 +35,7 @@ def batch_of(features, following, actions, goals: AllGoals, mask) -> AgentBatch:
 
 def test_targets_loss_and_gradient_are_those_of_leos_authors():
     """Their code on random inputs: linear action values through a sigmoid, the collecting network as target network."""
-    recorded = np.load(FIXTURES / "leo.npz", allow_pickle=False)
+    recorded = places.recorded("leo")
     steps, width, goals = recorded["achieved"].shape
     inputs = recorded["observations"].shape[-1]
 

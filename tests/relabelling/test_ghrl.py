@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
 from hand_made_rows import GOALS, ROWS, STEPS, context, episodes, random_rows, rows_of
-from places import FIXTURES
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import ghrl
 
-RECORDED = np.load(FIXTURES / "ghrl.npz", allow_pickle=False)
+RECORDED = places.recorded("ghrl")
 A, B = 1, 2
 
 

@@ -44,7 +44,7 @@ def shipped(task: str) -> Path:
     has none."""
     path = SHIPPED / find(task).name
     if not path.exists():
-        known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*") if not file.suffix))
+        known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*")))
         raise UserError(f"low_level = '': no low level is shipped for {task}; give the file of one. Shipped: {known}")
     return path
 
