@@ -16,8 +16,8 @@ import numpy as np
 from infogoal_jax.envs.fetch import constraints, model, solver
 from infogoal_jax.envs.fetch.constraints import Limits, RowKinds, Softness, Weld
 from infogoal_jax.envs.fetch.contacts import Box
+from infogoal_jax.envs.fetch.model import Shapes, joint_of, moving_dofs
 from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
-from infogoal_jax.envs.fetch.shapes import Shapes, joint_of, moving_dofs
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, once, vectors
 

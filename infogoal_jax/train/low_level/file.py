@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.low_level import JointLevel, LowLevel, joint_input
+from infogoal_jax.agents.hrac import JointLevel, LowLevel, joint_input
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import find
