@@ -4,7 +4,7 @@ at compile time.
 The formulas are MuJoCo's (its documentation, Computation: kinematics, composite rigid bodies, recursive Newton-Euler).
 `mjx.kinematics`, `mjx.crb` and `mjx.rne` compute the same by a walk over the bodies, one level after the other; here
 all bodies are computed side by side, and sums along the tree are products with constant matrices, which takes a twelfth
-of the operations to compile. tests/envs/fetch/test_physics_parts.py compares them with MuJoCo and MJX.
+of the operations to compile. tests/envs/fetch/test_multibody.py compares them with MuJoCo and MJX.
 
 Velocities, momenta and inertias of bodies are all taken about one fixed point of the world, `origin`, so that those of
 several bodies may be added.

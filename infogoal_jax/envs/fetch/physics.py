@@ -1,6 +1,6 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-A physics step puts together the multibody dynamics (multibody.py), the shapes that touch (shapes.py), constraint rows
+A physics step puts together the multibody dynamics (multibody.py), the shapes that touch (model.py), constraint rows
 (constraints.py) and their solver (solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the
 reference.
 """
