@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks, pairs
-from infogoal_jax.agents import all_goals, dqn, td3
+from infogoal_jax.agents import dqn, td3, value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.angles import on_circles, wrapped
 from infogoal_jax.errors import require
@@ -207,7 +207,7 @@ def make(config: HRACConfig, env) -> Agent:
         )
         critic_loss, critic_metrics = learned.critic, learned.metrics
         if batch.all_goals is not None:
-            critic_loss, critic_metrics = all_goals.critic_loss(
+            critic_loss, critic_metrics = value_heads.critic_loss(
                 actor, product, params, target_params, batch, hyper.target_noise, jax.random.fold_in(key, 1)
             )
         asked = space.from_subgoal(batch.observation, learned.actions, config.subgoal_scale)

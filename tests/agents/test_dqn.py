@@ -12,7 +12,7 @@ import places
 import pytest
 
 from infogoal_jax import agents
-from infogoal_jax.agents import all_goals, td3, value_heads
+from infogoal_jax.agents import td3, value_heads
 from infogoal_jax.agents.agent import AgentBatch, AllGoals, Exploration
 from infogoal_jax.agents.cql import CQLConfig, CQLHyperparameters, conservative_gap
 
@@ -124,16 +124,16 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     head = value_heads.ValueHead(None, None, values_of_all, taken_of_all)
     first, following = (recorded["observations"][place].reshape(-1, inputs) for place in (slice(-1), slice(1, None)))
     achieved = jnp.asarray(recorded["achieved"].reshape(-1, 1, goals))
-    reward, discount = all_goals.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
+    reward, discount = value_heads.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
     discount = discount * ~recorded["ended"].reshape(-1, 1)
     mask = jnp.ones((steps * width, 4), bool)
-    target = all_goals.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
+    target = value_heads.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
     np.testing.assert_allclose(target, recorded["targets"].reshape(-1, goals), atol=1e-5)
     under = AllGoals(jnp.ones(goals), None, None, reward, discount)
     batch = batch_of(first, following, recorded["actions"].reshape(-1), under, mask)
 
     def loss(weights):
-        return all_goals.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
+        return value_heads.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
 
     found, gradient = jax.value_and_grad(loss)(jnp.asarray(recorded["trained_weights"]))
     np.testing.assert_allclose(found, recorded["loss"], atol=1e-5)
@@ -144,14 +144,14 @@ def test_a_transition_ends_for_the_goal_that_it_achieves_alone():
     """Two steps: the first achieves goal 0, the second goals 0 and 1; goal 2 goes on. A step not taken achieves
     nothing."""
     hit = jnp.array([[[True, False, False], [True, True, False]]] * 2)
-    reward, discount = all_goals.returns_of_all(hit, jnp.array([[1.0, 1.0], [1.0, 0.0]]), 0.5)
+    reward, discount = value_heads.returns_of_all(hit, jnp.array([[1.0, 1.0], [1.0, 0.0]]), 0.5)
     np.testing.assert_allclose(reward, [[1.0, 0.5, 0.0], [1.0, 0.0, 0.0]])
     np.testing.assert_allclose(discount, [[0.0, 0.0, 0.25], [0.0, 0.5, 0.5]])
 
 
 def test_targets_look_at_legal_actions_only():
     values = jnp.zeros((1, 3, 2)).at[0, 1].set(9.0).at[0, 2].set(jnp.array([0.25, 0.5]))
-    target = all_goals.target_of_all(jnp.zeros((1, 2)), jnp.ones((1, 2)), values, jnp.array([[True, False, True]]))
+    target = value_heads.target_of_all(jnp.zeros((1, 2)), jnp.ones((1, 2)), values, jnp.array([[True, False, True]]))
     np.testing.assert_allclose(target, [[0.25, 0.5]])
 
 
@@ -185,9 +185,9 @@ def test_bounded_values_lie_between_0_and_1():
 def test_goals_without_weight_teach_nothing():
     """The loss does not depend on their values, and the mean is over the others."""
     predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
-    loss, _ = all_goals.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
+    loss, _ = value_heads.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
     np.testing.assert_allclose(loss, 0.125)
-    gradient = jax.grad(lambda values: all_goals.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
+    gradient = jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
         predicted
     )
     assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()
@@ -223,7 +223,7 @@ def test_td3_under_all_goals_is_td3_under_each():
     reward = jax.random.bernoulli(keys[0], 0.3, (B, G)).astype(jnp.float32)
     under = AllGoals(jnp.ones(G).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
     batch = batch_of(features, features + 1.0, actions, under, None)
-    found, _ = all_goals.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
+    found, _ = value_heads.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
     joined, losses = td3.OfInputs(critic, F), []
     for goal in (0, 1, 3, 4, 5, 6):
         code = jnp.tile(codes[goal], (B, 1))
