@@ -169,11 +169,16 @@ def test_codebook_starts_among_the_segments_of_goals():
     assert len(np.unique(params["codebook"], axis=0)) == DISCRETE.codes
 
 
+def indices_of(params, goals) -> np.ndarray:
+    """The indices of the code vectors of goals, int [N, factors]."""
+    return np.asarray(dgrl.nearest(dgrl.segments_of(DISCRETE, params["encoder"], goals), params["codebook"]))
+
+
 def test_each_segment_is_replaced_by_the_nearest_code_vector(discrete):
     learner, params, _ = discrete
     segments = np.asarray(dgrl.segments_of(DISCRETE, params["encoder"], VECTORS))
     codes = np.asarray(learner.encode(params, VECTORS).mean).reshape(segments.shape)
-    indices = np.asarray(dgrl.indices_of(DISCRETE, params, VECTORS))
+    indices = indices_of(params, VECTORS)
     codebook = np.asarray(params["codebook"])
     for goal, factor in np.ndindex(*indices.shape):
         best = min(range(DISCRETE.codes), key=lambda code: np.linalg.norm(segments[goal, factor] - codebook[code]))
@@ -189,7 +194,7 @@ def test_many_goals_share_few_codes(discrete):
     params = params | {"codebook": params["codebook"][:3]}
     distinct = np.unique(learner.encode(params, goals).mean, axis=0)
     assert 3 < len(distinct) <= 81
-    assert len(distinct) == len(np.unique(dgrl.indices_of(DISCRETE, params, goals), axis=0))
+    assert len(distinct) == len(np.unique(indices_of(params, goals), axis=0))
 
 
 def test_the_agents_gradient_passes_the_replacement_and_never_reaches_the_codebook(discrete):
@@ -270,4 +275,4 @@ def test_discrete_codes_learn_to_reconstruct_goals():
     """From every goal's own discrete code its input comes back."""
     params, _, metrics = trained(dgrl.make(DISCRETE), VECTORS, 500)
     assert metrics["reconstruction_error"][-50:].mean() < 0.2 * constant_error(VECTORS)
-    assert len(np.unique(dgrl.indices_of(DISCRETE, params, VECTORS), axis=0)) == len(VECTORS)
+    assert len(np.unique(indices_of(params, VECTORS), axis=0)) == len(VECTORS)
