@@ -58,7 +58,7 @@ def regular(path: str | os.PathLike) -> Path:
 
 @contextlib.contextmanager
 def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
-    """Inside, what the disk refuses or a `UserError` says becomes a `UserError` that names the file: `what = 'path':
+    """Turn an error of the disk or a `UserError` in the block into a `UserError` that names the file: `what = 'path':
     ...`."""
     name = f"{what} = {str(path)!r}"
     try:
@@ -161,8 +161,8 @@ def replace_file(path: str | os.PathLike, write_content: Callable[[object], None
 
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
-    """Inside, a folder to write into. At the end `path`, which is empty or not there, holds all that is in it; if
-    anything hinders that, nothing. What the disk refuses is a `UserError` that names it."""
+    """Give a folder to write into, which becomes `path` (empty or not there) at the end of the block; after an error
+    nothing is left of it. An error of the disk is a `UserError` that names the path."""
     path = Path(path)
     there = path.is_dir()
     beside = (
@@ -184,7 +184,7 @@ def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
 
 
 def content_of(*parts: np.ndarray) -> str:
-    """What tells these arrays from others, in eight letters: for the words that say which data a run saw."""
+    """A checksum of these arrays, eight letters, for the words that say which data a run saw."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]
 
 

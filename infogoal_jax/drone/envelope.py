@@ -130,7 +130,7 @@ class Signals:
         stopping.say("Landing. The propellers still turn.")
 
     def asked(self) -> bool:
-        """Whether a signal came and the landing has not begun: what is waited for is not worth it any more."""
+        """Whether a signal came and the landing has not begun: nothing is waited for any more."""
         return self.count > 0 and not self.landing
 
     def check(self) -> None:

@@ -85,7 +85,7 @@ class Environment:
         raise NotImplementedError
 
     def step(self, state: Any, action: jax.Array) -> Any:
-        """The state after one action. What a finished episode does is of no interest: it is reset by the loop."""
+        """The state after one action. The state of a finished episode is not used: the loop resets it."""
         raise NotImplementedError
 
     def observe(self, state: Any) -> Any:

@@ -67,7 +67,7 @@ class ObjectManipulationConfig:
 
 @flax.struct.dataclass
 class Posed:
-    """An observation."""
+    """An observation: an image, and the joints of the arm in it."""
 
     frame: jax.Array
     """int32 [...], index of the image."""

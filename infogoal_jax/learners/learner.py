@@ -192,8 +192,8 @@ GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 M
 
 
 class GoalEncoding(NamedTuple):
-    """How goals are encoded: by these parameters of a learner, of a set in which fewer goals than `batch_size` are all
-    encoded once, and of more only those asked for.
+    """Encodes goals with these parameters of a learner: all goals of the set once where they are at most `batch_size`,
+    else those that are asked for.
 
     With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps
     its draw.

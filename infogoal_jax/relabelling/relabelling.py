@@ -65,7 +65,7 @@ class AllGoalsSpec(NamedTuple):
 
 
 class Relabelling(NamedTuple):
-    """A relabelling."""
+    """A relabelling: pure functions over the table of an epoch."""
 
     prepare: Callable[[Context], Any]
     """(context: Context) -> table: what the draws of an epoch need, a pytree."""
