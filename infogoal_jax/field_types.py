@@ -46,7 +46,7 @@ def plain(value: Any) -> Any:
 
 
 def in_words(error: msgspec.ValidationError, hint: Any) -> str:
-    """What a typed decoder says, as the end of a sentence."""
+    """The message of a typed decoder, as the end of a sentence."""
     if typing.get_origin(hint) is Literal:
         return f"give one of {', '.join(map(repr, typing.get_args(hint)))}"
     problem = str(error).replace("`", "").partition(" - at ")[0].replace("array", "list")

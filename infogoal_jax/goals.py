@@ -27,7 +27,7 @@ class GoalSet:
     """bool [N], validation goals."""
     test_mask: jax.Array
     """bool [N], test goals."""
-    commanded: jax.Array
+    training_goals: jax.Array
     """int32, the training goals."""
     evaluated: jax.Array
     """int32, the goals of all three masks. The others can be achieved only."""
@@ -52,7 +52,7 @@ class GoalSet:
             jnp.asarray(inputs),
             jnp.asarray(regions, jnp.int32),
             *masks,
-            commanded=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
+            training_goals=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
             evaluated=jnp.asarray(np.flatnonzero(uses != NO_USE), jnp.int32),
             names=tuple(names),
             region_names=tuple(region_names),

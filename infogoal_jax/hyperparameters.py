@@ -71,7 +71,7 @@ class Number(NamedTuple):
 
 @flax.struct.dataclass
 class NoHyperparameters:
-    """Of a part without float hyperparameters."""
+    """The record of a part without float hyperparameters."""
 
 
 @functools.cache

@@ -94,7 +94,7 @@ class ExportedPolicy:
         return [np.asarray(known[place]) for place in self.program["outputs"]]
 
     def mean(self):
-        """The noise that stands for the mean of a goal's code."""
+        """No noise: the code of a goal is its mean."""
         return np.zeros(self.about["code_size"], np.float32)
 
     def values(self, observation, goal, noise=None):

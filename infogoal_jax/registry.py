@@ -8,7 +8,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 
 
 class Entry(NamedTuple):
-    """A part."""
+    """A registered part: what its configuration is, how it is made, and what it declares."""
 
     config: type
     """The class of its configuration."""
@@ -40,7 +40,7 @@ class Registry(dict):
         return self[name]
 
     def name_of(self, config: Any) -> str:
-        """The name of the part that this configuration is of."""
+        """The name of the part that this configuration belongs to."""
         for name, entry in self.items():
             if type(config) is entry.config:
                 return name
@@ -50,5 +50,5 @@ class Registry(dict):
         )
 
     def entry_of(self, config: Any) -> Entry:
-        """The part that this configuration is of."""
+        """The part that this configuration belongs to."""
         return self[self.name_of(config)]

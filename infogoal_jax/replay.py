@@ -119,16 +119,6 @@ def transitions_at(
     )
 
 
-def sample_transitions(
-    key: jax.Array, buffer: Trajectories, count: jax.Array, batch_size: int, num_steps: int
-) -> Transitions:
-    """Sample transitions with at most `num_steps` steps of one episode. The first step is uniform.
-
-    count: `running_count` of a mask [R, T] of the steps that a transition may start from.
-    """
-    return transitions_at(buffer, *draw(key, count, batch_size, buffer.valid.shape[1]), num_steps)
-
-
 def steps_left(valid: jax.Array) -> jax.Array:
     """Count the valid transitions from each step to the end of its episode, its own included: bool [R, T] to int32 [R,
     T]."""

@@ -37,7 +37,7 @@ class StopRequest:
         self.advice, self.finishing, self.requested, self.at_once = NOTHING, "", False, at_once
 
     def __call__(self, number: int, frame) -> None:
-        """What is done with a signal."""
+        """Handle a signal."""
         if number == getattr(signal, "SIGHUP", None):
             forget_terminal()
         if self.requested or not self.finishing:
@@ -59,7 +59,7 @@ watching: list[StopRequest] = []
 
 @contextlib.contextmanager
 def stop_on_signal(at_once: Callable[[StopRequest], None] | None = None) -> Iterator[StopRequest]:
-    """Turn signals into a request; within another one it is that one, and outside of the main thread none ever comes.
+    """Turn signals into a request. A nested call gives the outer request; outside of the main thread no signal arrives.
 
     at_once: what is done where no loop stops by itself, and at a second signal; None: the first is only noted, the
     second raises `Stopped`. Signals that are ignored, as `nohup` has it, stay so.
@@ -86,8 +86,8 @@ def stop_on_signal(at_once: Callable[[StopRequest], None] | None = None) -> Iter
 
 
 def note_then_raise() -> Callable[[StopRequest], None]:
-    """For calls from Python: an exception could be swallowed by a library that is called at the moment, so that it
-    comes with the second signal only."""
+    """For calls from Python, the second signal alone raises: the library that runs at the moment may swallow an
+    exception."""
     noted = []
 
     def at_once(request: StopRequest) -> None:
@@ -119,7 +119,7 @@ def say(words: str) -> None:
 
 
 def forget_terminal() -> None:
-    """Let what is written to a terminal that was closed go nowhere, so that it is no error."""
+    """Discard what is written to a terminal that was closed: it would be an error."""
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             with contextlib.suppress(OSError):
@@ -129,7 +129,7 @@ def forget_terminal() -> None:
 
 @contextlib.contextmanager
 def temporary(path: Path) -> Iterator[None]:
-    """Inside, a file or a folder that must not stay is there; it is deleted at the end, if nobody renamed it."""
+    """Delete a file or a folder at the end of the block, unless it was renamed by then."""
     temporaries.add(path)
     try:
         yield
@@ -139,7 +139,7 @@ def temporary(path: Path) -> Iterator[None]:
 
 
 def remove(path: Path) -> None:
-    """Delete a file, or a folder with all that is in it. What hinders the tidying up must not hide why it is needed."""
+    """Delete a file, or a folder with its content. Errors are passed over: they would hide the one that led here."""
     with contextlib.suppress(OSError):
         if path.is_dir() and not path.is_symlink():
             gone = path.rename(path.with_name(f"{path.name}.gone"))  # Another thread may still be writing into it.
@@ -149,6 +149,6 @@ def remove(path: Path) -> None:
 
 
 def remove_temporaries() -> None:
-    """Delete what `temporary` would, where a process ends without coming to that."""
+    """Delete all that `temporary` guards, for a process that ends at once."""
     for path in list(temporaries):
         remove(path)

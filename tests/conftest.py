@@ -43,7 +43,7 @@ LONGEST_FIRST = (
     "brax",
     "shelf",
     "infobot",
-    "embodied_qa",
+    "detection_walks",
     "gcb",
     "cher",
     "image_goals",

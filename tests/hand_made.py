@@ -2,7 +2,7 @@
 headings a place.
 
   room 1          place 0 is the crossing; room r has places 1 + 3 r, 2 + 3 r, 3 + 3 r from the crossing outwards.
-    |             Heading h looks along room h. Each room has two objects, one commanded in training and one in the
+    |             Heading h looks along room h. Each room has two objects, one desired in training and one in the
     test; both are in view
 2 --+-- 0         from the two outer places while looking outwards.
     |

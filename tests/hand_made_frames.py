@@ -8,7 +8,7 @@ import numpy as np
 from infogoal_jax import presets
 from infogoal_jax.config import StateEncoderConfig, TrainConfig
 from infogoal_jax.data.frames import FrameDataset
-from infogoal_jax.data.questions import Questions
+from infogoal_jax.data.splits import Questions
 from infogoal_jax.data.text import EMBEDDING_SIZE, TextEmbeddings
 from infogoal_jax.envs import embodied_qa, object_manipulation
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig

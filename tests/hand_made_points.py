@@ -104,13 +104,13 @@ def points(train_backgrounds: np.ndarray | None = None, test_backgrounds: np.nda
     3], or noise."""
     low = np.array(TASKS["fetch_reach"].start_grip) - 0.15
     generator = np.random.default_rng(0)
-    commanded = (
+    drawn = (
         low
         + 0.075
         + 0.15 * np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
     )
-    commanded += generator.uniform(-0.02, 0.02, commanded.shape)
-    positions = np.concatenate([grid_positions(low, SPACING, (GRID,) * 3), commanded]).astype(np.float32)
+    drawn += generator.uniform(-0.02, 0.02, drawn.shape)
+    positions = np.concatenate([grid_positions(low, SPACING, (GRID,) * 3), drawn]).astype(np.float32)
     uses = np.repeat([-1, 0, 2], [GRID**3, 4, 4])
     bank = SimpleNamespace(
         images=pictures(positions, low),

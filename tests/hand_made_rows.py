@@ -12,7 +12,7 @@ ROWS, STEPS, GOALS = 6, 12, 9
 
 def rows_of(valid, achieved) -> Trajectories:
     """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too;
-    goal 0 is commanded."""
+    goal 0 is desired."""
     valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved, jnp.int32)
     zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
     return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)

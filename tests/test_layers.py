@@ -13,7 +13,6 @@ LAYERS = (
     {
         "errors",
         "stopping",
-        "locks",
         "field_types",
         "config",
         "registry",
@@ -37,10 +36,7 @@ LAYERS = (
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
-NOT_OF_LEARNING = {
-    "data": {"goals", "goal_uses", "errors", "locks", "stopping"},
-    "envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"},
-}
+NOT_OF_LEARNING = {"envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"}}
 """What data and environments may know of the lowest layer."""
 
 

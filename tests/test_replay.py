@@ -42,8 +42,14 @@ def rows() -> Trajectories:
     )
 
 
+def sampled(key, rows: Trajectories, starts, count: int, num_steps: int) -> replay.Transitions:
+    """So many transitions that start at any of these steps, bool [R, T]."""
+    places = replay.draw(key, replay.running_count(starts), count, rows.valid.shape[1])
+    return replay.transitions_at(rows, *places, num_steps)
+
+
 def test_transitions_stay_within_their_episode_and_step_by_one(rows):
-    batch = replay.sample_transitions(jax.random.key(0), rows, replay.running_count(rows.valid), 2000, 3)
+    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
     taken = batch.mask.sum(1).astype(int)
     assert (taken >= 1).all()
     # Same episode: only the step has grown.
@@ -55,14 +61,14 @@ def test_transitions_stay_within_their_episode_and_step_by_one(rows):
 
 
 def test_termination_is_that_of_the_last_step_taken(rows):
-    batch = replay.sample_transitions(jax.random.key(0), rows, replay.running_count(rows.valid), 2000, 3)
+    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
     ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(np.asarray(rows.terminated)), strict=True)}
     np.testing.assert_array_equal(batch.terminated, [int(last) in ends for last in batch.next_observation])
     assert batch.terminated.any() and not batch.terminated.all()
 
 
 def test_short_transitions_end_an_episode_or_a_row(rows):
-    batch = replay.sample_transitions(jax.random.key(0), rows, replay.running_count(rows.valid), 2000, 3)
+    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
     over = rows.terminated | rows.truncated
     over = over.at[:, -1].set(rows.valid[:, -1] | over[:, -1])
     ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(np.asarray(over)), strict=True)}
@@ -71,7 +77,7 @@ def test_short_transitions_end_an_episode_or_a_row(rows):
 
 
 def test_first_steps_are_uniform_over_all_valid_transitions(rows):
-    batch = replay.sample_transitions(jax.random.key(2), rows, replay.running_count(rows.valid), 20_000, 1)
+    batch = sampled(jax.random.key(2), rows, rows.valid, 20_000, 1)
     valid_starts = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid)]
     count = np.array([(np.asarray(batch.observation) == start).sum() for start in valid_starts])
     assert count.sum() == 20_000  # Nothing but valid transitions.
@@ -79,9 +85,7 @@ def test_first_steps_are_uniform_over_all_valid_transitions(rows):
 
 
 def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decisions(rows):
-    batch = replay.sample_transitions(
-        jax.random.key(3), rows, replay.running_count(rows.valid & rows.decided), 20_000, 3
-    )
+    batch = sampled(jax.random.key(3), rows, rows.valid & rows.decided, 20_000, 3)
     decisions = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid & rows.decided)]
     count = np.array([(np.asarray(batch.observation) == start).sum() for start in decisions])
     assert count.sum() == 20_000 and (batch.observation % 1000 % 3 == 0).all()

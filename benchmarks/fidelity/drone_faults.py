@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from infogoal_jax.drone import log
+from infogoal_jax.drone import records
 from infogoal_jax.drone.envelope import Envelope
 from infogoal_jax.drone.simulated_tello import SimulatedTello, Started, start
 from infogoal_jax.report.machine import describe_machine
@@ -193,7 +193,7 @@ def fly_once(fault: Fault, folder: Path, policy: Path, drone: Started, seed: int
         disturbance.join()
     truth = wait_for(drone, lambda truth: truth["phase"] == "ground", 20)
     far, farthest = ENVELOPE.centimetres(), [round(100 * one) for one in truth["farthest"]]
-    ends = log.events_of(log.read(folder / log.NAME), "end") if (folder / log.NAME).exists() else []
+    ends = records.events_of(records.read(folder / records.NAME), "end") if (folder / records.NAME).exists() else []
     reason = ends[-1]["reason"] if ends else ""
     if fault.act == "SIGKILL":
         explained = not ends and truth["why_landed"] == "no command for 15 s"

@@ -22,7 +22,7 @@ import numpy as np
 from drone_faults import ATTEMPTS, SPEED, conditions, free_ports
 
 from infogoal_jax import envs, evaluate, load_run
-from infogoal_jax.drone import log, simulated_tello
+from infogoal_jax.drone import records, simulated_tello
 from infogoal_jax.report.export import export
 from infogoal_jax.stand_ins import shelf
 from infogoal_jax.train.evaluation import draw_starts
@@ -111,18 +111,18 @@ def fly(folder: Path, policy: Path, question: str, start: list[int], seed: int, 
 
 def has_flown(folder: Path) -> bool:
     """Whether a flight in this folder came to its end in the air."""
-    if not (folder / log.NAME).exists():
+    if not (folder / records.NAME).exists():
         return False
-    ends = log.events_of(log.read(folder / log.NAME), "end")
+    ends = records.events_of(records.read(folder / records.NAME), "end")
     return bool(ends) and not ends[0]["reason"].startswith("refused")
 
 
 def read_flight(folder: Path) -> dict:
     """How the flight of this log ended, its times from an image to the command (s), and the load of the machine."""
-    events = log.read(folder / log.NAME)
-    (end,) = log.events_of(events, "end")
+    events = records.read(folder / records.NAME)
+    (end,) = records.events_of(events, "end")
     kept = {name: end[name] for name in ("found", "landed", "reason", "steps")}
-    latency = [step["latency"] for step in log.events_of(events, "step")]
+    latency = [step["latency"] for step in records.events_of(events, "step")]
     return kept | {"load": json.loads((folder / "load.json").read_text()), "latency": latency}
 
 

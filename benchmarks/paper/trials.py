@@ -31,7 +31,7 @@ from tuning import tuning_house
 
 from infogoal_jax import jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.data import questions
+from infogoal_jax.data import splits
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.machine import describe_machine
 from infogoal_jax.train.chunk import chunk_of
@@ -68,10 +68,10 @@ def preset_of(trial: Trial) -> TrainConfig:
     return with_values(config, trial.settings)
 
 
-def commanded_by_name(env):
+def asked_by_name(env):
     """Embodied question answering in which questions of validation and test sound like the name of their object. (They
     take part in no training.)"""
-    asked = questions.load(questions.SHIPPED).goals()
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS).goals()
     names = {goal.text: number for number, goal in enumerate(asked)}
     rows = jnp.asarray([names[goal.object] for goal in asked])
     heard = env.goals.inputs[jnp.where(env.goals.train_mask, jnp.arange(len(asked)), rows)]
@@ -82,7 +82,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     """Train every lane and seed of a trial, one row for each evaluation of each."""
     config = configuration(trial, folder)
     train = make_train(config)
-    env = commanded_by_name(train.env) if trial.by_name else train.env
+    env = asked_by_name(train.env) if trial.by_name else train.env
     lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
     hyper = batched_hyper(config.hyper, list(trial.lanes.values()), trial.seeds)
     machine = describe_machine()

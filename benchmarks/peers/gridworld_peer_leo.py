@@ -134,7 +134,7 @@ class Gridworld(Environment):
     num_observations = num_cells = property(lambda self: len(self.place))
 
     def reset(self, key):
-        return self.reset_to(key, jax.random.choice(key, self.goals.commanded))
+        return self.reset_to(key, jax.random.choice(key, self.goals.training_goals))
 
     def reset_to(self, key, goal):
         zero, false = jnp.zeros((), jnp.int32), jnp.zeros((), bool)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from infogoal_jax.agents import all_goals, value_heads
+from infogoal_jax.agents import value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
 
@@ -118,7 +118,7 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """Temporal-difference error of double Q-learning, and the regulariser; or that of all goals at once."""
         if batch.all_goals is not None:
-            return all_goals.value_loss(head, config.huber, regulariser, params, target_params, batch, hyper)
+            return value_heads.value_loss(head, config.huber, regulariser, params, target_params, batch, hyper)
         next_values = values(params, batch.next_features, batch.next_code)
         target_values = values(target_params, batch.target_features, batch.target_code)
         target = double_q_target(batch.reward, batch.discount, next_values, target_values, batch.next_action_mask)

@@ -48,7 +48,7 @@ def seen(env: Environment, state: Any) -> dict[str, jax.Array]:
 def start(env: Environment, key: jax.Array, goal: jax.Array) -> tuple[Any, dict[str, jax.Array]]:
     """The state of a new episode and what is seen of it. goal: -1 for one drawn among the training goals."""
     drawn_key, start_key = jax.random.split(key)
-    drawn = jax.random.choice(drawn_key, env.goals.commanded)
+    drawn = jax.random.choice(drawn_key, env.goals.training_goals)
     state = env.reset_to(start_key, jnp.where(goal < 0, drawn, goal))
     return state, seen(env, state)
 

@@ -161,7 +161,7 @@ def record(
     """
     from infogoal_jax.drone.envelope import MOVES
     from infogoal_jax.drone.mission import Flown
-    from infogoal_jax.drone.recording import Explorer
+    from infogoal_jax.drone.records import Explorer
 
     log_folder = empty_folder(out, "out") if out else new_folder("recording")
     flown = Flown(Explorer(drone.seed), tuple(MOVES), size)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from infogoal_jax.data.archives import regular
-from infogoal_jax.data.scene_images import CHECK_HINT, scene_pictures
+from infogoal_jax.data.pictures import CHECK_HINT, scene_pictures
 from infogoal_jax.errors import UserError, nearest
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")

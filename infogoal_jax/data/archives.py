@@ -1,8 +1,8 @@
-"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. And the user's
-cache folder.
+"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. Locks on open
+files, and the user's cache folder.
 
 A reader wraps its work in `naming`, so that whatever is wrong with a file is one `UserError` that names it and says
-what to do.
+what to do. A lock is of one process at a time, and gone with it, however it ends.
 """
 
 import contextlib
@@ -21,8 +21,14 @@ import numpy as np
 import platformdirs
 
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.locks import try_lock
 from infogoal_jax.stopping import temporary
+
+try:
+    import fcntl
+except ImportError:  # Windows.
+    fcntl = None
+
+NOT_SUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +58,7 @@ def regular(path: str | os.PathLike) -> Path:
 
 @contextlib.contextmanager
 def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
-    """Inside, what the disk refuses or a `UserError` says becomes a `UserError` that names the file: `what = 'path':
+    """Turn an error of the disk or a `UserError` in the block into a `UserError` that names the file: `what = 'path':
     ...`."""
     name = f"{what} = {str(path)!r}"
     try:
@@ -155,8 +161,8 @@ def replace_file(path: str | os.PathLike, write_content: Callable[[object], None
 
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
-    """Inside, a folder to write into. At the end `path`, which is empty or not there, holds all that is in it; if
-    anything hinders that, nothing. What the disk refuses is a `UserError` that names it."""
+    """Give a folder to write into, which becomes `path` (empty or not there) at the end of the block; after an error
+    nothing is left of it. An error of the disk is a `UserError` that names the path."""
     path = Path(path)
     there = path.is_dir()
     beside = (
@@ -178,10 +184,26 @@ def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
 
 
 def content_of(*parts: np.ndarray) -> str:
-    """What tells these arrays from others, in eight letters: for the words that say which data a run saw."""
+    """A checksum of these arrays, eight letters, for the words that say which data a run saw."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]
 
 
 def user_cache() -> Path:
     """The user's cache folder of this package, where downloads and generated datasets are kept."""
     return Path(platformdirs.user_cache_dir("infogoal", appauthor=False))
+
+
+def try_lock(file) -> bool:
+    """Take the lock of an open file. False if another process has it. Raises `OSError` where there are no locks."""
+    if fcntl is None:
+        raise OSError(errno.ENOSYS, "no locks on this platform")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def has_no_locks(error: OSError) -> bool:
+    """Whether an error of `try_lock` says that the platform or the file system knows no locks."""
+    return error.errno in NOT_SUPPORTED

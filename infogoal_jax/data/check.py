@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data import scene_images
+from infogoal_jax.data import pictures
 from infogoal_jax.data.active_vision import ACTIONS, DEFAULT_MIN_BOX_SIZE, MAX_DIFFICULTY
 from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
@@ -185,7 +185,7 @@ def _decode(path: Path) -> tuple[int, int] | None:
         data = regular(path).read_bytes()
     except OSError:
         return None
-    size = scene_images.decode_size(data)
+    size = pictures.decode_size(data)
     if size is None or cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8) is None:
         return None
     return size
@@ -195,7 +195,7 @@ def _check_poses(scene: Path, names: list[str]) -> Iterator[Finding]:
     if not (scene / "image_structs.mat").exists():
         return
     try:
-        scene_images.read_positions(scene, names)
+        pictures.read_positions(scene, names)
     except UserError:
         yield Finding("error", f"{scene.name}/image_structs.mat", "cannot be read, or cut short")
 

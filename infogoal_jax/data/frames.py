@@ -64,7 +64,7 @@ class FrameDataset:
         return int(self.state.max()) + 1
 
     def describe(self, *content: np.ndarray) -> str:
-        """What the data are, in words: the name, whether it is a stand-in, and what tells these arrays from others."""
+        """What the data are, in words: the name, whether it is a stand-in, and a checksum of these arrays."""
         return (
             f"{self.about['name']}{', a stand-in' if self.about.get('stand_in') else ''}, content "
             f"{archives.content_of(*content)}"

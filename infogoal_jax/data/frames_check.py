@@ -93,7 +93,7 @@ def text_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
 
 
 def about_faults(about: Any) -> Iterator[Fault]:
-    """What reports need to know of a dataset."""
+    """What is missing in `about`, which reports read."""
     if not isinstance(about, dict):
         yield "about", f"is a {type(about).__name__}; give a dictionary with name, stand_in and made_by"
         return

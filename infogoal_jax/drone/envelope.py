@@ -1,15 +1,17 @@
-"""Where the drone may be: an envelope of steps around the place where it hovered first, and which moves stay inside;
-and what ends a flight, apart from its object.
+"""Where the drone may be: an envelope of steps around the place where it hovered first, and which moves stay inside.
+And what ends a flight, apart from its object: limits, and signals (Ctrl-C, the end of the terminal, a polite kill).
 
 An answer that never came leaves open whether the move was made. The place is therefore kept as an interval, and a move
 is allowed only if it stays inside from wherever the drone may be.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
+from infogoal_jax import stopping
 from infogoal_jax.errors import require
 
 STEP = 20
@@ -98,3 +100,40 @@ class Limits:
         require(self.steps > 0, "steps", self.steps, "give a whole number greater than 0")
         require(15 <= self.battery_floor < 100, "battery_floor", self.battery_floor, "give 15 to 99 per cent")
         require(0 < self.confidence <= 1, "confidence", self.confidence, "give a number in (0, 1]")
+
+
+class Interrupted(Exception):  # noqa: N818, it is no error
+    """A signal asks the program to land."""
+
+
+class Signals:
+    """Within, every signal that asks the command to stop is noted and does nothing else: not even the second one may
+    end a program whose drone is in the air. The flight looks at `count` wherever it waits."""
+
+    def __init__(self):
+        self.count, self.landing = 0, False
+
+    def __enter__(self) -> "Signals":
+        self.stack = contextlib.ExitStack()
+        self.request = self.stack.enter_context(stopping.stop_on_signal(at_once=self.note))
+        self.before = self.request.at_once, self.request.finishing
+        self.request.at_once, self.request.finishing = self.note, ""
+        return self
+
+    def __exit__(self, *raised) -> None:
+        self.request.at_once, self.request.finishing = self.before
+        self.stack.close()
+
+    def note(self, request: stopping.StopRequest) -> None:
+        """Count a signal."""
+        self.count += 1
+        stopping.say("Landing. The propellers still turn.")
+
+    def asked(self) -> bool:
+        """Whether a signal came and the landing has not begun: nothing is waited for any more."""
+        return self.count > 0 and not self.landing
+
+    def check(self) -> None:
+        """Raise `Interrupted` if a signal came and the landing has not begun."""
+        if self.asked():
+            raise Interrupted

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from infogoal_jax.drone.detection import Detector, seen
-from infogoal_jax.drone.envelope import STEP, Envelope, Limits, Whereabouts, allowed
+from infogoal_jax.drone.envelope import STEP, Envelope, Interrupted, Limits, Signals, Whereabouts, allowed
 from infogoal_jax.drone.link import Answer, Link
-from infogoal_jax.drone.log import Log
-from infogoal_jax.drone.pictures import Picture, fault_of
-from infogoal_jax.drone.signals import Interrupted, Signals
+from infogoal_jax.drone.records import Log
+from infogoal_jax.drone.vision import Detector, Picture, fault_of, seen
 from infogoal_jax.errors import require
 from infogoal_jax.stopping import say
 

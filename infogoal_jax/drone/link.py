@@ -13,8 +13,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from infogoal_jax.drone.log import Log
-from infogoal_jax.drone.pictures import Picture, reduced
+from infogoal_jax.drone.records import Log
+from infogoal_jax.drone.vision import Picture, reduced
 from infogoal_jax.errors import UserError
 
 INSTALL = "pip install 'infogoal-jax[drone]' && pip install --no-deps djitellopy==2.5.0"

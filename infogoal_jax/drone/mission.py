@@ -15,12 +15,11 @@ import numpy as np
 
 from infogoal_jax.data import text
 from infogoal_jax.data.archives import regular
-from infogoal_jax.drone.detection import Detector, check_known, simulated_detector, yolo_detector
 from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
 from infogoal_jax.drone.flight import Flight, Outcome, Policy
 from infogoal_jax.drone.link import Address, Link, check_ports, import_djitellopy
-from infogoal_jax.drone.log import Log
-from infogoal_jax.drone.recording import Recorder, check_recordings
+from infogoal_jax.drone.records import Log, Recorder, check_recordings
+from infogoal_jax.drone.vision import Detector, check_known, simulated_detector, yolo_detector
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.policy_file import ExportedPolicy
 from infogoal_jax.runs import disk

@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from infogoal_jax.drone.simulated_body import DIRECTIONS, Body
-from infogoal_jax.drone.simulated_video import Camera, Encoder, VideoFaults
+from infogoal_jax.drone.simulated_drone import DIRECTIONS, Body, Camera, Encoder, VideoFaults
 from infogoal_jax.errors import UserError
 
 STATE_RATE = 10

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.data import frames, questions, text
+from infogoal_jax.data import frames, splits, text
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
@@ -109,13 +109,13 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
 
         name = f"shelf-{config.generator_seed}{'-hovering' if config.hovering else ''}-{shelf.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering))
-    asked = questions.load(config.questions or questions.SHIPPED)
-    embeddings = text.load(config.text_embeddings or questions.SHIPPED_EMBEDDINGS)
+    asked = splits.load_questions(config.questions or splits.SHIPPED_QUESTIONS)
+    embeddings = text.load(config.text_embeddings or splits.SHIPPED_EMBEDDINGS)
     return lay_out(data, asked, embeddings, config)
 
 
 def lay_out(
-    data: frames.FrameDataset, asked: questions.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig
+    data: frames.FrameDataset, asked: splits.Questions, embeddings: text.TextEmbeddings, config: EmbodiedQAConfig
 ) -> EmbodiedQA:
     """Make the task from a dataset and questions about its objects. Raises `UserError` for a question about an object
     that cannot be found."""

@@ -53,7 +53,7 @@ class Environment:
     """What the data is, in words, for reports; stand-in data is called so."""
     space: Any
     """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py,
-    envs/joints.py)."""
+    envs/target_states.py)."""
 
     discrete = True
     """Whether an action is a choice among a few, int32; False: a vector float32 [action_size] in [-1, 1]."""
@@ -79,7 +79,7 @@ class Environment:
     """Whether `shortest_path` is known."""
 
     def reset(self, key: jax.Array) -> Any:
-        """The state of a new episode: a training goal (`goals.commanded`) and a start at which it is not reached, drawn
+        """The state of a new episode: one of `goals.training_goals` and a start at which it is not reached, drawn
         anew."""
         raise NotImplementedError
 
@@ -88,7 +88,7 @@ class Environment:
         raise NotImplementedError
 
     def step(self, state: Any, action: jax.Array) -> Any:
-        """The state after one action. What a finished episode does is of no interest: it is reset by the loop."""
+        """The state after one action. The state of a finished episode is not used: the loop resets it."""
         raise NotImplementedError
 
     def observe(self, state: Any) -> Any:

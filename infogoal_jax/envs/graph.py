@@ -83,7 +83,7 @@ class GraphWalk(Environment):
     def reset(self, key: jax.Array) -> GraphState:
         """A new episode: a training goal and a start from which it is not reached, both uniform."""
         choose_goal, choose_start = jax.random.split(key)
-        goal = self.goals.commanded[jax.random.randint(choose_goal, (), 0, self.goals.commanded.shape[0])]
+        goal = self.goals.training_goals[jax.random.randint(choose_goal, (), 0, self.goals.training_goals.shape[0])]
         return self.reset_to(choose_start, goal)
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> GraphState:

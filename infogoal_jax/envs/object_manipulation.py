@@ -17,7 +17,7 @@ from infogoal_jax.angles import geodesic, orientation_classes
 from infogoal_jax.data import backgrounds, frames
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
-from infogoal_jax.envs.joints import JointSpace
+from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.goals import GoalSet
@@ -67,7 +67,7 @@ class ObjectManipulationConfig:
 
 @flax.struct.dataclass
 class Posed:
-    """An observation."""
+    """An observation: an image, and the joints of the arm in it."""
 
     frame: jax.Array
     """int32 [...], index of the image."""

@@ -1,9 +1,10 @@
 """The contract of an explorer: it learns a representation of states beside the agent's, and pays a bonus for moves
-whose outcome it does not know.
+whose outcome it does not know. And no explorer: the agent's loss alone trains the state encoder, and there is no bonus.
 
 Shapes: B single steps, K observations, A actions, F features of a state.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -37,3 +38,15 @@ class Explorer(NamedTuple):
     up when a step is sampled, and not stored."""
     loss: Callable[[Any, Any, Moves, jax.Array], tuple[jax.Array, dict[str, jax.Array], Any]]
     """(params, state, moves: Moves, key) -> (loss, metrics, state)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class NoneConfig:
+    """No explorer, no settings."""
+
+    def check(self, config) -> None:
+        """Nothing to validate."""
+
+
+def make_none(config: NoneConfig) -> None:
+    """No explorer: the program leaves it out."""

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer, Moves
-from infogoal_jax.learners.information import kl_to_standard_normal, weighted_mean
+from infogoal_jax.learners.goal_encoder import kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.replay import Trajectories
 

@@ -13,8 +13,13 @@ import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.learners import none
-from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, check_pairs
-from infogoal_jax.learners.information import contrastive_bound, log_score, weighted_mean
+from infogoal_jax.learners.goal_encoder import (
+    GoalEncoderConfig,
+    check_pairs,
+    contrastive_bound,
+    log_score,
+    weighted_mean,
+)
 from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec, encode_each
 
 

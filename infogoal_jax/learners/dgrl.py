@@ -143,11 +143,6 @@ def segments_of(config: DGRLConfig, encoder_params, goal_inputs: jax.Array) -> j
     return codes.reshape(*codes.shape[:-1], config.factors, -1)
 
 
-def indices_of(config: DGRLConfig, params: dict, goal_inputs: jax.Array) -> jax.Array:
-    """Discrete codes int32 [..., factors] of goal inputs [..., *input]: the indices of their code vectors."""
-    return nearest(segments_of(config, params["encoder"], goal_inputs), params["codebook"])
-
-
 def make(config: DGRLConfig) -> Learner:
     """The learner of discrete codes that reconstruct the goal."""
 

@@ -15,9 +15,14 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number, Search
-from infogoal_jax.learners import information
-from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, check_pairs
-from infogoal_jax.learners.information import contrastive_bound, kl_to_standard_normal, weighted_mean
+from infogoal_jax.learners import goal_encoder
+from infogoal_jax.learners.goal_encoder import (
+    GoalEncoderConfig,
+    check_pairs,
+    contrastive_bound,
+    kl_to_standard_normal,
+    weighted_mean,
+)
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, SampleSpec, Visited, encode_each
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
@@ -104,7 +109,7 @@ def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
     sqrt(d)."""
     if "score" in params:
         return jnp.einsum("...i,ij,...j->...", first, params["score"], second) / jnp.sqrt(first.shape[-1])
-    return information.log_score(first, second)
+    return goal_encoder.log_score(first, second)
 
 
 def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, threshold, hyper) -> jax.Array:

@@ -192,8 +192,8 @@ GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 M
 
 
 class GoalEncoding(NamedTuple):
-    """How goals are encoded: by these parameters of a learner, of a set in which fewer goals than `batch_size` are all
-    encoded once, and of more only those asked for.
+    """Encodes goals with these parameters of a learner: all goals of the set once where they are at most `batch_size`,
+    else those that are asked for.
 
     With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps
     its draw.
@@ -218,12 +218,12 @@ class GoalEncoding(NamedTuple):
             return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
         return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
-    def of_commanded(self) -> Encode:
+    def of_training_goals(self) -> Encode:
         """Codes of training goals. They are few, so each is encoded once, however large the goal space is."""
         if self.view is not None or self.goals.num_goals <= self.batch_size:
             return self.of_any()
-        commanded = self.goals.commanded
-        return lookup(self.learner.encode(self.params, self.goals.inputs_of(commanded)), self.goals, commanded)
+        goals, training = self.goals, self.goals.training_goals
+        return lookup(self.learner.encode(self.params, goals.inputs_of(training)), goals, training)
 
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:

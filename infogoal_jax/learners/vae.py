@@ -12,8 +12,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
-from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
-from infogoal_jax.learners.information import kl_to_standard_normal, warmed_up
+from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
 

@@ -8,8 +8,7 @@ from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object
 from infogoal_jax.presets.preset import Changes, Preset
 
 if TYPE_CHECKING:
-    from infogoal_jax.presets.loading import default_hyperparameters, load, name_of
-    from infogoal_jax.presets.methods import METHODS, Method, method_named
+    from infogoal_jax.presets.loading import METHODS, Method, default_hyperparameters, load, method_named, name_of
 
 registry: dict[str, Preset] = {
     "object_search": object_search.PRESET,

@@ -1,12 +1,12 @@
 """Hindsight relabelling, one file each. A new one is registered in `registry`."""
 
 from infogoal_jax.registry import Entry, Registry
-from infogoal_jax.relabelling import all_goals, cher, ghrl, her, none
+from infogoal_jax.relabelling import all_goals, cher, ghrl, her, relabelling
 
 registry = Registry(
     "relabelling",
     {
-        "none": Entry(none.NoneConfig, none.make),
+        "none": Entry(relabelling.NoneConfig, relabelling.make_none),
         "her": Entry(her.HERConfig, her.make),
         "cher": Entry(cher.CHERConfig, cher.make),
         "ghrl": Entry(ghrl.GHRLConfig, ghrl.make),

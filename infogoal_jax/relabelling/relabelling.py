@@ -1,10 +1,11 @@
 """The contract of a relabelling: functions that give sampled transitions other desired goals when a batch is drawn.
-Nothing is stored.
+Nothing is stored. And no relabelling: a transition keeps its desired goal.
 
 Shapes: R rows of T transitions, B transitions, N goals, K goals achieved at one step, D coordinates. A goal is an int32
 index.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -64,7 +65,7 @@ class AllGoalsSpec(NamedTuple):
 
 
 class Relabelling(NamedTuple):
-    """A relabelling."""
+    """A relabelling: pure functions over the table of an epoch."""
 
     prepare: Callable[[Context], Any]
     """(context: Context) -> table: what the draws of an epoch need, a pytree."""
@@ -78,3 +79,15 @@ class Relabelling(NamedTuple):
     """Transitions drawn for each that is learned from."""
     all_goals: AllGoalsSpec | None = None
     """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class NoneConfig:
+    """No relabelling, no settings."""
+
+    def check(self, config) -> None:
+        """Nothing to validate."""
+
+
+def make_none(config: NoneConfig) -> None:
+    """No relabelling: the program leaves it out."""

@@ -41,7 +41,7 @@ ROOM_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00"
 USE_COLOURS = {"train": "#0072B2", "validation": "#009E73", "test": "#D55E00"}
 USE_TITLES = {"train": "training goals", "validation": "validation goals", "test": "test goals", "other": "other goals"}
 USE_MARKERS = {"train": ("o", 90), "validation": ("D", 60), "test": ("*", 190), "other": ("s", 70)}
-"""Marker of a goal by its use, and its area; other goals are never commanded nor evaluated."""
+"""Marker of a goal by its use, and its area; other goals are never desired nor evaluated."""
 SUCCESS, FAILURE, NOTHING = "#1A9641", "#D7191C", "#DDDDDD"
 
 

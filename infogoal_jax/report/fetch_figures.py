@@ -20,7 +20,7 @@ VERTICAL_LABEL = "y (m)"
 
 def distances_of_goals(env: Any) -> np.ndarray:
     """Metres between any two training goals, [R, R]."""
-    centres = np.asarray(env.unwrapped.positions)[np.asarray(env.goals.commanded)]
+    centres = np.asarray(env.unwrapped.positions)[np.asarray(env.goals.training_goals)]
     return np.linalg.norm(centres[:, None] - centres, axis=-1)
 
 

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from infogoal_jax.drone import log
+from infogoal_jax.drone import records
 from infogoal_jax.drone.envelope import MARGIN, STEP
-from infogoal_jax.drone.log import events_of
+from infogoal_jax.drone.records import events_of
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, empty_figure, figure_style, save
 
 COLOURS = {"made": "#0072B2", "refused": "#E69F00", "unanswered": FAILURE}
@@ -20,7 +20,7 @@ ROWS = ("image", "state", "command", "answer")
 def report_flight(folder: Path, format: str = "png", captions: bool = False, style: str = "") -> Path:
     """Print what the log in this folder says and draw it under FOLDER/figures; the path of the figure. format,
     captions, style: see `figures.draw_figures`. Raises `UserError` for a file that is no log."""
-    events = log.read(folder / log.NAME)
+    events = records.read(folder / records.NAME)
     for line in summary(events):
         print(line)
     path = folder / "figures" / f"flight.{format}"

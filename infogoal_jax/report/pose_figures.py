@@ -38,7 +38,7 @@ def turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def angles_between_goals(env: Any) -> np.ndarray:
     """Degrees between any two training goals, [R, R]."""
-    pose = np.asarray(env.unwrapped.goal_quaternion)[np.asarray(env.goals.commanded)]
+    pose = np.asarray(env.unwrapped.goal_quaternion)[np.asarray(env.goals.training_goals)]
     return turn(pose[:, None], pose)
 
 

@@ -235,7 +235,7 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
     None for methods that have no intrinsic reward.
     """
     env = subject.train.env
-    goals = np.asarray(env.goals.commanded)[:MOST_PANELS].tolist()
+    goals = np.asarray(env.goals.training_goals)[:MOST_PANELS].tolist()
     rewards = [reward_of_places(subject, shelf, goal) for goal in goals]
     if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
         return None

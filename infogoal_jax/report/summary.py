@@ -118,7 +118,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         "all": "all goals",
     }[run.config.known_goals]
     protocol = (
-        f"only training goals were commanded in training; {known} could enter the representation (known_goals "
+        f"only training goals were desired in training; {known} could enter the representation (known_goals "
         "= "
         f"{run.config.known_goals})"
     )

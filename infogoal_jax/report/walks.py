@@ -84,7 +84,9 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     """
     env, learner = subject.train.env, subject.train.parts.learner
     example = InputSpec(
-        env.goals.inputs_of(env.goals.commanded), jnp.zeros(subject.run.config.state_encoder.features), env.num_cells
+        env.goals.inputs_of(env.goals.training_goals),
+        jnp.zeros(subject.run.config.state_encoder.features),
+        env.num_cells,
     )
     state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
     encode = GoalEncoding(learner, subject.params["goal"], env.goals, subject.train.config.batch_size).of_any()

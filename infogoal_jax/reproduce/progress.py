@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.locks import has_no_locks, try_lock
+from infogoal_jax.data.archives import has_no_locks, try_lock
 from infogoal_jax.reproduce import checkpoints, files, needs
 from infogoal_jax.reproduce.budget import budget_of
 from infogoal_jax.reproduce.manifest import Run

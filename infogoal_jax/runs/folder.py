@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.data.archives import has_no_locks, try_lock
 from infogoal_jax.errors import UserError
-from infogoal_jax.locks import has_no_locks, try_lock
 from infogoal_jax.runs import description, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import disk_error, make_folder

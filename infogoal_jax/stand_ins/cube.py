@@ -3,7 +3,7 @@ section V-A.3, Fig. 5).
 
 The paper's data are not public and it names the arm only as "IRB 1200"; here it is an ABB IRB 1200-7/0.7. Joints 1, 2
 and 6 stand at multiples of 15 degrees and the others at 0, which orients the cube by exactly Rz(q1) Ry(q2) Rx(q6).
-Different joints may so give one orientation: the 13,824 settings show 6,384 orientations (rotations.orientation_classes
+Different joints may so give one orientation: the 13,824 settings show 6,384 orientations (angles.orientation_classes
 tells which are the same).
 """
 

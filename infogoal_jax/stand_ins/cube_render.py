@@ -11,8 +11,16 @@ import dataclasses
 import cv2
 import numpy as np
 
-from infogoal_jax.stand_ins.cube_arm import PEDESTAL_HEIGHT, Part, arm
-from infogoal_jax.stand_ins.cube_stickers import CUBE_EDGE, cube_numbers, cube_quads, face_normals, scramble
+from infogoal_jax.stand_ins.cube_shapes import (
+    CUBE_EDGE,
+    PEDESTAL_HEIGHT,
+    Part,
+    arm,
+    cube_numbers,
+    cube_quads,
+    face_normals,
+    scramble,
+)
 
 OVERSAMPLING = 4
 INSET_SHARE = 0.5  # of the picture's side

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs
 from infogoal_jax.agents.agent import AllGoals
-from infogoal_jax.agents.all_goals import returns_of_all
+from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.envs.joints import JointSpace
+from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 

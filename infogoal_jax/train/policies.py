@@ -28,7 +28,9 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     """The policy that collects: each goal under a background, where training corrupts goals, that stays for the
     epoch."""
     view = training_view(parts, env, augmented=False)
-    encode = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key).of_commanded()
+    encode = GoalEncoding(
+        parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key
+    ).of_training_goals()
     return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
 
 

@@ -101,7 +101,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
         params["goal"], learner_state = learner.init(
-            keys[0], InputSpec(env.goals.inputs_of(env.goals.commanded), features, env.num_cells), hyper.learner
+            keys[0], InputSpec(env.goals.inputs_of(env.goals.training_goals), features, env.num_cells), hyper.learner
         )
         code = conditioned(
             learner, params["goal"], learner.encode(params["goal"], env.goals.inputs_of(jnp.arange(1))), features[None]

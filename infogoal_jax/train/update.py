@@ -66,8 +66,8 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
         GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)
         for given in (params, target_params)
     ]
-    code, target_code = (  # Relabelled goals are any, and not among those commanded.
-        (encoding.of_commanded() if parts.relabelling is None else encoding.of_any())(batch.goal)
+    code, target_code = (  # A relabelled goal may be any, not a training goal alone.
+        (encoding.of_training_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
         for encoding in encodings
     )
     features, next_features, target_features = (

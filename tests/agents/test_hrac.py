@@ -10,9 +10,9 @@ from hand_made_points import EPISODE_LENGTH
 from infogoal_jax import Hyperparameters, pairs, presets, replay
 from infogoal_jax.agents import hrac
 from infogoal_jax.agents.hrac import HRACConfig, adjacency_loss, adjacency_penalty
-from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
+from infogoal_jax.envs.target_states import Cells
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.experience import Experience

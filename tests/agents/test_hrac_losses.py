@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
-from places import FIXTURES
 
 from infogoal_jax import networks, pairs, replay
 from infogoal_jax.agents import hrac, td3
-from infogoal_jax.envs.cells import Cells
+from infogoal_jax.envs.target_states import Cells
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.update import agent_batch
 
-FIXTURE = np.load(FIXTURES / "hrac_adjacency.npz", allow_pickle=False)
+FIXTURE = places.recorded("hrac")
 INTERVAL = int(FIXTURE["interval"])
 
 

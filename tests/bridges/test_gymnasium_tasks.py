@@ -78,7 +78,7 @@ def test_goals_can_be_given_by_number_or_name_and_follow_the_seed(rooms):
     first, again = (rooms.reset(seed=3)[0] for _ in range(2))
     assert all(np.array_equal(first[name], again[name]) for name in first)
     drawn = {int(rooms.reset()[0]["desired_goal"].argmax()) for _ in range(20)}
-    assert len(drawn) > 1 and drawn <= set(np.asarray(rooms.env.goals.commanded).tolist())
+    assert len(drawn) > 1 and drawn <= set(np.asarray(rooms.env.goals.training_goals).tolist())
     assert rooms.render().shape == (8, 8, 3)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from infogoal_jax.data import active_vision, scene_images
+from infogoal_jax.data import active_vision, pictures
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import UserError
@@ -176,7 +176,7 @@ def test_second_load_reads_the_cache(tiny, loaded, cache, monkeypatch):
     def refuse(*_):
         raise AssertionError("an image was read again")
 
-    monkeypatch.setattr(scene_images, "read_grey", refuse)
+    monkeypatch.setattr(pictures, "read_grey", refuse)
     again = active_vision.load(tiny, objects=OBJECTS, cache_dir=cache)
     np.testing.assert_array_equal(again.images, loaded.images)
     np.testing.assert_array_equal(again.position, loaded.position)

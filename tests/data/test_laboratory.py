@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.data import questions
+from infogoal_jax.data import splits
 
 TINY = [
     "--num-epochs",
@@ -155,7 +155,7 @@ def test_the_low_level_of_another_arm(tmp_path, capsys):
 def test_questions_about_a_corridor(tmp_path):
     """Imported, checked, learned from offline, evaluated; questions are the laboratory's choice among those that are
     embedded."""
-    shipped = json.loads(questions.SHIPPED.read_text())["objects"]
+    shipped = json.loads(splits.SHIPPED_QUESTIONS.read_text())["objects"]
     names = list(shipped)[:4]
     film_corridor(tmp_path / "film", names)
     chosen = {

@@ -89,7 +89,7 @@ def test_the_agent_learns_its_training_goals():
     """Twice as often as a random policy reaches them."""
     with run(block_of("own_agent.md"), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES)) as names:
         env, success = names["train"].env, names["result"].metrics["train_goal/success_rate"][-1]
-    chance = evaluate(random_policy(env), env, env.goals.commanded, LONG_SIZES["evaluation_starts"]).success.mean()
+    chance = evaluate(random_policy(env), env, env.goals.training_goals, LONG_SIZES["evaluation_starts"]).success.mean()
     assert 2 * chance < success > 0.7
 
 
@@ -146,7 +146,7 @@ def own_task() -> dict:
 
 @pytest.mark.long
 def test_the_task_is_learned():
-    """Goals that were never commanded too."""
+    """Goals that were never desired in training too."""
     with run(block_of("own_task.md"), *REGISTERED) as names:
         metrics = names["result"].metrics
     assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from infogoal_jax.drone import flight as flight_module
-from infogoal_jax.drone.detection import Detection
 from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
 from infogoal_jax.drone.flight import Flight
 from infogoal_jax.drone.link import Answer
-from infogoal_jax.drone.log import NAME, Log, events_of, read
-from infogoal_jax.drone.pictures import Picture
+from infogoal_jax.drone.records import NAME, Log, events_of, read
+from infogoal_jax.drone.vision import Detection, Picture
 from infogoal_jax.errors import UserError
 
 SPEED = 200.0
@@ -25,11 +24,8 @@ class ScriptedLink:
     """A drone that answers what the script says. script: answers by command, "" for none; then ok."""
 
     def __init__(self, log: Log, script=None):
-        self.log, self.script, self.speed = (
-            log,
-            {word: list(answers) for word, answers in (script or {}).items()},
-            SPEED,
-        )
+        self.log, self.speed = log, SPEED
+        self.script = {word: list(answers) for word, answers in (script or {}).items()}
         self.sent, self.in_air, self.answers = [], False, True
         self.packet = {"bat": 80, "h": 80, "tof": 170, "vgx": 0, "vgy": 0, "vgz": 0}
         self.age, self.height = 0.0, 80
@@ -74,7 +70,7 @@ OPEN_LOGS: list[Log] = []
 
 @pytest.fixture(autouse=True)
 def trusted_pictures(monkeypatch):
-    """Pictures are trusted: tests/drone/test_pictures.py is about them. Logs are closed in the end."""
+    """Pictures are trusted: tests/drone/test_vision.py is about them. Logs are closed in the end."""
     monkeypatch.setattr(flight_module, "fault_of", lambda found, now, since, *more: "" if now > since else "waiting")
     yield
     while OPEN_LOGS:

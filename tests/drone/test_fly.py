@@ -16,9 +16,9 @@ from places import ROOT
 pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
 pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
 
-from infogoal_jax.data import frames, frames_import, questions
-from infogoal_jax.drone import log, simulated_tello
-from infogoal_jax.drone.recording import TABLE
+from infogoal_jax.data import frames, frames_import, splits
+from infogoal_jax.drone import records, simulated_tello
+from infogoal_jax.drone.records import TABLE
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
 import drone_faults as faults
@@ -42,7 +42,7 @@ def fly(drone, folder, policy, *more, **settings):
     process = faults.begin_flight(folder / "flight", policy, drone, ports, 0, *more)
     output, _ = process.communicate(timeout=120)
     truth = faults.wait_for(drone, lambda truth: truth["phase"] == "ground", 20)
-    return process.returncode, output, log.read(folder / "flight" / log.NAME), truth
+    return process.returncode, output, records.read(folder / "flight" / records.NAME), truth
 
 
 def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
@@ -50,10 +50,10 @@ def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
     policy = faults.write_policy(tmp_path / "policy.npz", objects=["alarm clock"])
     first, recordings = (0.5 + 0.2 * 31, 0.4 + 0.2 * 8), tmp_path / "recordings"
     code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(recordings), first=first)
-    (end,) = log.events_of(events, "end")
+    (end,) = records.events_of(events, "end")
     assert code == 0 and end["found"] and end["landed"], output
     assert (truth["phase"], truth["crashed"], truth["why_landed"]) == ("ground", False, "command land")
-    steps = log.events_of(events, "step")
+    steps = records.events_of(events, "step")
     assert [step["move"] for step in steps] == ["right"] * len(steps) and 1 <= len(steps) <= 3
     data = frames_import.import_folder(recordings, recordings / TABLE, tmp_path / "mine.npz", size=(48, 64))
     assert len(data.frame) == len(steps) and data.objects == ("alarm clock",) and data.detected[-1, 0]
@@ -79,7 +79,7 @@ def test_record_train_and_fly(tmp_path):
         ports = ("--ports", *faults.free_ports())
         assert infogoal("record", recordings, *place, *ports, "--seed", seed, "--out", tmp_path / f"log_{seed}") == 0
     assert infogoal("data", "import", recordings, recordings / TABLE, "--out", mine, "--size", 48, 64) == 0
-    objects, shipped = frames.load(mine).objects, json.loads(questions.SHIPPED.read_text())["objects"]
+    objects, shipped = frames.load(mine).objects, json.loads(splits.SHIPPED_QUESTIONS.read_text())["objects"]
     assert len(objects) >= 2
     asked = {name: shipped[name] | {"use": "test" if number else "train"} for number, name in enumerate(objects)}
     (tmp_path / "mine.json").write_text(json.dumps({"objects": asked}))
@@ -90,8 +90,8 @@ def test_record_train_and_fly(tmp_path):
     question, flown = asked[objects[1]]["questions"][0], tmp_path / "flown"
     ports = ("--ports", *faults.free_ports())
     status = infogoal("fly", policy, "--question", question, *place, *ports, "--steps", 4, "--out", flown)
-    events = log.read(flown / log.NAME)
-    (settings,), (end,) = log.events_of(events, "settings"), log.events_of(events, "end")
+    events = records.read(flown / records.NAME)
+    (settings,), (end,) = records.events_of(events, "settings"), records.events_of(events, "end")
     assert settings["target"] == objects[1] and end["landed"] and status == (0 if end["found"] else 1)
     assert infogoal("report", flown) == 0 and (flown / "figures" / "flight.png").exists()
 

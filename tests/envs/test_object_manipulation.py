@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from infogoal_jax import make_train, presets
 from infogoal_jax.angles import geodesic, wrapped
-from infogoal_jax.envs.cells import Cells
-from infogoal_jax.envs.joints import JointSpace
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
+from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
@@ -68,7 +67,7 @@ def test_no_goal_counts_as_another(env, data):
     rotation = data.rotation[np.asarray(env.goals.rows)]
     apart = geodesic(rotation[goals][:, None], rotation[goals][None]) + 10 * np.eye(len(goals))
     assert apart.min() > np.deg2rad(20)
-    training = rotation[np.asarray(env.goals.commanded)]
+    training = rotation[np.asarray(env.goals.training_goals)]
     for use, count in (("train", 3), ("validation", 1), ("test", 4)):
         mask = np.asarray(getattr(env.goals, f"{use}_mask"))
         assert mask.sum() == count
@@ -160,14 +159,14 @@ def test_trains_by_dqn_with_and_without_relabelling(env):
 
 @pytest.mark.parametrize("relabelling", ["none", "her"])
 def test_agents_see_the_codes_of_their_goals(env, relabelling):
-    """Whatever goal a transition has, commanded or relabelled, the agent is given that goal's code; batches are smaller
+    """Whatever goal a transition has, desired or relabelled, the agent is given that goal's code; batches are smaller
     than the goal space."""
     train = make_train(hand_made_frames.manipulation_config("none", relabelling=relabelling), env)
     parts, hyper = train.parts, train.config.hyper
     state = jax.jit(train.initial)(jax.random.key(0), hyper, env)
     count, goals = (
         parts.config.batch_size,
-        env.goals.commanded if relabelling == "none" else jnp.arange(env.goals.num_goals),
+        env.goals.training_goals if relabelling == "none" else jnp.arange(env.goals.num_goals),
     )
     assert env.goals.num_goals > count
     goal = jax.random.choice(jax.random.key(1), goals, (count,))

@@ -6,15 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import places
 import pytest
-from places import FIXTURES
 
 from infogoal_jax import UserError, make_train, networks
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import gcb
 from infogoal_jax.learners.learner import GoalCode, Steps, conditioned
 
-FIXTURE = np.load(FIXTURES / "gcb.npz", allow_pickle=False)
+FIXTURE = places.recorded("gcb")
 
 
 def assert_relatively_close(found, recorded):

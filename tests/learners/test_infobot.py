@@ -10,8 +10,8 @@ from hand_made_rows import rows_of
 
 from infogoal_jax import UserError, make_train
 from infogoal_jax.learners import infobot
+from infogoal_jax.learners.goal_encoder import kl_to_standard_normal
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
-from infogoal_jax.learners.information import kl_to_standard_normal
 from infogoal_jax.learners.learner import GoalCode, Visited
 from infogoal_jax.train.collection import collect_epoch
 from infogoal_jax.train.experience import first_seen

@@ -6,15 +6,15 @@ import itertools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
 from hand_made_rows import GOALS, STEPS, context, random_rows
-from places import FIXTURES
 
 from infogoal_jax import replay
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import cher
 
-RECORDED = np.load(FIXTURES / "cher.npz", allow_pickle=False)
+RECORDED = places.recorded("cher")
 CASES = ("n16_lambda1", "n16_lambda3", "n128_lambda1", "n128_lambda3", "n128_step20000", "n32_pairs")
 
 
@@ -32,7 +32,7 @@ def everything(count: int, picks: int):
 def test_choices_are_those_of_the_public_code(case):
     """With the cover of the chosen ones only: weights, every pick at the recorded places, and the objective after
     each."""
-    recorded = {name.removeprefix(f"{case}_"): RECORDED[name] for name in RECORDED.files if name.startswith(case)}
+    recorded = {name.removeprefix(f"{case}_"): RECORDED[name] for name in RECORDED if name.startswith(case)}
     goals, achieved = (jnp.asarray(recorded[name], jnp.float32) for name in ("goals", "achieved_goals"))
 
     @jax.jit

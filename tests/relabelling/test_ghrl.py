@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
 from hand_made_rows import GOALS, ROWS, STEPS, context, episodes, random_rows, rows_of
-from places import FIXTURES
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import ghrl
 
-RECORDED = np.load(FIXTURES / "ghrl.npz", allow_pickle=False)
+RECORDED = places.recorded("ghrl")
 A, B = 1, 2
 
 
@@ -147,7 +147,7 @@ def test_what_was_achieved_at_the_start_or_was_not_written_does_not_count():
 
 
 def relabelled(config, rows, row, step, **changes):
-    """Goals that 1,000 transitions at this place are given, under commanded goal 0."""
+    """Goals that 1,000 transitions at this place are given, under the desired goal 0."""
     relabelling, places = ghrl.make(config), (jnp.full(1000, row), jnp.full(1000, step), jnp.zeros(1000, jnp.int32))
     return np.asarray(
         jax.jit(

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.drone.log import NAME
+from infogoal_jax.drone.records import NAME
 from infogoal_jax.report import flight_figures
 
 SETTINGS = {

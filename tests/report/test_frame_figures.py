@@ -159,7 +159,7 @@ def test_border_of_two_places_side_by_side_has_six_sides(shelf_subject):
 def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(shelf_subject):
     """And unknown where nothing that training knows is in view; images of one place count together."""
     env, shelf = shelf_subject.train.env, shelf_figures.make_shelf(shelf_subject.train.env)
-    goal = int(env.goals.commanded[0])
+    goal = int(env.goals.training_goals[0])
     reward, of_image = (
         shelf_figures.reward_of_places(shelf_subject, shelf, goal),
         walks.reward_of_images(shelf_subject, goal),

@@ -6,7 +6,7 @@ import scipy.io
 from hand_made_dataset import TINY_HOUSE
 
 from infogoal_jax import envs
-from infogoal_jax.data import archives, scene_images
+from infogoal_jax.data import archives, pictures
 from infogoal_jax.data.check import check_active_vision
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.errors import UserError
@@ -57,7 +57,7 @@ def test_twelve_turns_come_full_circle(annotations):
 def test_moves_go_where_they_say(tiny, annotations):
     """A translation keeps the heading and lies within 15 degrees of the direction it is named after."""
     names = sorted(annotations)
-    position = dict(zip(names, scene_images.read_positions(tiny / "Home_101_1", names).astype(float), strict=True))
+    position = dict(zip(names, pictures.read_positions(tiny / "Home_101_1", names).astype(float), strict=True))
     for name, record in annotations.items():
         for action, degrees in (("forward", 0), ("left", 90), ("backward", 180), ("right", -90)):
             if record[action]:

@@ -4,9 +4,9 @@ is not too easy."""
 import numpy as np
 import pytest
 
-from infogoal_jax.data import frames, questions
+from infogoal_jax.data import frames, splits
 from infogoal_jax.envs.graph import distances
-from infogoal_jax.stand_ins import shelf, shelf_render
+from infogoal_jax.stand_ins import shelf
 
 SEEDS = (0, 1, 2)
 EPISODE = 50
@@ -31,7 +31,7 @@ def corner(monkeypatch):
 def detected(request):
     """Which objects are detected from where, bool [S, 24], without drawing."""
     places = shelf.furnish(np.random.default_rng([request.param, shelf.GENERATOR_VERSION]))
-    views = [shelf_render.camera(place, 0.0, shelf.SIZE) for place in centres()]
+    views = [shelf.camera(place, 0.0, shelf.SIZE) for place in centres()]
     return np.array([[shelf.in_view(view, box) for box in shelf.boxes(places)] for view in views])
 
 
@@ -67,7 +67,7 @@ def test_an_object_is_detected_where_its_whole_box_is_in_the_view(whole):
 
 
 def test_six_objects_stand_in_each_region_apart_from_each_other():
-    asked = questions.load(questions.SHIPPED)
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS)
     for seed in range(20):
         places = shelf.furnish(np.random.default_rng([seed, shelf.GENERATOR_VERSION]))
         boxes = np.array(shelf.boxes(places))

@@ -62,8 +62,8 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
     # Never achieved: the grid is.
     assert sweep.state.dissimilarity[:, goals.evaluated].sum() == 3 * len(goals.evaluated) * (goals.num_goals - 1)
     buffer = sweep.state.buffer
-    commanded = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
-    np.testing.assert_array_equal(commanded, goals.commanded)
+    desired = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
+    np.testing.assert_array_equal(desired, goals.training_goals)
 
 
 def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_seed_without_compiling(program, sweep):

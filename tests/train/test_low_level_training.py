@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from infogoal_jax.agents.low_level import LowLevelConfig
+from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError

@@ -7,7 +7,7 @@ import jax
 import pytest
 
 from infogoal_jax import make_train
-from infogoal_jax.agents.low_level import LowLevelConfig
+from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
 from infogoal_jax.train import devices, memory, tune

@@ -133,10 +133,10 @@ def test_the_environment_may_travel_as_an_argument(train, sweep):
     np.testing.assert_allclose(passed.epochs["agent/loss"][:, :1], sweep.epochs["agent/loss"][:, :1], rtol=1e-4)
 
 
-def test_only_training_goals_are_commanded(train, sweep):
+def test_only_training_goals_are_desired(train, sweep):
     buffer = sweep.state.buffer
-    commanded = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
-    assert set(commanded) <= set(np.flatnonzero(np.asarray(train.env.goals.train_mask)))
+    desired = np.unique(np.asarray(buffer.goal)[np.asarray(buffer.valid)])
+    assert set(desired) <= set(np.flatnonzero(np.asarray(train.env.goals.train_mask)))
 
 
 def test_env_steps_count_valid_transitions_and_every_finished_episode_restarts(train, sweep):

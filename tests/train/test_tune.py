@@ -92,7 +92,7 @@ def test_test_goals_are_not_evaluated(make, group, env):
     evaluated[restricted.goals.evaluated] = True
     assert scored == group and restricted.goals.groups == (group,)
     np.testing.assert_array_equal(evaluated, getattr(whole.goals, f"{group}_mask"))
-    np.testing.assert_array_equal(restricted.goals.commanded, whole.goals.commanded)
+    np.testing.assert_array_equal(restricted.goals.training_goals, whole.goals.training_goals)
 
 
 EVERY = [presets.load("fetch_reach", "infogoal").hyper, presets.load("embodied_qa", "infobot").hyper]

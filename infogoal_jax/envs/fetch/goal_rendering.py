@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from infogoal_jax.data.goal_images import IMAGE_SHAPE, GoalImages, grid_positions
-from infogoal_jax.envs.fetch.goal_choice import SPACING, choose_goals, grid_of
+from infogoal_jax.envs.fetch.image_goals import SPACING, choose_goals, grid_of
 from infogoal_jax.envs.fetch.tasks import TASKS, Task
 from infogoal_jax.errors import UserError, nearest, require
 

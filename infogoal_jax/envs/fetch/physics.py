@@ -1,6 +1,6 @@
 """The physics of a Fetch task: one control step of 40 ms of one robot, to be batched by `jax.vmap`.
 
-A physics step puts together the multibody dynamics (multibody.py), the shapes that touch (shapes.py), constraint rows
+A physics step puts together the multibody dynamics (multibody.py), the shapes that touch (model.py), constraint rows
 (constraints.py) and their solver (solver.py). Semi-implicit Euler with joint damping taken implicitly, as in the
 reference.
 """
@@ -16,8 +16,8 @@ import numpy as np
 from infogoal_jax.envs.fetch import constraints, model, solver
 from infogoal_jax.envs.fetch.constraints import Limits, RowKinds, Softness, Weld
 from infogoal_jax.envs.fetch.contacts import Box
+from infogoal_jax.envs.fetch.model import Shapes, joint_of, moving_dofs
 from infogoal_jax.envs.fetch.multibody import Axes, Frames, Multibody
-from infogoal_jax.envs.fetch.shapes import Shapes, joint_of, moving_dofs
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.fetch.vectors import Quaternion, Rotation, Vector, once, vectors
 

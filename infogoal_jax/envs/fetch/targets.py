@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.envs.cells import Cells
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.tasks import Task
+from infogoal_jax.envs.target_states import Cells
 
 REACHED = environment.DISTANCE_THRESHOLD
 """Distance, in m, of grip (fetch_reach) or object below which a target state is reached: that of goals."""

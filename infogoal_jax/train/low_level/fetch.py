@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import replay
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.low_level import SMALLEST_STD, LowLevel, LowLevelConfig, network_input
+from infogoal_jax.agents.hrac import SMALLEST_STD, LowLevel, LowLevelConfig, network_input
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.targets import TargetReaching, TargetSpace
 from infogoal_jax.envs.fetch.tasks import FetchConfig

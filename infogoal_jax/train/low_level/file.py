@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.low_level import JointLevel, LowLevel, joint_input
+from infogoal_jax.agents.hrac import JointLevel, LowLevel, joint_input
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import find
@@ -44,7 +44,7 @@ def shipped(task: str) -> Path:
     has none."""
     path = SHIPPED / find(task).name
     if not path.exists():
-        known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*") if not file.suffix))
+        known = ", ".join(sorted(file.name for file in SHIPPED.glob("fetch_*")))
         raise UserError(f"low_level = '': no low level is shipped for {task}; give the file of one. Shipped: {known}")
     return path
 

@@ -15,7 +15,7 @@ import optax
 
 from infogoal_jax import networks
 from infogoal_jax.agents import dqn
-from infogoal_jax.agents.low_level import JointLevel, LowLevelConfig, joint_input, joint_values
+from infogoal_jax.agents.hrac import JointLevel, LowLevelConfig, joint_input, joint_values
 from infogoal_jax.angles import wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulation, ObjectManipulationConfig
 from infogoal_jax.errors import require

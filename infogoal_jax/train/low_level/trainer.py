@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import optax
 
 from infogoal_jax import hyperparameters
-from infogoal_jax.agents.low_level import LowLevelConfig
+from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_WHOLE
 

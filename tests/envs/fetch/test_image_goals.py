@@ -87,19 +87,19 @@ def test_a_goal_is_reached_within_5_cm_of_it_whatever_grid_goal_is_nearest(grid)
     assert (env.goals_of(near) != env.goals_of(at)).any()
 
 
-def test_each_use_has_goals_of_its_own_and_the_grid_is_never_commanded(grid):
+def test_each_use_has_goals_of_its_own_and_the_grid_is_never_desired(grid):
     env, positions = grid
     masks = np.stack([env.goals.train_mask, env.goals.validation_mask, env.goals.test_mask])
     assert masks.sum(0).max() == 1 and masks.sum(1).tolist() == [8, 8, 32]
     assert not masks[:, : len(positions)].any() and masks[:, len(positions) :].any(0).all()
-    np.testing.assert_array_equal(env.goals.commanded, np.flatnonzero(masks[0]))
+    np.testing.assert_array_equal(env.goals.training_goals, np.flatnonzero(masks[0]))
     np.testing.assert_array_equal(env.goals.evaluated, np.flatnonzero(masks.any(0)))
 
 
 def test_episodes_are_for_training_goals_each_as_often_as_the_others(env):
     states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 400))
     goals, count = np.unique(states.goal, return_counts=True)
-    np.testing.assert_array_equal(goals, env.goals.commanded)
+    np.testing.assert_array_equal(goals, env.goals.training_goals)
     assert count.min() > 60
     np.testing.assert_array_equal(states.robot.goal, env.unwrapped.positions[states.goal])
 
@@ -115,18 +115,18 @@ def test_networks_see_numbers_of_the_order_of_one(task):
 
 
 @pytest.mark.parametrize("method", ["infogoal", "none"])
-def test_commanded_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
+def test_training_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
     train = make_train(hand_made_points.config(method), hand_made_points.steered(env))
     learner = train.parts.learner
     params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), train.config.hyper.learner)
-    goals = env.goals.commanded[jnp.array([[3, 0], [1, 1]])]
+    goals = env.goals.training_goals[jnp.array([[3, 0], [1, 1]])]
     one_by_one = learner.encode(params, env.goals.inputs[goals])
 
     def every_way(params):
         ways = [
             encode(GoalEncoding(learner, params, env.goals, limit))(goals)
             for limit in (1, 1000)
-            for encode in (GoalEncoding.of_commanded, GoalEncoding.of_any)
+            for encode in (GoalEncoding.of_training_goals, GoalEncoding.of_any)
         ]
         return [*ways, encode_all(learner, params, env.goals)[goals]]
 
@@ -138,7 +138,7 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     levels = np.arange(0, 200, 10, dtype=np.uint8)[:, None, None, None] * np.ones((1, 16, 16, 3), np.uint8)
     env = hand_made_points.points(levels, np.full((1, 16, 16, 3), 255, np.uint8))
     pixels = SimpleNamespace(encode=lambda params, images: GoalCode(images.astype(jnp.float32), jnp.zeros(())))
-    goals = jnp.repeat(env.goals.commanded, 50)
+    goals = jnp.repeat(env.goals.training_goals, 50)
     parts = SimpleNamespace(config=SimpleNamespace(training_corruption=0.5), learner=SimpleNamespace(augment=None))
     assert (
         training_view(
@@ -148,7 +148,7 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     )
     view = training_view(parts, env, augmented=True)
     encoding = GoalEncoding(pixels, None, env.goals, 1000, view, jax.random.key(0))
-    for encode in (encoding.of_commanded(), encoding.of_any()):
+    for encode in (encoding.of_training_goals(), encoding.of_any()):
         seen = encode(goals).mean
         behind = np.asarray(2 * seen - env.goals.inputs[goals].astype(jnp.float32))
         level = behind.mean((1, 2, 3))

@@ -1,20 +1,29 @@
-"""Our Fetch tasks follow the reference: recorded episodes of Gymnasium-Robotics on C MuJoCo 3.3.7, replayed here.
+"""Our Fetch tasks follow the reference, Gymnasium-Robotics on C MuJoCo 3.3.7: its recorded episodes are replayed here,
+and our resets are drawn from its distributions.
 
 Episodes of the recording are in turn random actions, random actions held for five steps, and a script that reaches,
 pushes or grasps and lifts. The faithful setting is as near as the robot's simpler shapes allow; the default is faster,
 and near enough for the same behaviour.
+
+Of resets there are 1,000 a task beside 4,000 of ours. Two-sample tests at a level of 0.001 for all coordinates of a
+test together (Bonferroni): Kolmogorov and Smirnov's for the shape, and for the range, where it is blind, how many draws
+of one sample lie beyond all of the other. They can fail: the last test shows what they notice. The puck of Slide is
+compared in x and y alone: the reference's sinks 6.5 mm into the table and lies tilted there, ours stands on it.
 """
 
 import functools
 
+import jax
 import numpy as np
 import pytest
 from places import FIXTURES
+from scipy.stats import binom, ks_2samp
 
 from infogoal_jax.envs import load
+from infogoal_jax.envs.fetch.environment import NEAREST_START
 from infogoal_jax.envs.fetch.parity import ALL, compare, distances, replay
 from infogoal_jax.envs.fetch.recordings import load_recordings
-from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 
 RECORDINGS = FIXTURES / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")
@@ -33,6 +42,28 @@ GRIP_LIMITS = {
 LIFTED_LIMIT, PUSHED_LIMITS = 5.0, {FAITHFUL: 20.0, DEFAULT: 30.0}
 """How far an object may end from where it was recorded, in mm: after being lifted, and after being pushed over the
 table."""
+FIXTURE = FIXTURES / "fetch_resets.npz"
+LEVEL = 1e-3
+OURS = 4000
+START_TOLERANCE = 1e-4
+"""Of the first observation, in its own units: m, rad, and these per step of 40 ms."""
+STILL_TORSO = 2e-4
+"""Of the default setting's velocities (m per step): the reference still lifts its torso at 3.3 mm/s when an episode
+starts, and ours stands still."""
+TASKS_WITH_OBJECT = [task.name for task in TASKS.values() if task.object_height is not None]
+OBJECT, RELATIVE, FINGERS, ROTATION, VELOCITIES, OBJECT_VELOCITY, FINGER_VELOCITY = (
+    slice(3, 6),
+    slice(6, 9),
+    slice(9, 11),
+    slice(11, 14),
+    slice(14, 25),
+    slice(14, 20),
+    slice(23, 25),
+)
+"""Parts of an observation of 25; of 10, the fingers are 3 to 4, and the velocities 5 to 9, the fingers' last."""
+
+every_task = pytest.mark.parametrize("task", list(TASKS))
+every_object = pytest.mark.parametrize("task", TASKS_WITH_OBJECT)
 
 
 def cases(*tasks: str):
@@ -109,3 +140,141 @@ def test_scripted_pushes_end_near_where_they_were_recorded(replayed, task, setti
     stays = recording.thing[2::3, -1, 2] > 0.3
     assert stays.any()
     assert distances(here.thing, recording.thing)[2::3, -1][stays].max() <= PUSHED_LIMITS[setting]
+
+
+@pytest.fixture(scope="session")
+def resets():
+    """Goal [N, 3] and first observation [N, 10 or 25] of resets of ours (in a setting) and of the reference's, made
+    when first asked for."""
+    recorded = np.load(FIXTURE)
+
+    @functools.cache
+    def made(task, faithful=False):
+        env = load(task, FetchConfig(faithful=faithful))
+        states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(11), OURS))
+        ours = np.asarray(states.goal), np.asarray(states.observation)
+        return ours, (recorded[f"{task}/desired_goal"], recorded[f"{task}/observation"])
+
+    return made
+
+
+def beyond(sample: np.ndarray, other: np.ndarray) -> float:
+    """P-value of as many draws [N] of one sample lying above all of the other [M], if both are of one distribution
+    (Rosenbaum's test, 1954).
+
+    The k largest of N + M equal draws are all of the first sample with probability C(N, k) / C(N + M, k).
+    """
+    count = int((sample > other.max()).sum())
+    return float(np.prod((len(sample) - np.arange(count)) / (len(sample) + len(other) - np.arange(count))))
+
+
+def p_value(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """Of two samples [N] and [M] being of one distribution: the least of five tests (shape, and both samples beyond
+    both ends), times five."""
+    ends = (
+        beyond(side * first, side * second) for side in (1, -1) for first, second in ((ours, theirs), (theirs, ours))
+    )
+    return 5 * min(ks_2samp(ours, theirs).pvalue, *ends)
+
+
+def differing(ours: np.ndarray, theirs: np.ndarray) -> dict[int, float]:
+    """Columns of [N, C] and [M, C] that do not come from one distribution, with the p-value; a constant column counts
+    with its distance instead."""
+    # Heights on the table are equal but for rounding.
+    ours, theirs = (np.round(sample.astype(float), 5) for sample in (ours, theirs))
+    varying = np.flatnonzero(np.ptp(theirs, axis=0) > 0)
+    apart = np.abs(ours - theirs[0]).max(axis=0)
+    constant = {
+        column: apart[column]
+        for column in range(theirs.shape[1])
+        if column not in varying and apart[column] > START_TOLERANCE
+    }
+    values = {column: p_value(ours[:, column], theirs[:, column]) for column in varying.tolist()}
+    return constant | {column: value for column, value in values.items() if value < LEVEL / len(varying)}
+
+
+@every_task
+def test_goals_are_drawn_as_in_the_reference(resets, task):
+    (goals, _), (their_goals, _) = resets(task)
+    assert not differing(goals, their_goals)
+
+
+@every_object
+def test_objects_start_as_in_the_reference(resets, task):
+    """x and y; and the radius around the grip, which knows of the disc where no object starts."""
+    (_, first), (_, their_first) = resets(task)
+    ours, theirs = first[:, OBJECT][:, :2], their_first[:, OBJECT][:, :2]
+    assert not differing(ours, theirs)
+    radius, their_radius = (np.linalg.norm(sample[:, RELATIVE][:, :2], axis=1) for sample in (first, their_first))
+    assert min(radius.min(), their_radius.min()) >= NEAREST_START - START_TOLERANCE
+    assert not differing(radius[:, None], their_radius[:, None])
+
+
+@every_object
+def test_objects_cover_the_square_without_the_disc_evenly_along_every_direction(resets, task):
+    """x and y together: along the diagonals, and the angle around the grip."""
+    (_, first), (_, their_first) = resets(task)
+
+    def views(sample):
+        x, y = sample[:, RELATIVE][:, 0], sample[:, RELATIVE][:, 1]
+        return np.stack([x + y, x - y, np.arctan2(y, x), np.maximum(np.abs(x), np.abs(y))], axis=1)
+
+    assert not differing(views(first), views(their_first))
+
+
+@every_object
+def test_goal_and_object_are_drawn_independently(resets, task):
+    (goals, first), _ = resets(task)
+    correlation = np.corrcoef(goals[:, :2].T, first[:, OBJECT][:, :2].T)
+    assert np.abs(correlation - np.eye(4)).max() < 0.07  # Over four standard errors of 4,000 draws.
+
+
+def test_half_of_the_goals_of_pick_and_place_are_in_the_air(resets):
+    """As many as in the reference, and never below the object's height."""
+    (goals, _), (their_goals, _) = resets("fetch_pick_and_place")
+    height = TASKS["fetch_pick_and_place"].object_height
+    for sample in (goals, their_goals):
+        in_air = int((sample[:, 2] > height + 1e-4).sum())
+        assert min(binom.cdf(in_air, len(sample), 0.5), binom.sf(in_air - 1, len(sample), 0.5)) > LEVEL
+        assert sample[:, 2].min() > height - 1e-4
+    above = [sample[sample[:, 2] > height + 1e-4, 2:] for sample in (goals, their_goals)]
+    assert not differing(*above)
+
+
+@pytest.mark.parametrize("faithful", [False, pytest.param(True, marks=pytest.mark.long)], ids=["default", "faithful"])
+@every_task
+def test_the_first_observation_is_that_of_the_reference(resets, task, faithful):
+    """All that no draw decides; the fingers of the default setting are one block in tasks that keep them closed, so
+    theirs read zero."""
+    (_, first), (_, their_first) = resets(task, faithful)
+    has_object = task in TASKS_WITH_OBJECT
+    velocities, fingers, finger_velocity = (
+        (VELOCITIES, FINGERS, FINGER_VELOCITY) if has_object else (slice(5, 10), slice(3, 5), slice(8, 10))
+    )
+    tolerance = np.full(first.shape[1], START_TOLERANCE)
+    if not faithful:
+        tolerance[velocities] = STILL_TORSO
+    if TASKS[task].blocks_fingers and not faithful:
+        tolerance[fingers] = tolerance[finger_velocity] = 2e-3
+    drawn = np.ptp(their_first, axis=0) > 1e-6
+    tolerance[drawn] = np.inf
+    if TASKS[task].puck:
+        for part in (5, 8, ROTATION, OBJECT_VELOCITY):
+            tolerance[part] = np.inf
+    apart = np.abs(first - their_first[0]).max(axis=0)
+    assert {*np.flatnonzero(drawn).tolist()} == ({3, 4, 6, 7} if has_object else set())
+    assert (apart < tolerance).all(), {int(part): float(apart[part]) for part in np.flatnonzero(apart >= tolerance)}
+
+
+@every_task
+def test_a_range_five_per_cent_too_small_or_too_large_would_be_noticed(resets, task):
+    """The power of the tests above: our own draws, drawn together or apart by 5 % around the middle of their range, are
+    told from the reference's."""
+    (goals, first), (their_goals, their_first) = resets(task)
+    columns = [(goals[:, :2], their_goals[:, :2])]
+    if task in TASKS_WITH_OBJECT:
+        columns.append((first[:, OBJECT][:, :2], their_first[:, OBJECT][:, :2]))
+    for ours, theirs in columns:
+        middle = (ours.min(axis=0) + ours.max(axis=0)) / 2
+        for scale in (0.95, 1.05):
+            assert len(differing(middle + scale * (ours - middle), theirs)) == 2

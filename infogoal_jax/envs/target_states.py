@@ -1,10 +1,13 @@
-"""A grid of cells over positions or angles. HRAC's adjacency matrix is over its cells."""
+"""Target states of an arm with discrete joint moves, the angles of its joints; and grids of cells over target states
+(positions or angles), over which HRAC's adjacency matrix is made."""
 
 import dataclasses
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from infogoal_jax.angles import on_circles, wrapped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,3 +58,31 @@ def flattened(place: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     axis first."""
     steps = np.cumprod([1, *shape[:0:-1]])[::-1].astype(np.int32)
     return (place * steps).sum(-1)
+
+
+@dataclasses.dataclass(frozen=True)
+class JointSpace:
+    """Target states of J = `size` joints, in radians."""
+
+    size: int
+    components = 1
+
+    def of(self, observation) -> jax.Array:
+        """The joints [..., J] of an observation."""
+        return observation.joints
+
+    def from_subgoal(self, observation, subgoal: jax.Array, scale: float) -> jax.Array:
+        """The target state [..., J] of a subgoal [..., J] in [-1, 1]: each joint turns by up to `scale` radians."""
+        return wrapped(observation.joints + scale * jnp.clip(subgoal, -1.0, 1.0))
+
+    def parts(self, states: jax.Array) -> jax.Array:
+        """The components of target states with adjacency matrices of their own: one, [1, ..., J]."""
+        return states[None]
+
+    def network_input(self, part: jax.Array, scale: float) -> jax.Array:
+        """A component as a network sees it: sines and cosines, so that a full turn ends where it began."""
+        return on_circles(part)
+
+    def cells(self, side: float) -> Cells:
+        """Cells of about this side (radians) over all angles."""
+        return Cells.over_angles(self.size, side)

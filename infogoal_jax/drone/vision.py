@@ -1,13 +1,19 @@
-"""Which images of the video may be trusted: recent, not black, not frozen, not torn.
+"""What the drone sees: which images of its video may be trusted (recent, not black, not frozen, not torn), and whether
+the object that a question asks about is in view.
 
-Every image is reduced to the size that the policy sees as soon as it arrives; the checks look at these.
+Every image is reduced to the size that the policy sees as soon as it arrives; the checks look at these. A detector is a
+function from a whole image to detections.
 """
 
 import itertools
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
+
+from infogoal_jax.errors import UserError, nearest
 
 STALE_SECONDS = 1.0
 """Age from which the last image is stale."""
@@ -32,6 +38,9 @@ FROZEN_SECONDS = 2.0
 """Time for which all images are the same in a frozen video."""
 UNMOVED = 3.0
 """Mean difference below which an image shows what was seen before a move of 20 cm."""
+INSTALL = "pip install 'infogoal-jax[yolo]'"
+EDGE = 1.0
+"""Pixels from the edge of the image within which a box counts as cut off."""
 
 
 class Picture(NamedTuple):
@@ -111,3 +120,67 @@ def fault_of(
         if long_enough and all(difference(recent[0].small, other.small) < SAME for other in recent[1:]):
             return "frozen"
     return ""
+
+
+class Detection(NamedTuple):
+    """An object in an image. box: left, top, right and bottom in pixels; confidence: in [0, 1]."""
+
+    name: str
+    box: tuple[float, float, float, float]
+    confidence: float = 1.0
+
+
+Detector = Callable[[np.ndarray], list[Detection]]
+"""Image uint8 RGB [H, W, 3] to what is seen in it."""
+
+
+def whole(detection: Detection, image: np.ndarray) -> bool:
+    """Whether the box lies in the image with all of its corners, as in the data that policies learn from."""
+    left, top, right, bottom = detection.box
+    height, width = image.shape[:2]
+    return left > EDGE and top > EDGE and right < width - EDGE and bottom < height - EDGE
+
+
+def seen(detections: list[Detection], image: np.ndarray, confidence: float) -> set[str]:
+    """The names of the objects that are wholly in the image, with at least this confidence."""
+    return {one.name for one in detections if one.confidence >= confidence and whole(one, image)}
+
+
+def simulated_detector(truth_port: int) -> Detector:
+    """The boxes that the simulator knows, of where the simulated drone is now."""
+    from infogoal_jax.data import splits
+    from infogoal_jax.drone.simulated_tello import ask
+
+    def detect(image: np.ndarray) -> list[Detection]:
+        return [Detection(name, tuple(box)) for name, box in ask(truth_port, "boxes").items()]
+
+    detect.names = splits.load_questions(splits.SHIPPED_QUESTIONS).objects
+    return detect
+
+
+def yolo_detector(weights: Path) -> Detector:
+    """A YOLO network of ultralytics with these weights, on the CPU. Raises `UserError` if the library or the file is
+    missing."""
+    if not weights.is_file():
+        raise UserError(f"weights = {str(weights)!r}: no such file; give the weights of a YOLO network (.pt or .onnx)")
+    try:
+        from ultralytics import YOLO
+    except ImportError as error:
+        raise UserError(f"detection by YOLO needs ultralytics ({error}): {INSTALL}") from error
+    model = YOLO(str(weights))
+
+    def detect(image: np.ndarray) -> list[Detection]:
+        (result,) = model.predict(np.ascontiguousarray(image[..., ::-1]), device="cpu", verbose=False)  # It takes BGR.
+        rows = zip(result.boxes.cls.tolist(), result.boxes.xyxy.tolist(), result.boxes.conf.tolist(), strict=True)
+        return [Detection(result.names[int(kind)], tuple(box), confidence) for kind, box, confidence in rows]
+
+    detect.names = tuple(model.names.values())
+    return detect
+
+
+def check_known(name: str, detector: Detector) -> None:
+    """Raise `UserError` if the detector says which objects it knows, and this is none of them."""
+    names = getattr(detector, "names", None)
+    if names is not None and name not in names:
+        hint = nearest(name, list(names))
+        raise UserError(f"object = {name!r}: the detector does not know it.{hint} It knows: {', '.join(names)}")

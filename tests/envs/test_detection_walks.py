@@ -1,8 +1,9 @@
-"""Embodied question answering: goals that are known, recorded flights as rows, learning without acting, and datasets
-that cannot be used."""
+"""Object search is a faithful walk over its graph. Embodied question answering: goals that are known, recorded flights
+as rows, learning without acting, and datasets that cannot be used."""
 
 import dataclasses
 
+import hand_made
 import hand_made_frames
 import jax
 import jax.numpy as jnp
@@ -12,10 +13,88 @@ import pytest
 from infogoal_jax import make_train, presets
 from infogoal_jax.agents.cql import CQLConfig
 from infogoal_jax.config import StateEncoderConfig
+from infogoal_jax.data import splits
+from infogoal_jax.envs import object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
+from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy, shortest_path_policy
 from infogoal_jax.train.sampling import sample
+
+
+@pytest.fixture(scope="module")
+def house():
+    return hand_made.environment()
+
+
+def test_distances_are_shortest_paths(house):
+    """Against relaxation over every edge until nothing changes."""
+    edges, in_view = np.asarray(house.next_node), np.asarray(house.in_view)
+    expected = np.where(in_view.T, 0, 10_000)
+    for _ in range(len(edges)):
+        expected = np.minimum(expected, expected[:, edges].min(-1) + 1)
+    np.testing.assert_array_equal(object_search.distances(edges, in_view), expected)
+
+
+def test_episodes_start_with_the_goal_out_of_view_and_a_training_goal(house):
+    states = jax.vmap(house.reset)(jax.random.split(jax.random.key(0), 500))
+    assert not house.reached(states.node, states.goal).any()
+    np.testing.assert_array_equal(np.unique(states.goal), np.flatnonzero(np.asarray(house.goals.train_mask)))
+    assert len(np.unique(states.node)) > 40
+
+
+def test_steps_without_an_edge_stay_in_place_and_are_masked(house):
+    nodes = jnp.arange(house.num_observations)
+    mask = house.action_mask(nodes)
+    np.testing.assert_array_equal(house.next_node == nodes[:, None], ~mask)
+    assert mask[:, 4:].all()  # Rotation is always possible here.
+
+
+def test_termination_and_truncation_are_never_confused(house):
+    state = house.reset_to(jax.random.key(0), jnp.asarray(0))
+    ends = []
+    for _ in range(house.episode_length):
+        state = house.step(state, jnp.asarray(4))  # Turning on the spot.
+        ends.append((bool(state.terminated), bool(state.truncated)))
+    assert (True, True) not in ends
+    if not any(terminated for terminated, _ in ends):
+        assert ends[-1] == (False, True) and (False, True) not in ends[:-1]
+
+
+def test_achieved_goals_agree_with_what_is_reached(house):
+    for node in range(house.num_observations):
+        goals = [int(goal) for goal in house.goals_of(jnp.asarray(node)) if goal >= 0]
+        assert goals == [
+            goal for goal in range(house.goals.num_goals) if bool(house.reached(jnp.asarray(node), jnp.asarray(goal)))
+        ]
+
+
+def test_oracle_takes_shortest_paths_and_random_does_not(house):
+    goals = house.goals.evaluated
+    shortest, drawn = (evaluate(policy(house), house, goals) for policy in (shortest_path_policy, random_policy))
+    assert shortest.success.shape == (len(goals), 10) and shortest.success.all() and (shortest.spl == 1).all()
+    assert set(group_means(drawn, house.goals)) == {"train", "test"}
+    assert all(means["spl"] < 0.7 for means in group_means(drawn, house.goals).values())
+    starts = draw_starts(house, goals, 10)
+    np.testing.assert_array_equal(shortest.first_reached(99), jax.vmap(jax.vmap(house.shortest_path))(starts))
+
+
+def test_a_failed_goal_counts_as_reached_after_the_end(house):
+    stay = evaluate(lambda observation, goal, key: jnp.full(goal.shape, 4), house, house.goals.evaluated, 5)
+    first = stay.first_reached(house.episode_length)
+    assert not stay.success.all() and (first[~stay.success] == house.episode_length + 1).all()
+
+
+def test_an_object_out_of_reach_is_named():
+    scenes = hand_made.scenes()
+    scenes.visible[:, 2] = False
+    with pytest.raises(UserError, match="train_2"):
+        object_search.lay_out(scenes, hand_made.SPLIT, np.zeros((8, 4), np.float32), 20)
+
+
+def test_a_split_without_training_objects_is_refused():
+    split = splits.make_split({name: ("room", "test") for name in hand_made.SPLIT.objects})
+    with pytest.raises(UserError, match="training object"):
+        object_search.lay_out(hand_made.scenes(), split, np.zeros((8, 4), np.float32), 20)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +180,7 @@ def test_learns_from_flights_alone(env):
     )
     train = make_train(config, env)
     result = jax.jit(train)(jax.random.key(0), env=env)
-    chance = jax.jit(lambda env: evaluate(random_policy(env), env, env.goals.commanded, 8))(env).success.mean()
+    chance = jax.jit(lambda env: evaluate(random_policy(env), env, env.goals.training_goals, 8))(env).success.mean()
     assert result.metrics["train_goal/success_rate"][-1] > max(0.9, chance)
     assert result.state.buffer is None and result.state.env_states is None
     assert int(result.state.env_steps) == int(env.recorded.valid.sum())

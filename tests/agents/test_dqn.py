@@ -1,16 +1,92 @@
-"""Learning from every transition under all goals: the authors' numbers for LEO, ends that hold for one goal alone,
-masks, and heads that value all goals as they value one."""
+"""Agents that value moves. Conservative Q-learning: its term by hand, and what it is there for, values of moves that
+nobody recorded kept below those that were.
+
+Learning from every transition under all goals: the authors' numbers for LEO, ends that hold for one goal alone, masks,
+and heads that value all goals as they value one.
+"""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import places
 import pytest
-from places import FIXTURES
 
-from infogoal_jax.agents import all_goals, td3, value_heads
-from infogoal_jax.agents.agent import AgentBatch, AllGoals
+from infogoal_jax import agents
+from infogoal_jax.agents import td3, value_heads
+from infogoal_jax.agents.agent import AgentBatch, AllGoals, Exploration
+from infogoal_jax.agents.cql import CQLConfig, CQLHyperparameters, conservative_gap
 
+BATCH, ACTIONS = 64, 4
 B, F, A, D, G = 5, 6, 3, 4, 7
+
+
+class FourActions:
+    """As much of an environment as an agent of discrete actions reads."""
+
+    action_size = ACTIONS
+
+
+def batch(mask) -> AgentBatch:
+    """Random codes; only actions 0 and 1 were recorded, and every reward is 0."""
+    keys = jax.random.split(jax.random.key(0), 4)
+    features, code = jax.random.normal(keys[0], (BATCH, 6)), jax.random.normal(keys[1], (BATCH, 3))
+    action = jax.random.randint(keys[2], (BATCH,), 0, 2)
+    every = jnp.broadcast_to(mask, (BATCH, ACTIONS))
+    return AgentBatch(
+        observation=None,
+        next_observation=None,
+        features=features,
+        code=code,
+        action=action,
+        next_features=features,
+        next_code=code,
+        target_features=features,
+        target_code=code,
+        reward=jnp.zeros(BATCH),
+        discount=jnp.full(BATCH, 0.9),
+        action_mask=every,
+        next_action_mask=every,
+    )
+
+
+def test_gap_by_hand():
+    """log sum exp over the moves that exist, less the value of the recorded one; 0 where only one move exists."""
+    values = jnp.array([[1.0, 2.0, 50.0], [0.5, 7.0, 7.0]])
+    mask = jnp.array([[True, True, False], [True, False, False]])
+    gap = conservative_gap(values, mask, jnp.array([0, 0]))
+    np.testing.assert_allclose(gap, [np.log(np.exp(1.0) + np.exp(2.0)) - 1.0, 0.0], rtol=1e-6)
+
+
+def test_gap_is_never_negative():
+    """The recorded move exists, so the sum is at least its own term."""
+    values = 5 * jax.random.normal(jax.random.key(1), (500, ACTIONS))
+    mask = jax.random.bernoulli(jax.random.key(2), 0.5, values.shape).at[:, 0].set(True)
+    assert (conservative_gap(values, mask, jnp.zeros(500, jnp.int32)) >= 0).all()
+
+
+@pytest.mark.parametrize("weight", [0.0, 1.0])
+def test_values_of_unrecorded_moves_are_held_down(weight):
+    """After training, the greedy move is a recorded one under the penalty; without it nothing keeps the others
+    below."""
+    agent = agents.registry.entry("cql").make(CQLConfig(hidden=(32,)), FourActions())
+    data = batch(jnp.ones(ACTIONS, bool))
+    params, state = agent.init(jax.random.key(3), data.features[0], data.code[0])
+    hyper = CQLHyperparameters(conservative_weight=weight)
+
+    @jax.jit
+    def step(params, _):
+        gradient, metrics = jax.grad(
+            lambda own: agent.loss(own, params, data, state, hyper, jax.random.key(0)), has_aux=True
+        )(params)
+        return jax.tree.map(lambda leaf, slope: leaf - 0.1 * slope, params, gradient), metrics["conservative_gap"]
+
+    params, gaps = jax.lax.scan(step, params, None, length=300)
+    action = agent.act(params, data.features, data.code, data.action_mask, jax.random.key(1), Exploration(0.0, 0.0))
+    recorded = float((action < 2).mean())
+    if weight:
+        assert recorded == 1.0 and gaps[-1] < 0.5 * gaps[0]
+    else:
+        assert recorded < 0.9
 
 
 def batch_of(features, following, actions, goals: AllGoals, mask) -> AgentBatch:
@@ -35,7 +111,7 @@ def batch_of(features, following, actions, goals: AllGoals, mask) -> AgentBatch:
 
 def test_targets_loss_and_gradient_are_those_of_leos_authors():
     """Their code on random inputs: linear action values through a sigmoid, the collecting network as target network."""
-    recorded = np.load(FIXTURES / "leo.npz", allow_pickle=False)
+    recorded = places.recorded("leo")
     steps, width, goals = recorded["achieved"].shape
     inputs = recorded["observations"].shape[-1]
 
@@ -48,16 +124,16 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     head = value_heads.ValueHead(None, None, values_of_all, taken_of_all)
     first, following = (recorded["observations"][place].reshape(-1, inputs) for place in (slice(-1), slice(1, None)))
     achieved = jnp.asarray(recorded["achieved"].reshape(-1, 1, goals))
-    reward, discount = all_goals.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
+    reward, discount = value_heads.returns_of_all(achieved, jnp.ones(achieved.shape[:2]), recorded["discount"])
     discount = discount * ~recorded["ended"].reshape(-1, 1)
     mask = jnp.ones((steps * width, 4), bool)
-    target = all_goals.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
+    target = value_heads.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
     np.testing.assert_allclose(target, recorded["targets"].reshape(-1, goals), atol=1e-5)
     under = AllGoals(jnp.ones(goals), None, None, reward, discount)
     batch = batch_of(first, following, recorded["actions"].reshape(-1), under, mask)
 
     def loss(weights):
-        return all_goals.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
+        return value_heads.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
 
     found, gradient = jax.value_and_grad(loss)(jnp.asarray(recorded["trained_weights"]))
     np.testing.assert_allclose(found, recorded["loss"], atol=1e-5)
@@ -68,14 +144,14 @@ def test_a_transition_ends_for_the_goal_that_it_achieves_alone():
     """Two steps: the first achieves goal 0, the second goals 0 and 1; goal 2 goes on. A step not taken achieves
     nothing."""
     hit = jnp.array([[[True, False, False], [True, True, False]]] * 2)
-    reward, discount = all_goals.returns_of_all(hit, jnp.array([[1.0, 1.0], [1.0, 0.0]]), 0.5)
+    reward, discount = value_heads.returns_of_all(hit, jnp.array([[1.0, 1.0], [1.0, 0.0]]), 0.5)
     np.testing.assert_allclose(reward, [[1.0, 0.5, 0.0], [1.0, 0.0, 0.0]])
     np.testing.assert_allclose(discount, [[0.0, 0.0, 0.25], [0.0, 0.5, 0.5]])
 
 
 def test_targets_look_at_legal_actions_only():
     values = jnp.zeros((1, 3, 2)).at[0, 1].set(9.0).at[0, 2].set(jnp.array([0.25, 0.5]))
-    target = all_goals.target_of_all(jnp.zeros((1, 2)), jnp.ones((1, 2)), values, jnp.array([[True, False, True]]))
+    target = value_heads.target_of_all(jnp.zeros((1, 2)), jnp.ones((1, 2)), values, jnp.array([[True, False, True]]))
     np.testing.assert_allclose(target, [[0.25, 0.5]])
 
 
@@ -109,9 +185,9 @@ def test_bounded_values_lie_between_0_and_1():
 def test_goals_without_weight_teach_nothing():
     """The loss does not depend on their values, and the mean is over the others."""
     predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
-    loss, _ = all_goals.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
+    loss, _ = value_heads.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
     np.testing.assert_allclose(loss, 0.125)
-    gradient = jax.grad(lambda values: all_goals.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
+    gradient = jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
         predicted
     )
     assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()
@@ -147,7 +223,7 @@ def test_td3_under_all_goals_is_td3_under_each():
     reward = jax.random.bernoulli(keys[0], 0.3, (B, G)).astype(jnp.float32)
     under = AllGoals(jnp.ones(G).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
     batch = batch_of(features, features + 1.0, actions, under, None)
-    found, _ = all_goals.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
+    found, _ = value_heads.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
     joined, losses = td3.OfInputs(critic, F), []
     for goal in (0, 1, 3, 4, 5, 6):
         code = jnp.tile(codes[goal], (B, 1))

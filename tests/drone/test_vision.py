@@ -1,15 +1,21 @@
-"""Which images may be trusted: faults are noticed, and a hovering camera is not taken for one."""
+"""Which images may be trusted: faults are noticed, and a hovering camera is not taken for one. Detectors: boxes that
+are cut off, YOLO's results, and libraries and files that are missing."""
+
+import sys
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from infogoal_jax.drone import pictures, simulated_body
-from infogoal_jax.drone.pictures import Picture, fault_of
-from infogoal_jax.stand_ins import shelf, shelf_render
+from infogoal_jax.drone import simulated_drone, vision
+from infogoal_jax.drone.vision import Detection, Picture, fault_of
+from infogoal_jax.errors import UserError
+from infogoal_jax.stand_ins import shelf
 
 RATE = 30
 SIZE = (48, 64)
+IMAGE = np.zeros((72, 96, 3), np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -23,13 +29,13 @@ def world() -> np.ndarray:
 def hover(world, count: int, seed: int = 0, begin: float = 0.0, at: int = 100) -> list[Picture]:
     """Pictures of a camera that drifts as the simulated drone's does."""
     random, found, drift = np.random.default_rng(seed), [], np.zeros(2)
-    pixels = shelf.DRIFT * shelf_render.PIXELS_PER_METRE
-    keep = np.exp(-1 / RATE / simulated_body.DRIFT_SECONDS)
+    pixels = shelf.DRIFT * shelf.PIXELS_PER_METRE
+    keep = np.exp(-1 / RATE / simulated_drone.DRIFT_SECONDS)
     for number in range(count):
         drift = keep * drift + np.sqrt(1 - keep**2) * random.normal(0, pixels, 2)
         left, top = at + int(drift[0]), 100 + int(drift[1])
         image = world[top : top + 720, left : left + 960]
-        found.append(Picture(begin + number / RATE, pictures.reduced(image, SIZE), None))
+        found.append(Picture(begin + number / RATE, vision.reduced(image, SIZE), None))
     return found
 
 
@@ -41,14 +47,14 @@ def now_of(found: list[Picture]) -> float:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_hovering_camera_is_trusted(world, seed):
     found = hover(world, 90, seed)
-    before = hover(world, 1, seed, at=100 + round(0.2 * shelf_render.PIXELS_PER_METRE))[0].small
+    before = hover(world, 1, seed, at=100 + round(0.2 * shelf.PIXELS_PER_METRE))[0].small
     assert fault_of(found, now_of(found), 0.0, 1.0, before) == ""
 
 
 def test_late_images(world):
     found = hover(world, 30)
     assert fault_of([], 0.0, 0.0) == "stale"
-    assert fault_of(found, now_of(found) + pictures.STALE_SECONDS, 0.0) == "stale"
+    assert fault_of(found, now_of(found) + vision.STALE_SECONDS, 0.0) == "stale"
     assert fault_of(found, now_of(found) + 0.3, 0.0, speed=4.0) == "stale"
 
 
@@ -93,3 +99,60 @@ def test_a_frozen_video(world):
     drifting = hover(world, 20)
     assert fault_of(drifting, now_of(drifting), 0.0, 1.0, drifting[-1].small) == "frozen"
     assert fault_of(frozen, now_of(frozen), 0.0, 1.0, None) == "", "on the ground nothing moves"
+
+
+class Boxes(list):
+    """A column of YOLO's results."""
+
+    def tolist(self):
+        return list(self)
+
+
+class StubYOLO:
+    """What is used of ultralytics' class: names, and predict on BGR images."""
+
+    def __init__(self, weights):
+        self.names = {0: "mug", 1: "clock"}
+
+    def predict(self, image, device, verbose):
+        assert device == "cpu" and image[0, 0].tolist() == [3, 2, 1], "ultralytics takes BGR"
+        boxes = SimpleNamespace(
+            cls=Boxes([1.0, 0.0]), xyxy=Boxes([[5, 5, 20, 20], [0, 5, 20, 20]]), conf=Boxes([0.9, 0.8])
+        )
+        return [SimpleNamespace(boxes=boxes, names=self.names)]
+
+
+@pytest.fixture
+def weights(tmp_path):
+    """A file that stands for weights."""
+    (tmp_path / "best.pt").write_bytes(b"weights")
+    return tmp_path / "best.pt"
+
+
+def test_what_counts_as_seen():
+    found = [
+        Detection("mug", (5, 5, 20, 20), 0.9),
+        Detection("clock", (5, 5, 95.5, 20), 0.9),
+        Detection("vase", (5, 5, 20, 20), 0.3),
+    ]
+    assert vision.seen(found, IMAGE, 0.5) == {"mug"}
+
+
+def test_yolo(monkeypatch, weights):
+    """Its classes, boxes and confidences; the image in the order of colours that it takes."""
+    monkeypatch.setitem(sys.modules, "ultralytics", SimpleNamespace(YOLO=StubYOLO))
+    detect = vision.yolo_detector(weights)
+    found = detect(np.broadcast_to(np.array([1, 2, 3], np.uint8), IMAGE.shape))
+    assert found == [Detection("clock", (5, 5, 20, 20), 0.9), Detection("mug", (0, 5, 20, 20), 0.8)]
+    assert vision.seen(found, IMAGE, 0.5) == {"clock"}
+    vision.check_known("mug", detect)
+    with pytest.raises(UserError, match="Did you mean 'mug'"):
+        vision.check_known("mgu", detect)
+
+
+def test_missing_weights_and_missing_ultralytics(monkeypatch, tmp_path, weights):
+    with pytest.raises(UserError, match="no such file"):
+        vision.yolo_detector(tmp_path / "none.pt")
+    monkeypatch.setitem(sys.modules, "ultralytics", None)
+    with pytest.raises(UserError, match="yolo"):
+        vision.yolo_detector(weights)
