@@ -26,8 +26,9 @@ LINK = re.compile(r"(?<=\]\()([^)\s#]+)?(#[^)\s]*)?(?=\))")
 STYLE = """.md-grid { max-width: 76rem; }
 .md-typeset pre > code { font-size: 0.68rem; }
 math[display="block"] { margin: 1em 0; font-size: 1.1em; }
+.equation { overflow-x: auto; }
 """
-"""Room for lines of 120 letters."""
+"""Room for lines of 120 letters, and for equations that are wider than a telephone."""
 LANGUAGES = {".py": "python", ".json": "json", ".md": "markdown", ".yml": "yaml", ".toml": "toml", ".xml": "xml"}
 
 
@@ -126,11 +127,16 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
 
 def prose(text: str) -> str:
     """Text with its equations as MathML and the code that it asks for."""
-    text = re.sub(r"\$\$(.+?)\$\$", lambda found: convert(found[1].strip(), display="block"), text, flags=re.S)
+    text = re.sub(r"\$\$(.+?)\$\$", lambda found: equation(found[1]), text, flags=re.S)
     text = re.sub(r"\$`(.+?)`\$", lambda found: convert(found[1]), text)
     return re.sub(
         r"<!-- lines: (\S+) (\S+)(?: from (.+?) to (.+?))? -->", lambda found: lines_of(*found.groups()), text
     )
+
+
+def equation(latex: str) -> str:
+    """An equation on lines of its own."""
+    return f'<div class="equation">{convert(latex.strip(), display="block")}</div>'
 
 
 def lines_of(file: str, name: str, first: str | None = None, last: str | None = None) -> str:

@@ -13,11 +13,17 @@ from infogoal_jax import presets
 from infogoal_jax.train.program import make_train
 
 DOCS = ROOT / "docs"
+CHAPTER = r"^## ([^\n]+)\n(.*?)(?=^## |\Z)"
 
 
 def block_of(page: str) -> str:
-    """The one block of Python of a page."""
-    (found,) = re.findall(r"^```python\n(.*?)^```", (DOCS / page).read_text(), re.M | re.S)
+    """The one block of Python of a page, or of a chapter of it: PAGE.md#its-title."""
+    name, _, chapter = page.partition("#")
+    text = (DOCS / name).read_text()
+    if chapter:
+        chapters = {title.lower().replace(" ", "-"): words for title, words in re.findall(CHAPTER, text, re.M | re.S)}
+        text = chapters[chapter]
+    (found,) = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
     return found
 
 

@@ -90,7 +90,7 @@ def export_minari(path: Positional[str], out: str) -> int:
 
 
 def cifar10(path: Positional[str] = "", url: str = "") -> int:
-    """Download CIFAR-10, 170 MB, as background images (docs/goal_images.md).
+    """Download CIFAR-10, 170 MB, as background images (docs/goal_inputs.md).
 
     Args:
         path: Folder to unpack into; empty: the user's cache, where `cifar10` as the path of the backgrounds finds it.
@@ -108,7 +108,7 @@ def embed(
     weights: str = "",
     allow_other_weights: FlagCreatePairsOff[bool] = False,
 ) -> int:
-    """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/text_goals.md).
+    """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/goal_inputs.md).
 
     Args:
         texts: The texts.

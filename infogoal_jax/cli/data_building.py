@@ -53,7 +53,7 @@ def fetch(
     path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 ) -> int:
     """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
-    docs/goal_images.md).
+    docs/goal_inputs.md).
 
     Args:
         path: Folder to write to, one file a task; files that are there already are never overwritten.

@@ -45,6 +45,7 @@ def study(
     engine: Literal["processes", "ray"] = "processes",
     ray_address: str = "",
     draw: bool = True,
+    format: Literal["png", "pdf", "svg"] = "png",
 ) -> int:
     """A table or figure of the paper.
 
@@ -71,6 +72,7 @@ def study(
         ray_address: The cluster: HOST:PORT of one that this machine belongs to, auto for the one that runs here,
             ray://HOST:10001 from outside; empty: one of this machine alone, which ends with the command.
         draw: Draw what there are numbers for at the end.
+        format: Of the figures; PNG is written besides, for the pages.
 
     Returns:
         0 when all is done; 1 when a run failed; 130 when there is more to do.
@@ -100,6 +102,7 @@ def study(
             engine,
             ray_address,
             draw,
+            format,
         )
     )
 

@@ -46,7 +46,7 @@ class ObjectManipulationConfig:
     num_goals: tuple[int, int, int] = (8, 8, 32)
     """Numbers of training [P], validation and test poses [P]."""
     backgrounds: str = ""
-    """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/goal_images.md)."""
+    """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/goal_inputs.md)."""
     episode_length: int = 30
     """Steps after which an episode is truncated."""
 

@@ -29,7 +29,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         description=description,
         agent="hrac",  # [P]
         env={"goals": "images"},
-        learner={"standardise_images": True},  # For corrupted goals (docs/hrac.md).
+        learner={"standardise_images": True},  # For corrupted goals (docs/fetch.md).
         # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
         relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
         state_encoder={"features": 128},

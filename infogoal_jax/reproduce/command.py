@@ -45,6 +45,7 @@ class Asked:
     engine: str = "processes"
     ray_address: str = ""
     draw: bool = True
+    format: str = "png"
 
     @property
     def studies(self) -> tuple[str, ...]:
@@ -188,5 +189,5 @@ def draw(asked: Asked, results: numbers.Results) -> None:
     """Write the tables, figures, verdicts and the page of what was asked for."""
     from infogoal_jax.reproduce import drawing
 
-    for path in drawing.draw(asked.studies, results, asked.out, asked.page):
+    for path in drawing.draw(asked.studies, results, asked.out, asked.page, asked.format):
         print(path)

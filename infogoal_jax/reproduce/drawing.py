@@ -1,6 +1,6 @@
 """What is written of the numbers: tables, figures, the verdict on every claim, and the page that shows all of it.
 
-OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png    OUT/reproduction.md    OUT/index.html
+OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png (and .pdf or .svg)    OUT/reproduction.md    OUT/index.html
 """
 
 import hashlib
@@ -32,9 +32,12 @@ says how runs are made and repeated. Datasets are stand-ins (README), so that nu
 """
 
 
-def draw(studies: tuple[str, ...], results: Results, out: Path, verdicts: Path | None = None) -> list[Path]:
+def draw(
+    studies: tuple[str, ...], results: Results, out: Path, verdicts: Path | None = None, format: str = "png"
+) -> list[Path]:
     """Write what these studies show, as far as there are numbers; the paths of the files. verdicts: the file of the
-    verdicts, which are written with all studies; None: OUT/reproduction.md."""
+    verdicts, which are written with all studies; None: OUT/reproduction.md; format: figures are written in this one of
+    `canvas.FORMATS` beside PNG, which the pages show."""
     shown = [table for table in tables.all_tables(results) if is_shown(table.name, studies)]
     found, paths = claims.verdicts(results), []
     disk.make_folder(out / "tables")
@@ -42,13 +45,9 @@ def draw(studies: tuple[str, ...], results: Results, out: Path, verdicts: Path |
         for ending, write in WRITERS.items():
             paths.append(out / "tables" / f"{table.name}.{ending}")
             disk.write_text(paths[-1], write(table))
-    for name in (study for study in studies if study in FIGURES):
-        figure, path = FIGURES[name](results), out / "figures" / f"{name}.png"
-        if figure is None:
-            path.unlink(missing_ok=True)
-        else:
-            canvas.save(figure, path, metadata={NUMBERS: digest(results, name)})
-            paths.append(path)
+    with canvas.figure_style():
+        for name in (study for study in studies if study in FIGURES):
+            paths += draw_figure(name, results, out / "figures", format)
     pictures = current_figures(results, out / "figures")
     if set(studies) == set(STUDIES):
         paths.append(verdicts or out / "reproduction.md")
@@ -56,6 +55,21 @@ def draw(studies: tuple[str, ...], results: Results, out: Path, verdicts: Path |
     paths.append(out / "index.html")
     disk.write_text(paths[-1], page.page(shown, found, pictures, results))
     return paths
+
+
+def draw_figure(name: str, results: Results, folder: Path, format: str) -> list[Path]:
+    """Write a figure as PNG and in this format; the paths. What was drawn before of other numbers is deleted."""
+    figure, path, numbers = FIGURES[name](results), folder / f"{name}.png", digest(results, name)
+    if figure is None or drawn_from(path) != numbers:
+        for ending in canvas.FORMATS:
+            path.with_suffix(f".{ending}").unlink(missing_ok=True)
+    if figure is None:
+        return []
+    canvas.save(figure, path, metadata={NUMBERS: numbers})
+    if format == "png":
+        return [path]
+    canvas.save(figure, path.with_suffix(f".{format}"))
+    return [path, path.with_suffix(f".{format}")]
 
 
 def digest(results: Results, name: str) -> str:

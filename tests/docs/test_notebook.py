@@ -73,7 +73,7 @@ def test_begins_by_installing_and_says_what_it_is_sized_for(name):
 
 def test_the_task_and_the_learner_are_those_of_the_docs():
     cells = code_cells(read("your_own"))
-    for page, cell in (("own_task.md", "task"), ("own_learner.md", "learner")):
+    for page, cell in (("own_task.md", "task"), ("own_parts.md#a-learner", "learner")):
         lines = [line.rstrip() for line in block_of(page).splitlines()]
         assert set(cells[cell].source.splitlines()) <= set(lines), page
 

@@ -1,4 +1,4 @@
-"""The learner, the agent and the task that docs/own_learner.md, own_agent.md and own_task.md make outside of the
+"""The learner, the agent and the task that docs/own_parts.md and own_task.md make outside of the
 repository are complete, short, and do what the pages say."""
 
 import hand_made
@@ -15,6 +15,8 @@ from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.train.evaluation import evaluate, random_policy
 
+LEARNER, AGENT, TASK = "own_parts.md#a-learner", "own_parts.md#an-agent", "own_task.md"
+"""The pages."""
 SMALL = {"evaluation_starts": 1}
 LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
 AGENT_SIZES = SMALL | {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 5}
@@ -29,7 +31,7 @@ QUANTILES = 8
 REGISTERED = "walled_square", envs.registry, presets.registry
 
 
-@pytest.mark.parametrize(("page", "lines"), [("own_learner.md", 40), ("own_agent.md", 80), ("own_task.md", 80)])
+@pytest.mark.parametrize(("page", "lines"), [(LEARNER, 40), (AGENT, 80), (TASK, 80)])
 def test_a_page_needs_few_lines(page, lines):
     assert lines_of(block_of(page)) <= lines
 
@@ -38,9 +40,7 @@ def test_a_page_needs_few_lines(page, lines):
 def own_learner() -> dict:
     """The names that the page's script leaves behind, run on the hand-made rooms instead of a house, with nothing else
     changed."""
-    with run(
-        block_of("own_learner.md"), "mine", learners.registry, prepare=in_hand_made_rooms(**LEARNER_SIZES)
-    ) as names:
+    with run(block_of(LEARNER), "mine", learners.registry, prepare=in_hand_made_rooms(**LEARNER_SIZES)) as names:
         yield names
 
 
@@ -73,7 +73,7 @@ def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
 @pytest.fixture(scope="module")
 def own_agent() -> dict:
     """The same of the agent's page."""
-    with run(block_of("own_agent.md"), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES)) as names:
+    with run(block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**AGENT_SIZES)) as names:
         yield names
 
 
@@ -87,7 +87,7 @@ def test_the_agent_trains_with_infogoal_and_reports_the_spread(own_agent):
 @pytest.mark.long
 def test_the_agent_learns_its_training_goals():
     """Twice as often as a random policy reaches them."""
-    with run(block_of("own_agent.md"), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES)) as names:
+    with run(block_of(AGENT), "qr_dqn", agents.registry, prepare=in_hand_made_rooms(**LONG_SIZES)) as names:
         env, success = names["train"].env, names["result"].metrics["train_goal/success_rate"][-1]
     chance = evaluate(random_policy(env), env, env.goals.training_goals, LONG_SIZES["evaluation_starts"]).success.mean()
     assert 2 * chance < success > 0.7
@@ -138,7 +138,7 @@ def test_settings_of_the_agent_that_make_no_sense_are_refused(own_agent):
 @pytest.fixture(scope="module")
 def own_task() -> dict:
     """The names that the task's page leaves behind, with hardly any training."""
-    block = block_of("own_task.md")
+    block = block_of(TASK)
     assert block.count("num_epochs=20") == 1
     with run(block.replace("num_epochs=20", "num_epochs=1, epochs_per_evaluation=1"), *REGISTERED) as names:
         yield names
@@ -147,7 +147,7 @@ def own_task() -> dict:
 @pytest.mark.long
 def test_the_task_is_learned():
     """Goals that were never desired in training too."""
-    with run(block_of("own_task.md"), *REGISTERED) as names:
+    with run(block_of(TASK), *REGISTERED) as names:
         metrics = names["result"].metrics
     assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7
 

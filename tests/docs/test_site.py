@@ -62,7 +62,7 @@ def site(tmp_path_factory):
 @pytest.mark.long
 def test_pages_hold_what_they_are_for(site):
     """Equations with their code, the API with signatures, notebooks with pictures."""
-    equations = (site / "equations.html").read_text()
+    equations = (site / "infogoal.html").read_text()
     assert equations.count("<math") > 10 and "$$" not in equations and "<!-- lines" not in equations
     assert "remove_similar" in equations and "next_beta" in equations
     assert "make_train" in (site / "api.html").read_text()

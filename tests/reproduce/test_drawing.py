@@ -205,8 +205,9 @@ def test_the_wall_clock_counts_time_once(results):
 
 def test_a_figure_of_other_numbers_is_not_shown(results, tmp_path):
     """It stands in the folder from before; it is shown again once it is drawn of the numbers, or gone with them."""
-    drawing.draw(("fig12",), results, tmp_path)
+    drawing.draw(("fig12",), results, tmp_path, format="pdf")
     assert 'id="fig12"' in (tmp_path / "index.html").read_text()
+    assert (tmp_path / "figures" / "fig12.pdf").read_bytes().startswith(b"%PDF")
     run = next(run for run in results if (run.task, run.method) == ("embodied_qa", "infogoal"))
     other = results | {run: numbers.compact(made_up_results.result_of(run, 0.5))}
     drawing.draw(("table1",), other, tmp_path)
@@ -214,7 +215,7 @@ def test_a_figure_of_other_numbers_is_not_shown(results, tmp_path):
     drawing.draw(("table1",), results | {run: results[run]}, tmp_path)
     assert 'id="fig12"' in (tmp_path / "index.html").read_text()
     drawing.draw(("fig12",), {}, tmp_path)
-    assert not (tmp_path / "figures" / "fig12.png").exists()
+    assert not list((tmp_path / "figures").iterdir())
 
 
 def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_count(results):
