@@ -16,7 +16,7 @@ import scipy.stats
 from places import TESTS
 
 from infogoal_jax import make_train
-from infogoal_jax.train import host, progress
+from infogoal_jax.train import host, listeners
 from infogoal_jax.train.listeners import make_listeners
 
 ON_TWO_DEVICES = """
@@ -24,7 +24,7 @@ import sys
 import time
 from pathlib import Path
 import hand_made, jax
-from infogoal_jax.train import host, progress
+from infogoal_jax.train import host
 from infogoal_jax.train.listeners import make_listeners
 assert len(jax.devices()) == 2
 epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
@@ -101,8 +101,8 @@ def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
 
 
 def test_a_log_says_what_takes_long(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "SIGN_OF_LIFE", 0.05)
-    with progress.progress_line("fetch_reach infogoal x 2", 4) as line:
+    monkeypatch.setattr(listeners, "SIGN_OF_LIFE", 0.05)
+    with listeners.progress_line("fetch_reach infogoal x 2", 4) as line:
         line.compiling()
         time.sleep(0.3)
         line.advance(2, "train 0.50")

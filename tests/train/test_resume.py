@@ -22,8 +22,8 @@ from killed_run import chunk_config
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, tables
+from infogoal_jax.runs.checkpoint import BEGINNING, last_point
 from infogoal_jax.train import host
-from infogoal_jax.train.resuming import BEGINNING, last_point
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
