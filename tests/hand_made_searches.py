@@ -9,9 +9,8 @@ from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
 from infogoal_jax.runs.description import Description
-from infogoal_jax.runs.search import write_plan
+from infogoal_jax.runs.search import Trial, TuneResult, write_plan
 from infogoal_jax.train.lanes import plan_of
-from infogoal_jax.train.trials import Trial, TuneResult
 
 USES = ("train",) * 4 + ("validation",) * 2 + ("test",) * 2
 

@@ -49,7 +49,7 @@ def pretrain(
 def tasks(arguments: list[str]) -> TaskCommands:
     """`pretrain` for each task that has a low level, with its configuration as the defaults."""
     from infogoal_jax.cli.flags import configuration_flags
-    from infogoal_jax.train.low_level.presets import TASKS, preset
+    from infogoal_jax.train.low_level.host import TASKS, preset
 
     task = first_word(arguments)
     if task and task not in TASKS:

@@ -20,8 +20,7 @@ from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
 from infogoal_jax.reproduce.padding import with_one_shape
 from infogoal_jax.reproduce.plan import build_data, config_of
 from infogoal_jax.train import host, memory
-from infogoal_jax.train.chunk import chunk_of
-from infogoal_jax.train.compilation import jit
+from infogoal_jax.train.compilation import chunk_of, jit
 from infogoal_jax.train.parts import load_environment
 from infogoal_jax.train.program import Train, make_train
 

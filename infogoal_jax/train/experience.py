@@ -1,5 +1,5 @@
-"""What the updates of an epoch sample from: the replay buffer, what was achieved in it, and the tables of relabelling
-and exploration."""
+"""What an epoch learns from: the trajectories that it collects, what is learned from them without a gradient, and what
+its updates sample from, with the tables of relabelling and exploration."""
 
 from typing import Any
 
@@ -7,13 +7,13 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import replay
-from infogoal_jax.learners.learner import GoalCode, conditioned, encode_all
+from infogoal_jax import pairs, replay
+from infogoal_jax.learners.learner import GoalCode, NewSteps, conditioned, encode_all
 from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.encoding import encode_states
-from infogoal_jax.train.state import TrainState
+from infogoal_jax.train.parts import COLLECT, CORRUPT, TrainState, encode_states, numbered
+from infogoal_jax.train.rollout import collect, training_policy
 
 
 @flax.struct.dataclass
@@ -44,6 +44,44 @@ class Experience:
     learner_relabelling: Any = None
     bonus: jax.Array | None = None
     first_seen: jax.Array | None = None
+
+
+def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
+    """Collect the rows of an epoch into the buffer."""
+    collect_key = numbered(state.key, COLLECT, number)
+    corruption_key = numbered(state.key, CORRUPT, number)
+    acting = training_policy(parts, state.params, hyper, env, corruption_key)
+    env_states, rows = collect(env, state.env_states, acting, collect_key, parts.config.rollout_steps)
+    state = update_statistics(
+        parts, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env
+    )
+    ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
+    return state, {
+        "collect/success_rate": rows.terminated.sum() / ended,
+        "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(),
+        "collect/valid": rows.valid.mean(),
+        "collect/goals_seen": state.seen.sum(),
+    }
+
+
+def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> TrainState:
+    """The state that has seen these rows: goals achieved, pairs that are no longer dissimilar, and what the agent makes
+    of them."""
+    learner, achieved = parts.learner, env.goals_of(rows.record)
+    state = state.replace(
+        agent=parts.agent.observe(state.agent, rows),
+        env_steps=state.env_steps + rows.valid.sum(),
+        learner=learner.observe(
+            state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
+        ),
+        seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
+    )
+    if not learner.sample_spec.num_pairs:
+        return state
+    similar = usable_goals(env, rows.record, usable_mask(parts.config, env))
+    return state.replace(
+        dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
+    )
 
 
 def usable_mask(config, env) -> jax.Array:

@@ -17,18 +17,17 @@ import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.runs import checkpoint, description, results, tables
+from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
 from infogoal_jax.runs.description import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.results import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train import distributed
-from infogoal_jax.train.chunk import Chunk, chunk_of
-from infogoal_jax.train.compilation import jit
-from infogoal_jax.train.devices import epochs_over_seeds, over_seeds, placed, seed_mesh
+from infogoal_jax.train.compilation import Chunk, chunk_of, jit
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh
 from infogoal_jax.train.memory import at_once as seeds_at_once
 from infogoal_jax.train.memory import bytes_of, check_program
 from infogoal_jax.train.program import Train, make_train
-from infogoal_jax.train.resuming import BEGINNING, Point, last_point
 
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
 

@@ -15,17 +15,16 @@ import numpy as np
 from infogoal_jax.config import Hyperparameters
 from infogoal_jax.hyperparameters import search_space, values_of, with_values
 from infogoal_jax.runs import checkpoint
+from infogoal_jax.runs.checkpoint import check_same
 from infogoal_jax.runs.decoding import Place, decode
 from infogoal_jax.runs.description import from_values
 from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
-from infogoal_jax.runs.search import Drawn, Plan, read_plan, write_plan
+from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal
-from infogoal_jax.train import devices, host, memory
-from infogoal_jax.train.chunk import Chunk, chunk_of
-from infogoal_jax.train.compilation import jit
+from infogoal_jax.train import host, memory
+from infogoal_jax.train.compilation import Chunk, chunk_of, jit
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh
 from infogoal_jax.train.program import Train, TrainState
-from infogoal_jax.train.resuming import check_same
-from infogoal_jax.train.trials import Trial, TuneResult, Watch
 
 
 @flax.struct.dataclass
@@ -34,6 +33,16 @@ class Lane:
 
     state: TrainState
     hyper: Hyperparameters
+
+
+class Watch(NamedTuple):
+    """What accompanies a search. folder: where it leaves its files; command: of the command line that goes on with it;
+    compiling: called before the program is compiled; evaluated: called after each evaluation."""
+
+    folder: Path
+    command: str = "tune"
+    compiling: Callable[[], None] = lambda: None
+    evaluated: Callable[[TuneResult], None] = lambda result: None
 
 
 class Programs(NamedTuple):
@@ -88,7 +97,7 @@ def lane_programs(train: Train, group: str) -> tuple[Callable, Callable, Callabl
 def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequence[int]) -> Programs:
     """The programs of every lane, trial by trial. Raises `UserError` if the memory of the devices is too small."""
     count = len(trials) * len(seeds)
-    mesh = devices.seed_mesh(count)
+    mesh = seed_mesh(count)
     together = lanes_at_once(train, count)
     by_lane, everywhere = (
         jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
@@ -96,19 +105,17 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
     starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
     initial, epochs, evaluation = lane_programs(train, group)
-    begin = devices.over_seeds(initial, count, together, mesh)
-    chunk = chunk_of(
-        devices.epochs_over_seeds(epochs, count, together, mesh), devices.over_seeds(evaluation, count, together, mesh)
-    )
+    begin = over_seeds(initial, count, together, mesh)
+    chunk = chunk_of(epochs_over_seeds(epochs, count, together, mesh), over_seeds(evaluation, count, together, mesh))
     start = jit(begin, out_shardings=by_lane)
     shared = jax.device_put(train.env, everywhere)
-    shape = devices.placed(jax.eval_shape(start, starts, shared), by_lane)
+    shape = placed(jax.eval_shape(start, starts, shared), by_lane)
     return Programs(start, chunk, starts, shared, shape, by_lane)
 
 
 def lanes_at_once(train: Train, count: int) -> int:
     """How many of a device's lanes run beside each other. Raises `UserError` if not even one does."""
-    return memory.at_once(train, count, devices.seed_mesh(count), "trials x seeds")
+    return memory.at_once(train, count, seed_mesh(count), "trials x seeds")
 
 
 def side_by_side(

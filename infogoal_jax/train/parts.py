@@ -1,9 +1,12 @@
-"""The parts of a program: learner, agent, relabelling, explorer and state encoder of a configuration, and the
-environment that goes with them."""
+"""What a training program is made of: the parts of a configuration with the environment that goes with them, what
+their networks see, and the state that goes from epoch to epoch."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import flax.struct
 import jax
+import jax.numpy as jnp
 import optax
 
 from infogoal_jax import agents, envs, exploration, hyperparameters, learners, networks, relabelling
@@ -12,8 +15,11 @@ from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
-from infogoal_jax.learners.learner import Learner
+from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.learners.learner import Learner, View
 from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.replay import Trajectories
+from infogoal_jax.threefry import written_out
 from infogoal_jax.train import hierarchy
 from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
 
@@ -112,3 +118,73 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
             "presets.default_hyperparameters",
         )
     hyperparameters.check(hyper)
+
+
+def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
+    """psi(s): stored observations [...] to features [..., F], by the encoder of these parameters.
+
+    Every image once if there are fewer than will be asked for, else only those asked for.
+    """
+    if env.num_observations is not None and env.num_observations <= asked:
+        return parts.state_encoder.apply(params["state"], env.render(jnp.arange(env.num_observations))).__getitem__
+    return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
+
+
+def training_view(parts, env, augmented: bool) -> View | None:
+    """How the inputs of goals look while training: as they are, or under a background, and in updates as the learner
+    augments them."""
+
+    def view(key, inputs):
+        corrupt_key, augment_key = jax.random.split(key)
+        if parts.config.training_corruption:
+            backgrounds = draw_backgrounds(corrupt_key, env.train_backgrounds, inputs.shape[:-3])
+            inputs = corrupt(inputs, backgrounds, parts.config.training_corruption)
+        return augment(augment_key, inputs) if augment else inputs
+
+    augment = parts.learner.augment if augmented else None
+    return view if parts.config.training_corruption or augment else None
+
+
+# Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
+INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
+
+
+def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
+    """A seed's key for a purpose and a number, such as that of the epoch; neither is batched."""
+    return jax.random.fold_in(jax.random.fold_in(written_out(key), purpose), number)
+
+
+@flax.struct.dataclass
+class TrainState:
+    """Everything that training carries from epoch to epoch, for one seed.
+
+    params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer:
+    their states;
+    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; buffer: Trajectories; env_states: [num_envs]; both None
+    offline.
+    key: the seed's key, never consumed; env_steps: int32, collected or recorded.
+    """
+
+    params: dict
+    target_params: dict
+    optimizer_state: Any
+    learner: Any
+    agent: Any
+    explorer: Any
+    dissimilarity: jax.Array
+    seen: jax.Array
+    buffer: Trajectories | None
+    env_states: Any
+    key: jax.Array
+    env_steps: jax.Array
+
+
+@flax.struct.dataclass
+class TrainResult:
+    """metrics: evaluations, {name: [num_evaluations, ...]}; epochs: {name: [num_epochs]}; params: the last parameters;
+    state: to go on from."""
+
+    metrics: dict[str, jax.Array]
+    epochs: dict[str, jax.Array]
+    params: dict
+    state: TrainState

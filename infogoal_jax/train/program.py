@@ -24,14 +24,22 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.threefry import written_out
-from infogoal_jax.train.collection import collect_epoch, update_statistics
-from infogoal_jax.train.encoding import encode_states
-from infogoal_jax.train.experience import Experience, experience_of
-from infogoal_jax.train.parts import Parts, check_environment, check_hyperparameters, load_environment, make_parts
-from infogoal_jax.train.policies import trained_policy, training_policy
-from infogoal_jax.train.rollout import Policy, rows_shape
+from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
+from infogoal_jax.train.parts import (
+    INITIAL,
+    UPDATE,
+    Parts,
+    TrainResult,
+    TrainState,
+    check_environment,
+    check_hyperparameters,
+    encode_states,
+    load_environment,
+    make_parts,
+    numbered,
+)
+from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy
 from infogoal_jax.train.settings import evaluate_settings
-from infogoal_jax.train.state import INITIAL, UPDATE, TrainResult, TrainState, numbered
 from infogoal_jax.train.update import updates
 
 

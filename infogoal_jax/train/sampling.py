@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
 from infogoal_jax.pairs import GoalPairs
+from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train import all_goals
 from infogoal_jax.train.experience import Experience, goals_to_learn, usable_goals
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
@@ -77,11 +77,9 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         drawn = drawn.replace(
             goals=goal_pairs.choose_from_mask(goals_key, goals_to_learn(experience, env), (spec.num_goals,))
         )
-    if all_goals.spec_of(parts) is not None:
+    if spec_of(parts) is not None:
         known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
-        drawn = drawn.replace(
-            all_goals=all_goals.draw_goals(all_goals.spec_of(parts), known, drawn.achieved, goals_key)
-        )
+        drawn = drawn.replace(all_goals=draw_goals(spec_of(parts), known, drawn.achieved, goals_key))
     if spec.first_seen:
         led_to = jnp.minimum(step[:, None] + 1 + jnp.arange(num_steps), buffer.valid.shape[1])
         drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
@@ -131,6 +129,27 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
         negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
         negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
+
+
+def spec_of(parts) -> AllGoalsSpec | None:
+    """What the relabelling asks for; None where a transition has one goal."""
+    return None if parts.relabelling is None else parts.relabelling.all_goals
+
+
+def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: jax.Array) -> jax.Array | None:
+    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, else any known
+    one. None: all goals of the task.
+
+    known: bool [N]; achieved: int32 [B, n, K], padded with -1.
+    """
+    if not 0 < spec.num_goals < known.shape[0]:
+        return None
+    goal_key, which_key, any_key = jax.random.split(key, 3)
+    count = round(spec.achieved_share * spec.num_goals)
+    of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
+    found = of_transition[jax.random.randint(which_key, (count,), 0, achieved.shape[0])]
+    anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
+    return anything.at[:count].set(jnp.where(found >= 0, found, anything[:count]))
 
 
 def with_relabelled_goals(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.threefry import written_out
 from infogoal_jax.train.evaluation import EVALUATION_SEED, GoalView, draw_starts, group_means, run_side_by_side, score
-from infogoal_jax.train.policies import trained_policy
+from infogoal_jax.train.rollout import trained_policy
 
 
 def has_image_goals(env) -> bool:

@@ -23,11 +23,11 @@ from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import nearest, require
 from infogoal_jax.hyperparameters import Search, search_space, values_of
+from infogoal_jax.runs.search import Trial, TuneResult
 from infogoal_jax.train import host
 from infogoal_jax.train.combinations import check_combination, has_reward
-from infogoal_jax.train.lanes import lanes_at_once, side_by_side
+from infogoal_jax.train.lanes import Watch, lanes_at_once, side_by_side
 from infogoal_jax.train.program import Train, make_train
-from infogoal_jax.train.trials import Trial, TuneResult, Watch
 
 FIRST_SEED = 1000
 """Seeds of tuning start here: reported runs have seeds 0, 1, 2, ..."""

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.agents.agent import AgentBatch, AllGoals
+from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.all_goals import spec_of, under_all_goals
-from infogoal_jax.train.encoding import encode_states, training_view
 from infogoal_jax.train.experience import Experience, goals_to_learn
-from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
+from infogoal_jax.train.parts import encode_states, training_view
+from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample, spec_of
 
 
 def returns(
@@ -93,6 +93,43 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
         discount=discount_after(batch, hyper),
         action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
+    )
+
+
+def under_all_goals(
+    parts,
+    env,
+    hyper,
+    params,
+    target_params,
+    batch: Transitions,
+    goals: jax.Array | None,
+    known: jax.Array,
+    view_key: jax.Array,
+    key: jax.Array,
+) -> AllGoals:
+    """The transitions under these goals [G], or under all goals of the task, of which unknown ones have no weight.
+
+    known: bool [N]; view_key: of how goal inputs are varied; key: of the noise of codes.
+    """
+    goals = jnp.arange(env.goals.num_goals) if goals is None else goals
+    records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
+    reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
+    view = training_view(parts, env, augmented=True)
+    code, target_code = (
+        GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()(goals)
+        for given in (params, target_params)
+    )
+    if parts.config.stop_encoder_gradient:
+        code = jax.lax.stop_gradient(code)
+    keys = jax.random.split(key)
+    mean = spec_of(parts).mean_code
+    return AllGoals(
+        weight=known[goals].astype(jnp.float32),
+        code=code.mean if mean else code.sample(keys[0]),
+        target_code=target_code.mean if mean else target_code.sample(keys[1]),
+        reward=reward,
+        discount=discount,
     )
 
 

@@ -15,7 +15,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
 from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.registry import Entry
-from infogoal_jax.train.encoding import training_view
+from infogoal_jax.train.parts import training_view
 
 AUGMENT = rad.make(rad.RADConfig()).augment
 

@@ -19,7 +19,7 @@ from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import encoding, sampling, update
+from infogoal_jax.train import parts, sampling, update
 
 DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
@@ -200,9 +200,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
     np.testing.assert_allclose(steps.discount, np.where(told.terminated, 0.0, 0.98**taken), rtol=1e-5)
-    seen = jax.jit(lambda params: encoding.encode_states(train.parts, params, env, 1)(told.next_observation))(
-        state.params
-    )
+    seen = jax.jit(lambda params: parts.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
     np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(steps.features, features)
 

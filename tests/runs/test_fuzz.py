@@ -31,7 +31,7 @@ from infogoal_jax.runs.description import Description
 from infogoal_jax.runs.results import Timing
 from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
 from infogoal_jax.stand_ins import cube, photographs, shelf
-from infogoal_jax.train import host, resuming, tune
+from infogoal_jax.train import host, tune
 from infogoal_jax.train.low_level import host as low_level
 
 SHORT, LONG = 100, 2000
@@ -111,7 +111,7 @@ def digest(folder: Path) -> str:
 
 def go_on(folder: Path) -> None:
     """Read all that a run goes on from."""
-    resuming.last_point(folder, description.read(folder), TREE)
+    checkpoint.last_point(folder, description.read(folder), TREE)
 
 
 READERS = (

@@ -13,8 +13,9 @@ from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.all_goals import draw_goals, under_all_goals
 from infogoal_jax.train.combinations import check_combination
+from infogoal_jax.train.sampling import draw_goals
+from infogoal_jax.train.update import under_all_goals
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
 

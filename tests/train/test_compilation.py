@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
-from infogoal_jax.train.chunk import chunk_of
-from infogoal_jax.train.compilation import compiler_options, operations
+from infogoal_jax.train.compilation import chunk_of, compiler_options, operations
 
 COUNT_HITS = """
 import sys

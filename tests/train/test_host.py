@@ -1,5 +1,9 @@
 """Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in
-distribution; a log file says that a program is being compiled, that it still is, and how long everything took."""
+distribution; a log file says that a program is being compiled, that it still is, and how long everything took.
+
+What is done to seeds is tested with a small program (`killed_run.small_train`), and among the long tests with a real
+one.
+"""
 
 import json
 import os
@@ -10,73 +14,88 @@ from pathlib import Path
 
 import hand_made
 import jax
+import killed_run
 import numpy as np
 import pytest
 import scipy.stats
-from places import TESTS
+from places import ROOT, TESTS
 
 from infogoal_jax import make_train
-from infogoal_jax.train import host, progress
+from infogoal_jax.train import host, listeners
 from infogoal_jax.train.listeners import make_listeners
 
 ON_TWO_DEVICES = """
 import sys
-import time
 from pathlib import Path
-import hand_made, jax
-from infogoal_jax.train import host, progress
-from infogoal_jax.train.listeners import make_listeners
+import jax
+import test_host
+from infogoal_jax.train import host
 assert len(jax.devices()) == 2
-epochs, at_once = int(sys.argv[2]), int(sys.argv[3])
+program, epochs, at_once = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 if at_once < 2:
     host.seeds_at_once = lambda *arguments: at_once
-config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
 seen = []
-listen = lambda progress: seen.extend(progress.epochs)
-sweep = host.run(config, [0, 1, 2, 3], Path(sys.argv[1]), listeners=(listen,), env=hand_made.environment())
+host.make_train = test_host.PROGRAMS[program]
+test_host.train_four(Path(sys.argv[1]), epochs, listeners=(lambda progress: seen.extend(progress.epochs),))
 assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
 """
+PROGRAMS = {"small": killed_run.small_train, "real": make_train}
 
 
-@pytest.fixture(scope="module")
-def one_device(tmp_path_factory):
-    """Rows of four seeds trained side by side on one device."""
-    folder = tmp_path_factory.mktemp("one_device")
-    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
-    host.run(config, [0, 1, 2, 3], folder / "run", env=hand_made.environment())
-    return read_losses(folder / "run")
+def train_four(folder: Path, epochs: int = 1, **options) -> None:
+    """Train four seeds."""
+    config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], folder, env=hand_made.environment(), **options)
+
+
+def losses_on_one_device(folder: Path) -> list[float]:
+    """Losses of four seeds trained side by side on one device."""
+    train_four(folder)
+    return read_losses(folder)
+
+
+@pytest.fixture
+def small_program(monkeypatch):
+    monkeypatch.setattr(host, "make_train", killed_run.small_train)
 
 
 def read_losses(folder: Path) -> list[float]:
     return [json.loads(line)["agent/loss"] for line in (folder / "epochs.jsonl").read_text().splitlines()]
 
 
-def train_on_two_devices(folder: Path, epochs: int, at_once: int) -> None:
+def train_on_two_devices(folder: Path, program: str, epochs: int, at_once: int) -> None:
     """Train four seeds on two devices, so many of a device's two at once."""
     environment = os.environ | {
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     }
-    command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), str(epochs), str(at_once)]
-    subprocess.run(command, cwd=TESTS, env=environment, check=True)
+    command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), program, str(epochs), str(at_once)]
+    subprocess.run(
+        command,
+        cwd=TESTS / "train",
+        env=environment | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TESTS)])},
+        check=True,
+    )
 
 
-def test_seeds_spread_over_two_devices_are_the_same_seeds(one_device, tmp_path):
-    train_on_two_devices(tmp_path / "run", 1, 2)
-    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+def test_seeds_spread_over_two_devices_are_the_same_seeds(small_program, tmp_path):
+    one_device = losses_on_one_device(tmp_path / "one")
+    train_on_two_devices(tmp_path / "two", "small", 1, 2)
+    np.testing.assert_allclose(read_losses(tmp_path / "two"), one_device, rtol=1e-6)
+    assert len({*one_device}) == 4
 
 
-def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(one_device, tmp_path, monkeypatch):
+def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(small_program, tmp_path, monkeypatch):
+    one_device = losses_on_one_device(tmp_path / "one")
     monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
-    config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
-    host.run(config, [0, 1, 2, 3], tmp_path / "run", env=hand_made.environment())
-    np.testing.assert_allclose(read_losses(tmp_path / "run"), one_device, rtol=1e-3)
+    np.testing.assert_allclose(losses_on_one_device(tmp_path / "slices"), one_device, rtol=1e-6)
 
 
 @pytest.mark.long
-def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(one_device, tmp_path):
-    """A chunk after the first takes the states from where the first left them."""
-    train_on_two_devices(tmp_path / "run", 2, 1)
-    losses = read_losses(tmp_path / "run")
+def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(tmp_path):
+    """The real program. A chunk after the first takes the states from where the first left them."""
+    one_device = losses_on_one_device(tmp_path / "one")
+    train_on_two_devices(tmp_path / "two", "real", 2, 1)
+    losses = read_losses(tmp_path / "two")
     np.testing.assert_allclose(losses[:4], one_device, rtol=1e-3)
     assert len(losses) == 8 and losses[:4] != losses[4:]
 
@@ -101,8 +120,8 @@ def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
 
 
 def test_a_log_says_what_takes_long(monkeypatch, capsys):
-    monkeypatch.setattr(progress, "SIGN_OF_LIFE", 0.05)
-    with progress.progress_line("fetch_reach infogoal x 2", 4) as line:
+    monkeypatch.setattr(listeners, "SIGN_OF_LIFE", 0.05)
+    with listeners.progress_line("fetch_reach infogoal x 2", 4) as line:
         line.compiling()
         time.sleep(0.3)
         line.advance(2, "train 0.50")

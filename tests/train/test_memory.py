@@ -10,9 +10,9 @@ from infogoal_jax import make_train
 from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
-from infogoal_jax.train import devices, memory, tune
+from infogoal_jax.train import distributed, memory, tune
 from infogoal_jax.train.low_level import host
-from infogoal_jax.train.low_level.presets import preset
+from infogoal_jax.train.low_level.host import preset
 
 
 def test_slices_follow_from_the_memory_of_the_devices():
@@ -81,4 +81,4 @@ def test_lanes_of_a_search_are_refused_before_they_are_drawn(trials, seeds, no_c
 def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
     train = make_train(hand_made.config(**changes), hand_made.environment())
     with pytest.raises(UserError, match=f"{next(iter(changes))} = "):
-        memory.at_once(train, 100_000, devices.seed_mesh(1))
+        memory.at_once(train, 100_000, distributed.seed_mesh(1))

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,8 +23,8 @@ from killed_run import chunk_config
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, tables
+from infogoal_jax.runs.checkpoint import BEGINNING, last_point
 from infogoal_jax.train import host
-from infogoal_jax.train.resuming import BEGINNING, last_point
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
 
@@ -49,12 +50,10 @@ def finish(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """A run that was never killed, and the seconds that it took with everything compiled."""
-    folder = tmp_path_factory.mktemp("whole")
-    finish(folder / "first")
-    started = time.monotonic()
-    finish(folder / "second")
-    return folder / "second", time.monotonic() - started
+    """A run that was never killed."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    finish(folder)
+    return folder
 
 
 def same_run(first: Path, second: Path) -> bool:
@@ -62,15 +61,9 @@ def same_run(first: Path, second: Path) -> bool:
     return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
 
 
-def test_two_whole_runs_leave_the_same_bits(uninterrupted):
-    whole, _ = uninterrupted
-    assert same_run(whole.parent / "first", whole)
-
-
-def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
+def kill_and_resume(folder: Path, whole: Path, seconds: float, kills: int) -> None:
     """Kill runs at random moments, going on after each; runs that finish are compared and followed by new ones, until
-    `kills` were killed."""
-    whole, seconds = uninterrupted
+    `kills` were killed. seconds: that a run takes with everything compiled."""
     killed, runs, process = 0, 0, None
     while killed < kills or process.exitcode != 0:
         process, started = start(folder / str(runs)), time.perf_counter()
@@ -88,7 +81,11 @@ def kill_and_resume(folder: Path, uninterrupted, kills: int) -> None:
 
 @pytest.mark.long
 def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp_path):
-    kill_and_resume(tmp_path, uninterrupted, kills=1)
+    started = time.monotonic()
+    finish(tmp_path / "second")
+    seconds = time.monotonic() - started
+    assert same_run(tmp_path / "second", uninterrupted)
+    kill_and_resume(tmp_path, uninterrupted, seconds, kills=1)
 
 
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
@@ -112,7 +109,7 @@ def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
 @pytest.fixture
 def copy_of_whole(uninterrupted, tmp_path):
     """A finished run that a test may spoil."""
-    for path in uninterrupted[0].iterdir():
+    for path in uninterrupted.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
     return tmp_path
 
@@ -209,23 +206,19 @@ def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
     assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
-def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrupted, copy_of_whole, env):
-    """Poison one seed's parameters in a checkpoint, go on for a chunk, and compare with going on from the sound
-    checkpoint."""
-    longer = dataclasses.replace(chunk_config(), num_epochs=14)
-    sound = copy_of_whole / "sound"
-    sound.mkdir()
-    for name in FILES:
-        (sound / name).write_bytes((copy_of_whole / name).read_bytes())
-    train = host.make_train(longer, env)
-    keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
-    template = jax.eval_shape(jax.vmap(lambda key: train.initial(key, longer.hyper, env)), keys)
-    header, states = checkpoint.load(copy_of_whole / "checkpoint", template)
+def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_path, monkeypatch):
+    """Poison one seed's parameters in a checkpoint of the small program, go on for a chunk, and compare with going on
+    from the sound checkpoint. `test_training.py` poisons a seed of the real one."""
+    monkeypatch.setattr(host, "make_train", killed_run.small_train)
+    folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(chunk_config(), num_epochs=14)
+    host.run(chunk_config(), [0, 1], folder, env=env)
+    shutil.copytree(folder, sound)
+    header, states = checkpoint.load(folder / "checkpoint", states_shape(env))
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
     for leaf in jax.tree.leaves(params):
         leaf[1] = np.nan
-    checkpoint.save(copy_of_whole / "checkpoint", header, states.replace(params=params))
-    poisoned = host.run(longer, [0, 1], copy_of_whole, resume=True, env=env)
+    checkpoint.save(folder / "checkpoint", header, states.replace(params=params))
+    poisoned = host.run(longer, [0, 1], folder, resume=True, env=env)
     healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
     assert poisoned.diverged == {1: 13} and healthy.diverged == {}
     first, second = (jax.tree.map(lambda leaf: leaf[0], sweep.params) for sweep in (poisoned, healthy))
@@ -233,7 +226,6 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(uninterrup
 
 
 def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
-    whole, _ = uninterrupted
     process = start(tmp_path / "run")
     while not (tmp_path / "run" / "checkpoint").exists():
         assert process.is_alive()
@@ -243,7 +235,7 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
     reached = json.loads((tmp_path / "run" / "checkpoint").read_bytes().partition(b"\n")[0])["epoch"]
     assert 2 <= reached <= 12 and process.exitcode == (0 if reached == 12 else killed_run.STOPPED)
     finish(tmp_path / "run")
-    assert same_run(tmp_path / "run", whole)
+    assert same_run(tmp_path / "run", uninterrupted)
 
 
 def test_a_full_disk_is_a_clear_error_and_the_old_file_stays(tmp_path):

@@ -99,7 +99,7 @@ def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
 def test_test_goals_near_a_training_goal_are_told_apart_and_nothing_else_is_counted(train):
     """A test goal is moved to 4 cm from a training goal. The parts make up the success on test goals."""
     points = train.env.unwrapped
-    training, test = points.goals.commanded[0], jnp.flatnonzero(points.goals.test_mask)
+    training, test = points.goals.training_goals[0], jnp.flatnonzero(points.goals.test_mask)
     assert not np.asarray(points.near_goals)[test].any() and np.asarray(points.near_goals)[training]
     positions = points.positions.at[test[1]].set(points.positions[training] + jnp.array([0.0, 0.04, 0.0]))
     env = train.env.replace(env=train.env.env.replace(positions=positions))
@@ -107,7 +107,7 @@ def test_test_goals_near_a_training_goal_are_told_apart_and_nothing_else_is_coun
     first = np.full((2, len(evaluated), STARTS), never)
     first[0, evaluated == test[1]] = 3  # The first seed reaches the near one,
     first[1, evaluated == test[0]] = env.episode_length  # the second one of the far ones,
-    first[:, np.isin(evaluated, points.goals.commanded)] = 1  # and both all training goals.
+    first[:, np.isin(evaluated, points.goals.training_goals)] = 1  # and both all training goals.
     split = near_and_far(env, first)
     np.testing.assert_allclose(split["near_test_goal/success_rate"], [1, 0])
     np.testing.assert_allclose(split["far_test_goal/success_rate"], [0, 1 / 3])

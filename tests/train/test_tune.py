@@ -19,8 +19,7 @@ from infogoal_jax.report import tuning
 from infogoal_jax.runs.search import write_plan
 from infogoal_jax.train import host
 from infogoal_jax.train import tune as search
-from infogoal_jax.train.lanes import plan_of
-from infogoal_jax.train.trials import Watch
+from infogoal_jax.train.lanes import Watch, plan_of
 from infogoal_jax.train.tune import tune
 
 

@@ -130,7 +130,7 @@ class ImageGoals(Environment):
     @property
     def near_goals(self) -> jax.Array:
         """Goals within 5 cm of a training goal, bool [N]."""
-        training = self.positions[self.goals.commanded]
+        training = self.positions[self.goals.training_goals]
         return self.robot.reached(training[:, None], self.positions).any(0)
 
     @property

@@ -4,7 +4,6 @@
 trainer.py   the training program, as pure functions, of any agent for target states
 fetch.py     the agent of the Fetch robot: TD3 with hindsight
 joints.py    the agent of an arm moved by joint steps: double Q-learning over recorded moves
-presets.py   the configuration and the agent of each task
-host.py      runs all seeds, writes the curve, keeps the best
+host.py      the configuration and the agent of each task; runs all seeds, writes the curve, keeps the best
 file.py      the file that is written, and loaded by HRAC
 """

@@ -24,8 +24,8 @@ from infogoal_jax.hyperparameters import Number
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.low_level.trainer import INITIAL, UPDATE, PretrainConfig, TargetAgent
+from infogoal_jax.train.parts import numbered
 from infogoal_jax.train.rollout import collect
-from infogoal_jax.train.state import numbered
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fetch_reach": {

@@ -1,5 +1,5 @@
-"""`infogoal pretrain`: the low level's training with a progress line, a curve on disk and a clean stop; keeps the best
-of several seeds.
+"""`infogoal pretrain`: the tasks that a low level can be trained for, what that needs of a device's memory, and its
+training with a progress line, a curve on disk and a clean stop; keeps the best of several seeds.
 
 FOLDER/curve.csv, .jsonl   a line for each seed and epoch, written as it goes
 FOLDER/low_level           actor and normalisation of the best seed, with what made them in its header
@@ -8,6 +8,7 @@ FOLDER/low_level           actor and normalisation of the best seed, with what m
 import dataclasses
 import datetime
 import importlib.metadata
+import math
 import platform
 import time
 from collections.abc import Sequence
@@ -20,18 +21,83 @@ import jax.numpy as jnp
 import numpy as np
 
 import infogoal_jax
-from infogoal_jax.errors import require
+from infogoal_jax.envs import object_manipulation
+from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import LOW_LEVEL, check_new, only_writer
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.threefry import written_out
+from infogoal_jax.train import memory
 from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.host import check_seeds
+from infogoal_jax.train.listeners import ProgressLine, progress_line
+from infogoal_jax.train.low_level import fetch, joints
 from infogoal_jax.train.low_level import file as low_level_file
-from infogoal_jax.train.low_level.memory import check_fits
-from infogoal_jax.train.low_level.presets import make_agent
+from infogoal_jax.train.low_level.fetch import FetchPretrainConfig
+from infogoal_jax.train.low_level.joints import JointPretrainConfig
 from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
-from infogoal_jax.train.progress import ProgressLine, progress_line
+
+TASKS = (*fetch.PRESETS, JointPretrainConfig.task)
+
+
+def preset(task: str, **changes: Any) -> PretrainConfig:
+    """The tuned configuration of a task; `changes` replace its fields. Raises `UserError` for a task without a low
+    level."""
+    require(
+        task in TASKS,
+        "task",
+        task,
+        f"no low level can be trained for it.{nearest(task, list(TASKS))} Known: {', '.join(TASKS)}",
+    )
+    if task in fetch.PRESETS:
+        return FetchPretrainConfig(**({"task": task} | fetch.PRESETS[task] | changes))
+    return JointPretrainConfig(**changes)
+
+
+def make_agent(config: PretrainConfig) -> TargetAgent:
+    """The agent of a configuration. Raises `UserError` for a dataset that cannot be used."""
+    if isinstance(config, JointPretrainConfig):
+        return joints.make(config, object_manipulation.make(config.env))
+    return fetch.make(config)
+
+
+def check_fits(agent: TargetAgent, num_seeds: int) -> None:
+    """Raise `UserError`, naming the field that is to blame, if the seeds need more memory than there is."""
+    needed, room = num_seeds * seed_bytes(agent), memory.device_memory(jax.devices()[0])
+    if needed <= room:
+        return
+    config = agent.config
+    fields = [
+        memory.Larger(
+            name, value, usual, lambda name=name, usual=usual: num_seeds * bytes_with_usual(config, name, usual)
+        )
+        for name, value, usual in memory.larger_fields(config, preset(config.task))
+    ]
+    if num_seeds > 1:
+        fields.insert(0, memory.Larger("seeds", num_seeds, 1, lambda: seed_bytes(agent)))
+    needs = f"training the low level needs {needed / memory.GIB:,.1f} GiB at least"
+    raise memory.refusal(fields, config.task, room, needs)
+
+
+def seed_bytes(agent: TargetAgent) -> int:
+    """Bytes that a seed needs at least: what is carried, and an epoch's episodes or its updates."""
+    trainer, hyper, key = make_trainer(agent), agent.config.hyper, jax.random.key(0)
+    state = jax.eval_shape(trainer.initial, key, hyper)
+    low_level = jax.eval_shape(trainer.policy, state)
+    run = jax.jit(agent.run).trace(low_level, key, jnp.bool(True), hyper)
+    rows = jax.eval_shape(agent.run, low_level, key, jnp.bool(True), hyper)[0]
+    learn = jax.jit(trainer.learn).trace(state, rows, jnp.int32(0), hyper)
+    running = max(memory.peak_bytes(run.jaxpr), memory.bytes_of(rows) + memory.peak_bytes(learn.jaxpr))
+    return memory.bytes_of(state) + running
+
+
+def bytes_with_usual(config: PretrainConfig, name: str, usual: Any) -> float:
+    """Bytes that a seed would need with the usual value of a field; none could be more where that makes no program."""
+    try:
+        return seed_bytes(make_agent(memory.with_field(config, name, usual)))
+    except UserError:
+        return math.inf
+
 
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
