@@ -6,10 +6,10 @@ import zlib
 
 import numpy as np
 
+from infogoal_jax.reproduce.completion import is_judged, is_pictured
 from infogoal_jax.reproduce.files import Result, recorded_config
 from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.measure import WEIGHTS
-from infogoal_jax.reproduce.needs import is_judged, is_pictured
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.reproduce.plan import config_of

@@ -8,7 +8,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, named
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce.titles import DESCRIPTIONS
+from infogoal_jax.reproduce.paper import DESCRIPTIONS
 
 RENAMED = {"--ways": "--variants", "--lanes": "--vmap-size"}
 """Flags of earlier versions."""

@@ -1,14 +1,22 @@
-"""The paper's claims, each with the test that decides it; the tests stand in evidence.py, and in the files of SSE-DB's,
-of beta's and of codes' evidence."""
+"""The paper's claims, each with the test that decides it; the tests stand in evidence.py (Table I) and in
+figure_evidence.py."""
 
 import dataclasses
 from collections.abc import Callable
 
-from infogoal_jax.reproduce import sse_db_evidence as sse_db
-from infogoal_jax.reproduce.beta_evidence import beta_gain, fixed_against_adaptive, less_information, near
-from infogoal_jax.reproduce.code_evidence import CORRUPTION, grouped, reward_near_goal
-from infogoal_jax.reproduce.effects import Finding
-from infogoal_jax.reproduce.evidence import COMPARABLE, RELABELLINGS, compare, first_of_task, infobot_paths
+from infogoal_jax.reproduce.evidence import COMPARABLE, RELABELLINGS, Finding, compare, first_of_task, infobot_paths
+from infogoal_jax.reproduce.figure_evidence import (
+    CORRUPTION,
+    beta_gain,
+    fixed_against_adaptive,
+    grouped,
+    less_information,
+    less_than_infogoal,
+    more_efficient,
+    near,
+    paths_not_shorter,
+    reward_near_goal,
+)
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
 from infogoal_jax.reproduce.scores import KINDS, TITLES
@@ -103,21 +111,21 @@ CLAIMS = (
         "SSE-DB makes DQN, InfoBot and InfoGoal more sample-efficient",
         "Fig. 8, left",
         "difference of the area under the curve of success on training goals",
-        sse_db.more_efficient("none", "infobot", "infogoal"),
+        more_efficient("none", "infobot", "infogoal"),
     ),
     Claim(
         "sse-db-test",
         "DQN with SSE-DB reaches fewer test goals than InfoGoal",
         "Fig. 8, bottom left",
         "InfoGoal minus DQN with SSE-DB",
-        sse_db.less_than_infogoal,
+        less_than_infogoal,
     ),
     Claim(
         "sse-db-optimality",
         "SSE-DB does not shorten InfoBot's paths",
         "Fig. 8, right",
         f"by which share paths to test goals are longer with SSE-DB, in episodes that both reach, above -{COMPARABLE}",
-        sse_db.paths_not_shorter,
+        paths_not_shorter,
     ),
     Claim(
         "beta",

@@ -1,9 +1,12 @@
-"""What is written of the numbers: tables, figures, the verdict on every claim, and the page that shows all of it.
+"""What is written of the numbers: tables, figures, the verdict on every claim, and one page that shows all of it. The
+page needs no server and no other file: its tables sort, and it has the command of every number.
 
 OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png (and .pdf or .svg)    OUT/reproduction.md    OUT/index.html
 """
 
+import base64
 import hashlib
+import html
 import os
 from pathlib import Path
 
@@ -11,13 +14,13 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax.report import canvas
-from infogoal_jax.reproduce import claims, page, tables
-from infogoal_jax.reproduce.effects import INTERVALS
+from infogoal_jax.reproduce import claims, tables
+from infogoal_jax.reproduce.evidence import INTERVALS
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import STUDIES, Choice
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.table_formats import WRITERS, Table, markdown
-from infogoal_jax.reproduce.titles import DESCRIPTIONS
+from infogoal_jax.reproduce.paper import DESCRIPTIONS
+from infogoal_jax.reproduce.table_formats import WRITERS, Cell, Table, markdown
 from infogoal_jax.runs import disk
 
 NUMBERS = "Numbers"
@@ -53,7 +56,7 @@ def draw(
         paths.append(verdicts or out / "reproduction.md")
         disk.write_text(paths[-1], report(shown, found, pictures, paths[-1]))
     paths.append(out / "index.html")
-    disk.write_text(paths[-1], page.page(shown, found, pictures, results))
+    disk.write_text(paths[-1], page_of(shown, found, pictures, results))
     return paths
 
 
@@ -136,3 +139,121 @@ def kept_by_hand(path: Path) -> str:
     if not path.exists():
         return "\n"
     return path.read_text().partition(BY_HAND)[2] or "\n"
+
+
+STYLE = """
+:root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;padding:1rem;max-width:80rem}
+h1{font-size:1.6rem}h2{font-size:1.25rem;margin-top:2.2rem}nav a{margin-right:.9rem;white-space:nowrap}
+.wide{overflow-x:auto;border:1px solid #8884}table{border-collapse:collapse;font-size:.86rem;width:100%}
+th,td{padding:.3rem .55rem;border-bottom:1px solid #8883;text-align:left;vertical-align:top}
+th{cursor:pointer;user-select:none;position:sticky;top:0;background:Canvas}th:hover{text-decoration:underline}
+tbody td:first-child,thead th:first-child{position:sticky;left:0;background:Canvas}
+.best{font-weight:700}.second{text-decoration:underline}.paper{color:#888;font-size:.92em;white-space:nowrap}
+.number{white-space:nowrap}.number a{color:inherit;text-decoration:none}td:target{background:#fd08}
+.holds{color:#1a7f37;font-weight:700}.fails{color:#cf222e;font-weight:700}
+.told{color:#9a6700;font-weight:700}img{max-width:100%;height:auto;background:white}figure{margin:1.2rem 0}
+figcaption,.foot{font-size:.86rem;color:#777}code{font-size:.82rem;overflow-wrap:anywhere}
+[id^=over_tasks] td{white-space:nowrap}
+@media(max-width:45rem){:is(#verdicts,#runs) thead{display:none}
+:is(#verdicts,#runs) tr{display:block;padding:.5rem 0}:is(#verdicts,#runs) tr+tr{border-top:1px solid #8884}
+:is(#verdicts,#runs) td{display:block;position:static;border:0;padding:.1rem .55rem;overflow-wrap:anywhere}
+:is(#verdicts,#runs) td:empty{display:none}:is(#verdicts,#runs) td:first-child{font-weight:600}
+#verdicts td:nth-child(5)::before{content:"test: "}#verdicts td:nth-child(6)::before{content:"in the paper: "}
+#runs td:nth-child(2)::after{content:" updates of each seed"}}
+"""
+SORT = """
+document.querySelectorAll("th").forEach(head=>head.addEventListener("click",()=>{
+const table=head.closest("table"),body=table.tBodies[0],place=[...head.parentNode.children].indexOf(head);
+const up=head.dataset.up!=="1";head.dataset.up=up?"1":"0";
+const value=row=>{const words=row.cells[place].dataset.value??row.cells[place].textContent.trim();
+const number=parseFloat(words.replace(/,/g,""));return Number.isNaN(number)?words.toLowerCase():number};
+[...body.rows].sort((a,b)=>{const x=value(a),y=value(b);
+if(x===""||y==="")return (x==="")-(y==="");
+const order=typeof x===typeof y?(x<y?-1:x>y?1:0):typeof x==="number"?-1:1;
+return up?order:-order}).forEach(row=>body.append(row))}));
+"""
+VERDICT_CLASSES = {"holds": "holds", "fails": "fails", "cannot be told": "told"}
+
+
+def html_cell(value: Cell | str) -> str:
+    """A cell of a table."""
+    if isinstance(value, str):
+        return f"<td>{html.escape(value)}</td>"
+    rank = {1: "best", 2: "second"}.get(value.rank, "")
+    paper = f' <span class="paper">({html.escape(value.paper)})</span>' if value.paper else ""
+    number = "" if value.ours is None else f"{value.ours.mean:.6f}"
+    words = f'<span class="{rank}">{html.escape(value.words())}</span>'
+    words = f'<a href="#{html.escape(value.run)}">{words}</a>' if value.run and value.ours is not None else words
+    return f'<td class="number" data-value="{number}">{words}{paper}</td>'
+
+
+def html_table(head: list[str], rows: list[list[str]], name: str) -> str:
+    """A table of cells that are written already."""
+    heads = "".join(f"<th>{html.escape(title)}</th>" for title in head)
+    body = "".join(f"<tr>{''.join(row)}</tr>" for row in rows)
+    return f'<div class="wide" id="{name}"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def table_section(table: Table) -> str:
+    """A table under its title."""
+    rows = [[html_cell(value) for value in row] for row in table.rows]
+    foot = "".join(f'<p class="foot">{html.escape(line)}</p>' for line in table.foot)
+    return f"<h2>{html.escape(table.title)}</h2>{html_table(table.head, rows, table.name)}{foot}"
+
+
+def verdict_section(found: list) -> str:
+    """The claims with their verdicts."""
+    rows = []
+    for claim, finding in found:
+        why = f"; not counted: {'; '.join(finding.faults)}" if finding.faults else ""
+        verdict = f'<td class="{VERDICT_CLASSES[finding.verdict]}">{finding.verdict}</td>'
+        effect = f'<td class="number">{html.escape(finding.shown)}</td>'
+        rows.append([html_cell(claim.says), verdict, effect])
+        rows[-1] += map(html_cell, (finding.words + why, claim.test, claim.where))
+    head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
+    return f'<h2>Verdicts</h2>{html_table(head, rows, "verdicts")}<p class="foot">{INTERVALS}</p>'
+
+
+def figure_section(path: Path) -> str:
+    """A figure, in the page itself."""
+    words = html.escape(DESCRIPTIONS[path.stem])
+    content = base64.b64encode(path.read_bytes()).decode()
+    return (
+        f'<figure id="{path.stem}"><img alt="{words}" src="data:image/png;base64,{content}">'
+        f"<figcaption>{words}</figcaption></figure>"
+    )
+
+
+def run_section(results: Results) -> str:
+    """Every run with the command that makes it."""
+    rows = [
+        [
+            f'<td id="{html.escape(run.name)}">{html.escape(run.name)}</td>',
+            html_cell(f"{result.evaluations['test_goal/success_rate'].shape[1] * result.about['updates']:,}"),
+            html_cell(result.about["data"]),
+            html_cell(result.about["machine"]),
+            f"<td><code>{html.escape(result.command)}</code></td>",
+        ]
+        for run, result in sorted(results.items(), key=lambda item: item[0].name)
+    ]
+    head = ["run", "updates of each seed", "data", "machine", "command"]
+    return f"<h2>Every run, and its command</h2>{html_table(head, rows, 'runs')}"
+
+
+def page_of(shown: list[Table], found: list, pictures: list[Path], results: Results) -> str:
+    """The page as HTML. pictures: the figures."""
+    links = [("verdicts", "Verdicts"), *((table.name, table.title) for table in shown)]
+    links += [(path.stem, DESCRIPTIONS[path.stem].partition(":")[0]) for path in pictures] + [("runs", "Runs")]
+    nav = "".join(f'<a href="#{name}">{html.escape(words)}</a> ' for name, words in links)
+    parts = [verdict_section(found), *map(table_section, shown)]
+    parts += ["<h2>Figures</h2>", *map(figure_section, pictures)] if pictures else []
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>InfoGoal, reproduced</title><style>{STYLE}</style></head><body>"
+        "<h1>InfoGoal (Zou and Suzuki), reproduced</h1>"
+        "<p>Written by <code>infogoal reproduce</code> from the numbers of the runs below. Datasets are stand-ins. "
+        "A click on a column's head sorts its table, one on a number leads to its run and the command of it.</p>"
+        f"<nav>{nav}</nav>{''.join(parts)}{run_section(results)}"
+        f"<script>{SORT}</script></body></html>\n"
+    )

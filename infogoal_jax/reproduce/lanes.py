@@ -17,8 +17,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.reproduce import measure
 from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
-from infogoal_jax.reproduce.padding import with_one_shape
-from infogoal_jax.reproduce.plan import build_data, config_of
+from infogoal_jax.reproduce.plan import build_data, config_of, with_one_shape
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import chunk_of, jit
 from infogoal_jax.train.parts import load_environment

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
+from scipy import stats
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.goal_uses import USES
+from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.report import fetch_figures, pose_figures
 from infogoal_jax.report.canvas import Subject
@@ -20,7 +21,6 @@ from infogoal_jax.report.image_goal_episodes import is_fetch, policy_episodes, s
 from infogoal_jax.report.image_goal_figures import spread_goals
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, reward_of_images, walks_of_policy
-from infogoal_jax.reproduce import codes
 from infogoal_jax.train.combinations import has_own_loss, has_reward
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.experience import experience_of
@@ -133,11 +133,11 @@ def uses_of(goals: GoalSet, which: np.ndarray) -> np.ndarray:
 
 def judged_codes(train: Train, params: Any, seeds: tuple[int, ...]) -> dict[str, np.ndarray]:
     """What claims say of the codes of each seed, params [seeds, ...]. codes/closeness: float32 [seeds, 1 + weights],
-    `codes.closeness` of clean goals and under each weight of the backgrounds; where the learner has an intrinsic reward
-    on a graph, codes/reward: float32 [seeds], `codes.reward_by_distance`, mean over a training goal a region."""
+    `closeness` of clean goals and under each weight of the backgrounds; where the learner has an intrinsic reward
+    on a graph, codes/reward: float32 [seeds], `reward_by_distance`, mean over a training goal a region."""
     env, found = train.env, codes_of(train, params["goal"])
     by_view = [
-        [codes.closeness(view, found["code_region"], found["code_use"]) for view in seed] for seed in found["code_mean"]
+        [closeness(view, found["code_region"], found["code_use"]) for view in seed] for seed in found["code_mean"]
     ]
     judged = {"codes/closeness": np.array(by_view, np.float32)}
     if has_image_goals(env) or not has_reward(train.parts.learner):
@@ -148,7 +148,7 @@ def judged_codes(train: Train, params: Any, seeds: tuple[int, ...]) -> dict[str,
     for number, seed in enumerate(seeds):
         subject = subject_of(train, jax.tree.map(lambda leaf, own=number: leaf[own], params), seed)
         rewards.append(
-            [codes.reward_by_distance(reward_of_images(subject, goal), place, middle) for goal, middle in goals.items()]
+            [reward_by_distance(reward_of_images(subject, goal), place, middle) for goal, middle in goals.items()]
         )
     return judged | {"codes/reward": np.mean(rewards, axis=1).astype(np.float32)}
 
@@ -211,3 +211,30 @@ def ways_of(walks: list[Walk], env: Any, place: np.ndarray, name: str) -> dict[s
         f"{name}_region": np.asarray(env.goals.regions)[goals].astype(np.int16),
         f"{name}_goal": middle.astype(np.float32),
     }
+
+
+def closeness(mean: np.ndarray, region: np.ndarray, use: np.ndarray) -> float:
+    """How much nearer the codes of goals are to those of their region than to those of the nearest other region: the
+    silhouette by region, in [-1, 1], mean over training and test goals that are not alone in theirs; NaN without such.
+    mean [M, d], region int [M], use int [M] as in `measure.codes_of`."""
+    kept = (use == TRAINING) | (use == TEST)
+    mean, region = mean[kept].astype(float), region[kept]
+    names = np.unique(region)
+    apart = np.linalg.norm(mean[:, None] - mean, axis=-1)
+    same = region[:, None] == region
+    together = same.sum(1) > 1
+    if len(names) < 2 or not together.any():
+        return float("nan")
+    own = (apart * same).sum(1) / np.maximum(same.sum(1) - 1, 1)
+    others = np.stack([(apart * (region == each)).sum(1) / (region == each).sum() for each in names], 1)
+    others[region[:, None] == names] = np.inf
+    nearest = others.min(1)
+    return float(((nearest - own) / np.maximum(np.maximum(nearest, own), 1e-12))[together].mean())
+
+
+def reward_by_distance(reward: np.ndarray, place: np.ndarray, goal: np.ndarray) -> float:
+    """Minus Spearman's correlation of the intrinsic reward of images [K], NaN where no goal is in view, with the
+    distance of their places [K, 2] from the goal [2] (m)."""
+    seen = np.isfinite(reward)
+    distance = np.linalg.norm(place - goal, axis=1)
+    return float(-stats.spearmanr(reward[seen], distance[seen]).statistic)

@@ -1,5 +1,19 @@
-"""Table I of the paper (Zou and Suzuki, IEEE TNNLS): success rates of every method. All tables that show the paper's
-numbers take them from here."""
+"""What the paper shows (Zou and Suzuki, IEEE TNNLS): its tables and figures in words, and Table I in numbers, the
+success rates of every method. All tables that show the paper's numbers take them from here. Known without JAX."""
+
+DESCRIPTIONS = {
+    "table1": "Table I: success of every method on every task",
+    "table2": "Table II: beta and accuracy that InfoGoal converges to",
+    "fig8": "Fig. 8: sample efficiency and optimality with and without SSE-DB",
+    "fig9": "Fig. 9: codes and ways under corruption, external rewards alone",
+    "fig10": "Fig. 10: codes and trajectories on object search",
+    "fig11": "Fig. 11: codes and flights on embodied question answering",
+    "fig12": "Fig. 12: the intrinsic reward over states",
+    "fig13": "Fig. 13: beta and accuracy while training",
+    "fig14": "Fig. 14: codes under fixed beta",
+    "fig15": "Fig. 15: success under fixed beta and under the adaptive one",
+}
+
 
 TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "fetch_pick_and_place", "embodied_qa")
 IMAGE_TASKS = TASKS[1:5]

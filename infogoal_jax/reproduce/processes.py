@@ -1,11 +1,15 @@
-"""Several processes on one folder: programs are compiled side by side, and small ones share a GPU."""
+"""Processes beside this one: several on one folder, so that programs are compiled side by side and small ones share a
+GPU; and the connection to a Ray cluster."""
 
+import contextlib
+import logging
 import os
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
+from infogoal_jax.errors import UserError
 from infogoal_jax.stopping import stop_on_signal
 
 MEMORY = 0.9
@@ -96,3 +100,28 @@ def arguments_of(asked, minutes: float) -> list[str]:
     words += ["--known", str(asked.known)] if asked.known else []
     words += ["--goal-images", str(asked.goal_images)] if asked.goal_images else []
     return words + ["--retry"] * asked.retry + ["--quick"] * asked.quick
+
+
+@contextlib.contextmanager
+def connected(address: str):
+    """Inside, the process is connected to the cluster. Gives the module `ray`."""
+    try:
+        import ray
+    except ImportError as error:
+        raise UserError("engine = 'ray': is not installed; pip install 'infogoal-jax[ray]'") from error
+    if ray.is_initialized():
+        yield ray
+        return
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Of the cluster that is started here.
+    own = {} if address else {"include_dashboard": False}
+    try:
+        ray.init(address=address or "local", log_to_driver=False, logging_level=logging.ERROR, **own)
+    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
+        raise UserError(
+            f"ray_address = {address!r}: {str(error).strip() or type(error).__name__}; give HOST:PORT of a cluster "
+            "that this machine belongs to, auto for the one that runs here, or ray://HOST:10001"
+        ) from error
+    try:
+        yield ray
+    finally:
+        ray.shutdown()

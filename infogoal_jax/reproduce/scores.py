@@ -1,15 +1,159 @@
-"""From the numbers of runs to those of tables: success of a row of Table I on a task, and whether the row counts."""
+"""From the numbers of runs to those of tables: statistics over seeds, goal sets and tasks; then success of a row of
+Table I on a task, and whether the row counts.
 
+Of one task: the mean with two intervals, over seeds (the goal sets as they are) and over goal sets. Over tasks: the
+interquartile mean and the probability of improvement as rliable defines them (Agarwal et al., NeurIPS 2021), with the
+percentile interval of a bootstrap that draws goal sets anew within each task, and seeds within each goal set. rliable
+itself is no dependency: of its definitions two lines are needed here, and a test holds them against its published code.
+"""
+
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
-from infogoal_jax.reproduce import budget
+from infogoal_jax.report.statistics import CONFIDENCE, mean_interval
+from infogoal_jax.reproduce import completion
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import LEARNERS, METHODS, PRESET, WITH_LOSS, parts_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
-from infogoal_jax.reproduce.statistics import TwoIntervals, over_seeds_and_sets
+
+REPETITIONS = 2000
+"""Of the bootstrap."""
+Scores = Sequence[np.ndarray]
+"""Numbers of a method on a task: for each goal set those of its seeds, [seeds]; drawn ones [repetitions, seeds]."""
+
+
+class TwoIntervals(NamedTuple):
+    """A mean over goal sets and seeds. seeds: half the width of its interval over seeds, on these goal sets; sets: over
+    goal sets; NaN where there is one seed, or one set."""
+
+    mean: float
+    seeds: float
+    sets: float
+
+
+class Bounds(NamedTuple):
+    """A number and its interval, NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+    def show(self, decimals: int = 2) -> str:
+        """`0.52 [0.48, 0.55]`, or `0.52`."""
+        value, low, high = (f"{round(number, decimals) + 0.0:.{decimals}f}" for number in self)  # No -0.00.
+        return f"{value} [{low}, {high}]" if math.isfinite(self.low) else value
+
+
+class Spread(NamedTuple):
+    """The variance of a mean, and its degrees of freedom."""
+
+    variance: float
+    freedom: float
+
+
+def over_seeds_and_sets(scores: Scores) -> TwoIntervals:
+    """The mean of the goal sets' means. Over seeds: Student's t with the variance within the sets; over sets: Student's
+    t of the sets' means."""
+    means = np.array([np.mean(each) for each in scores])
+    spread = spread_of_seeds(scores)
+    half = math.nan if spread is None else half_width(spread)
+    return TwoIntervals(float(means.mean()), half, float(mean_interval(means).half_width))
+
+
+def spread_of_seeds(scores: Scores) -> Spread | None:
+    """How sure the mean of a task is on these goal sets; None where a goal set has one seed."""
+    counts = np.array([len(each) for each in scores])
+    if (counts < 2).any():
+        return None
+    variance = np.array([np.var(each, ddof=1) for each in scores])
+    return Spread(float((variance / counts).sum()) / len(scores) ** 2, float((counts - 1).sum()))
+
+
+def spread_of_sets(scores: Scores) -> Spread | None:
+    """How sure the mean of a task is over goal sets; None where there is one."""
+    if len(scores) < 2:
+        return None
+    return Spread(float(np.var([np.mean(each) for each in scores], ddof=1)) / len(scores), len(scores) - 1.0)
+
+
+def half_width(spread: Spread) -> float:
+    """Half the width of the interval of Student's t."""
+    return float(stats.t.ppf((1 + CONFIDENCE) / 2, spread.freedom) * math.sqrt(spread.variance))
+
+
+def over_tasks(tasks: Sequence[Scores]) -> Bounds:
+    """The mean of the tasks' means, and its interval over seeds or over goal sets, whichever is wider. A task with one
+    goal set counts in both with its seeds. Degrees of freedom are Satterthwaite's."""
+    mean = float(np.mean([np.mean([np.mean(each) for each in scores]) for scores in tasks]))
+    seeds = [spread_of_seeds(scores) for scores in tasks]
+    sets = [spread_of_sets(scores) or own for scores, own in zip(tasks, seeds, strict=True)]
+    halves = [half_width(mean_spread(each)) for each in (seeds, sets) if None not in each]
+    half = max(halves, default=math.nan)
+    return Bounds(mean, mean - half, mean + half)
+
+
+def mean_spread(spreads: Sequence[Spread]) -> Spread:
+    """The spread of the mean of independent means."""
+    total = sum(spread.variance for spread in spreads)
+    freedom = sum(spread.variance**2 / spread.freedom for spread in spreads)
+    return Spread(total / len(spreads) ** 2, total**2 / freedom if freedom else spreads[0].freedom)
+
+
+def interquartile_mean(tasks: Sequence[Scores]) -> np.ndarray:
+    """The mean of the middle half of all runs of all tasks, each task with the same weight, and each goal set within
+    it."""
+    of_tasks = [np.concatenate(equally_many(scores), axis=-1) for scores in tasks]
+    return stats.trim_mean(np.concatenate(equally_many(of_tasks), axis=-1), proportiontocut=0.25, axis=-1)
+
+
+def equally_many(groups: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The runs of each group, repeated so often that all groups have the same number of them."""
+    common = math.lcm(*(runs.shape[-1] for runs in groups))
+    return [np.repeat(runs, common // runs.shape[-1], axis=-1) for runs in groups]
+
+
+def probability_of_improvement(first: Sequence[Scores], second: Sequence[Scores]) -> np.ndarray:
+    """P(X > Y), ties counted half, for a run X of the first method and Y of the second on the same goal set: the mean
+    over goal sets, then over tasks."""
+    return np.mean(
+        [
+            np.mean([wins(x, y) for x, y in zip(one, two, strict=True)], axis=0)
+            for one, two in zip(first, second, strict=True)
+        ],
+        axis=0,
+    )
+
+
+def wins(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The share of pairs of runs [..., runs] in which the first is larger, ties counted half."""
+    return ((x[..., :, None] > y[..., None, :]) + 0.5 * (x[..., :, None] == y[..., None, :])).mean((-2, -1))
+
+
+def bootstrap(function: Callable[..., np.ndarray], *methods: Sequence[Scores], seed: int = 0) -> Bounds:
+    """The function of the methods' numbers by task and goal set, and its percentile interval.
+
+    Each repetition draws goal sets of each task anew, with replacement and the same for all methods, and seeds of each
+    drawn goal set, for each method by itself: as many as the goal set with the fewest has.
+    """
+    random = np.random.default_rng(seed)
+    places = [random.integers(0, len(scores), (REPETITIONS, len(scores))) for scores in methods[0]]
+    drawn = [[redrawn(scores, own, random) for scores, own in zip(tasks, places, strict=True)] for tasks in methods]
+    low, high = np.quantile(function(*drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return Bounds(float(function(*methods)), float(low), float(high))
+
+
+def redrawn(scores: Scores, places: np.ndarray, random: np.random.Generator) -> list[np.ndarray]:
+    """Seeds of the goal sets at these places [repetitions, sets], drawn anew: [repetitions, seeds] of each."""
+    shape = (*places.shape, min(len(each) for each in scores))
+    every = np.stack([np.asarray(each)[random.integers(0, len(each), shape)] for each in scores])
+    chosen = np.take_along_axis(every, places[None, :, :, None], axis=0)[0]
+    return list(np.moveaxis(chosen, 1, 0))
+
 
 ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
 """The rows of each variant of Table I."""
@@ -59,7 +203,7 @@ class Row(NamedTuple):
     def faults(self) -> list[str]:
         """What is wrong with the row, keys of `MARKS`; a row without any counts."""
         found = []
-        if any(budget.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
+        if any(completion.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
             found.append("rises")
         shares = [result.about["learner_share"] for result in self.results]
         measured = [share for share in shares if share is not None]
@@ -86,7 +230,7 @@ class Row(NamedTuple):
 def scores_of(result: Result, metric: str) -> np.ndarray:
     """A metric of a run, [seeds]: the mean over the evaluations that count, without the seeds that diverged."""
     kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
-    which = budget.shown(result.evaluations["train_goal/success_rate"])
+    which = completion.shown(result.evaluations["train_goal/success_rate"])
     return result.evaluations[metric][kept, which].mean(1)
 
 

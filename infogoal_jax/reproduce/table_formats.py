@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from infogoal_jax.reproduce.statistics import TwoIntervals
+from infogoal_jax.reproduce.scores import TwoIntervals
 
 
 class Cell(NamedTuple):

@@ -1,29 +1,34 @@
-"""Tables I and II, and all tables that there are numbers for."""
+"""Every table that there are numbers for: Tables I and II, near and far goals, the comparison of methods over tasks,
+and what the runs cost."""
 
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from infogoal_jax.goal_uses import TEST
-from infogoal_jax.reproduce.costs import costs
+from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.over_tasks import over_tasks
 from infogoal_jax.reproduce.paper import TASKS, reported
 from infogoal_jax.reproduce.scores import (
     KINDS,
     MARKS,
+    NOT_COUNTED,
     ROWS,
     TITLES,
     Row,
+    bootstrap,
     columns,
     has_scores,
+    interquartile_mean,
+    over_seeds_and_sets,
+    probability_of_improvement,
     row_of,
     rows_of,
     scores_of,
 )
-from infogoal_jax.reproduce.statistics import over_seeds_and_sets
 from infogoal_jax.reproduce.table_formats import Cell, Table
 
 
@@ -139,6 +144,138 @@ def near_cell(row: Row | None, near: bool) -> Cell:
         scores.append((result.arrays["first_reached"][kept][:, part] <= result.about["episode_length"]).mean((1, 2)))
     found = over_seeds_and_sets(scores) if all(len(each) and np.isfinite(each).all() for each in scores) else None
     return Cell(found, "", 0, row.marks(), row.results[0].run.name)
+
+
+def counts(row: Row) -> bool:
+    """Whether a row counts for what is said over tasks."""
+    return not NOT_COUNTED.intersection(row.faults())
+
+
+def over_tasks(results: Results, variant: str) -> Table | None:
+    """The interquartile mean of each method over the tasks on which its row counts, and the probability that InfoGoal
+    is better over those on which both do; by kind of goals, of the tasks on which all of the methods ran."""
+    rows = rows_of(results, variant, ROWS[variant])
+    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+    if len(methods) < 2:
+        return None
+    tasks_of = {
+        kind: [task for task in TASKS if all(has_scores(rows.get((task, method)), kind) for method in methods)]
+        for kind in KINDS
+    }
+    kinds = [kind for kind in KINDS if tasks_of[kind]]
+    if not kinds:
+        return None
+    head = ["method"]
+    for kind in kinds:
+        head += [f"IQM, {KINDS[kind]}", f"P(InfoGoal better), {KINDS[kind]}"]
+    body = []
+    for method in methods:
+        cells = [METHODS[method]]
+        for kind in kinds:
+            ran = len(tasks_of[kind])
+            own = [rows[task, method] for task in tasks_of[kind] if counts(rows[task, method])]
+            cells.append(over_some(interquartile_mean, ran, [row.scores(kind) for row in own]))
+            both = [pair for pair in pairs_of(rows, tasks_of[kind], method) if all(map(counts, pair))]
+            scores = [[scores_of_sets(row, other, kind) for row, other in (pair, pair[::-1])] for pair in both]
+            cells.append(
+                over_some(probability_of_improvement, ran, *(list(each) for each in zip(*scores, strict=True)))
+            )
+        body.append(cells)
+    filled = [place for place in range(len(head)) if any(row[place] for row in body)]
+    head, body = [head[place] for place in filled], [[row[place] for place in filled] for row in body]
+    foot = [
+        "Interquartile mean over runs and tasks, and probability that a run of InfoGoal has more success than one of "
+        "the method on the same goal set (rliable's definitions), with the 95 % interval of a bootstrap over goal sets "
+        "and seeds within tasks. Rows that do not count are left out: interquartile means over different tasks are not "
+        "to be compared."
+    ]
+    for kind in kinds:
+        foot.append(f"{KINDS[kind]}: {', '.join(TITLES[task] for task in tasks_of[kind])}.")
+        left = [left_out(rows, task, methods) for task in tasks_of[kind]]
+        foot += [f"Left out of {KINDS[kind]}: {'; '.join(filter(None, left))}."] if any(left) else []
+    found = {fault for row in rows.values() for fault in row.faults() if fault in NOT_COUNTED}
+    foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
+    return Table(f"over_tasks_{variant}", f"Over tasks, {VARIANTS[variant]}", head, body, foot)
+
+
+def pairs_of(rows: dict[tuple[str, str], Row], tasks: list[str], method: str) -> list[tuple[Row, Row]]:
+    """InfoGoal's row and the method's of these tasks, where both are there and are not the same."""
+    there = [task for task in tasks if method != "infogoal" and (task, "infogoal") in rows]
+    return [(rows[task, "infogoal"], rows[task, method]) for task in there]
+
+
+def scores_of_sets(row: Row, other: Row, kind: str) -> list[np.ndarray]:
+    """Success of a row on the goal sets that another one has too, [seeds] of each."""
+    shared = {result.run.goal_set for result in other.results}
+    return [
+        scores for result, scores in zip(row.results, row.scores(kind), strict=True) if result.run.goal_set in shared
+    ]
+
+
+def over_some(function: Callable[..., np.ndarray], ran: int, *methods: list) -> str:
+    """The function over the tasks that count with its interval, and of how many tasks these are; nothing for none."""
+    if not methods or not methods[0] or not all(scores for tasks in methods for scores in tasks):
+        return ""
+    count = len(methods[0])
+    return bootstrap(function, *methods).show() + (f", {count} of {ran} tasks" if count < ran else "")
+
+
+def left_out(rows: dict[tuple[str, str], Row], task: str, methods: list[str]) -> str:
+    """The methods whose rows on a task do not count, with their marks."""
+    names = [f"{METHODS[method]}{rows[task, method].marks()}" for method in methods if not counts(rows[task, method])]
+    return f"{', '.join(names)} on {TITLES[task]}" if names else ""
+
+
+def costs(results: Results) -> Table | None:
+    """Programs, and the time of compiling and of running, by task."""
+    body, machines, totals = [], {}, np.zeros(4)
+    for task in TASKS:
+        own = [result for run, result in results.items() if run.task == task]
+        programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
+        if not own:
+            continue
+        compiling, running = (
+            sum(program[f"{name}_seconds"] for program in programs.values()) for name in ("compile", "run")
+        )
+        measuring = sum(result.about["measure_seconds"] for result in own)
+        numbers = np.array([len(own), len(programs), compiling + measuring, running])
+        totals += numbers
+        body.append([TITLES[task], *cost_cells(numbers, own)])
+        machines |= dict.fromkeys(result.about["machine"] for result in own)
+    if not body:
+        return None
+    body.append(["all", *cost_cells(totals, list(results.values()))])
+    head = ["task", "runs", "programs", "compiling and measuring (s)", "training (s)", "process-minutes"]
+    foot = (
+        "Seconds and process-minutes are sums over processes. Several share a GPU and its host, each with a clock of "
+        "its own, so that the sums are more than the time of the GPU."
+    )
+    if any("spans" in result.about["program"] for result in results.values()):
+        head.append("wall clock (min)")
+        foot += (
+            " Wall clock: the time in which at least one process was at work, of the runs that recorded it; empty "
+            "where none did."
+        )
+    else:
+        body = [row[:-1] for row in body]
+    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
+
+
+def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
+    """The cells of a line of the costs: of these numbers, and of the wall clock of the runs."""
+    timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
+    clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
+    clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
+    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[2:].sum() / 60:,.0f}", clock]
+
+
+def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:
+    """Seconds in which at least one of these spans, [from, to] of each run, was running."""
+    total, until = 0.0, -math.inf
+    for start, end in sorted((start, end) for spans in spans_of_runs for start, end in spans):
+        total += max(0.0, end - max(start, until))
+        until = max(until, end)
+    return total
 
 
 def all_tables(results: Results) -> list[Table]:

@@ -6,7 +6,7 @@ import made_up_results
 import numpy as np
 import pytest
 
-from infogoal_jax.reproduce import claims, codes, numbers
+from infogoal_jax.reproduce import claims, measure, numbers
 from infogoal_jax.reproduce.manifest import FIXED_BETAS, fixed
 
 RISING = np.linspace(0, 1, made_up_results.EVALUATIONS)
@@ -116,11 +116,13 @@ def test_goals_of_a_region_lie_together():
     draw = np.random.default_rng(0)
     region, use = np.arange(40) % 4, np.repeat([0, 2], 20)
     near = 10 * draw.normal(size=(4, 8))[region] + 0.1 * draw.normal(size=(40, 8))
-    assert codes.closeness(near, region, use) > 0.9
-    assert abs(codes.closeness(draw.normal(size=(40, 8)), region, use)) < 0.15
+    assert measure.closeness(near, region, use) > 0.9
+    assert abs(measure.closeness(draw.normal(size=(40, 8)), region, use)) < 0.15
     place = draw.normal(size=(50, 2))
     reward = -np.linalg.norm(place - 1, axis=1)
-    assert codes.reward_by_distance(np.where(np.arange(50) % 5, reward, np.nan), place, np.ones(2)) == pytest.approx(1)
+    assert measure.reward_by_distance(np.where(np.arange(50) % 5, reward, np.nan), place, np.ones(2)) == pytest.approx(
+        1
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.reproduce import lanes, measure, padding
+from infogoal_jax.reproduce import lanes, measure, plan
 from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
 from infogoal_jax.reproduce.plan import config_of
 from infogoal_jax.train.program import make_train
@@ -36,7 +36,7 @@ def smaller() -> object:
 @pytest.fixture(scope="module")
 def both():
     """Two goal sets of different sizes, padded to one shape."""
-    return padding.with_one_shape([hand_made.environment(), smaller()])
+    return plan.with_one_shape([hand_made.environment(), smaller()])
 
 
 def test_padded_goal_sets_have_one_shape(both):

@@ -6,8 +6,7 @@ from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, command_of, home_of, runs_of
-from infogoal_jax.reproduce.paper import TABLE, TASKS
-from infogoal_jax.reproduce.titles import DESCRIPTIONS
+from infogoal_jax.reproduce.paper import DESCRIPTIONS, TABLE, TASKS
 
 
 def table1(**chosen) -> list:

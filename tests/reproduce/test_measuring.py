@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from killed_reproduction import config_of, reproduce, runs
 
-from infogoal_jax.reproduce import files, lanes, needs, progress, work
+from infogoal_jax.reproduce import completion, files, lanes, progress, work
 from infogoal_jax.reproduce.finishing import Extras
 
 FIRST, SECOND = runs(1)
@@ -145,5 +145,5 @@ def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole,
 
 
 def test_what_is_measured_is_known_without_jax():
-    assert needs.missing(FIRST, None, ()) == ["codes", "pictures"]
-    assert needs.missing(FIRST, None, ("codes/closeness", "picture/code_mean")) == []
+    assert completion.missing(FIRST, None, ()) == ["codes", "pictures"]
+    assert completion.missing(FIRST, None, ("codes/closeness", "picture/code_mean")) == []

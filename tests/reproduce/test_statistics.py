@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from infogoal_jax.reproduce.statistics import (
+from infogoal_jax.reproduce.scores import (
     bootstrap,
     interquartile_mean,
     over_seeds_and_sets,

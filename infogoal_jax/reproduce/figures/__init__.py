@@ -4,10 +4,8 @@ from collections.abc import Callable
 
 from matplotlib.figure import Figure
 
-from infogoal_jax.reproduce.figures.beta import fig13, fig15
-from infogoal_jax.reproduce.figures.codes import fig9, fig10, fig11, fig14
-from infogoal_jax.reproduce.figures.reward import fig12
-from infogoal_jax.reproduce.figures.sse_db import fig8
+from infogoal_jax.reproduce.figures.codes import fig9, fig10, fig11, fig12, fig14
+from infogoal_jax.reproduce.figures.curves import fig8, fig13, fig15
 from infogoal_jax.reproduce.numbers import Results
 
 FIGURES: dict[str, Callable[[Results], Figure | None]] = {
