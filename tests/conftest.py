@@ -1,7 +1,8 @@
-"""What several test files share because it takes long to compile: programs on disk, a run with image goals, and the
-order of the files."""
+"""What several test files share because it takes long to make: programs on disk, a run with image goals, a tiny house,
+the shipped goal images; and the order of the files."""
 
 import gc
+import json
 import os
 import shutil
 import signal
@@ -9,10 +10,14 @@ import tempfile
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
+from hand_made_dataset import TINY_HOUSE
 
 from infogoal_jax import presets
+from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.stand_ins import house
 from infogoal_jax.train import host
 
 MEMORY_MAPS = Path("/proc/self/maps")
@@ -121,3 +126,34 @@ def reach_run(tmp_path_factory) -> host.Sweep:
         evaluation_starts=1,
     )
     return host.run(config, [0, 1], tmp_path_factory.mktemp("reach") / "run")
+
+
+@pytest.fixture(scope="module")
+def tiny_house(tmp_path_factory) -> Path:
+    """Folder of a tiny synthetic house: 64 x 36 pixels, nodes 1.2 m apart."""
+    root = tmp_path_factory.mktemp("tiny_house")
+    house.build_house(root, seed=3, **TINY_HOUSE)
+    return root
+
+
+@pytest.fixture(scope="module")
+def annotations(tiny_house) -> dict[str, dict]:
+    """What the images of the tiny house show."""
+    return json.loads((tiny_house / "Home_101_1" / "annotations.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def banks() -> dict[str, goal_images.GoalImages]:
+    """The shipped banks of goal images."""
+    return {name: goal_images.load(goal_images.shipped(name), name) for name in presets.FETCH_TASKS}
+
+
+@pytest.fixture(scope="session")
+def differing_pixels():
+    """In how many pixels images [..., H, W, 3] differ by more than 16 of 255 in some colour."""
+
+    def count(images, others):
+        difference = np.maximum(images, others) - np.minimum(images, others)  # Of bytes, without going below 0.
+        return (difference.max(-1) > 16).sum((-1, -2))
+
+    return count

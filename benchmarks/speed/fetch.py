@@ -3,7 +3,7 @@ the same run; and what their goal images cost in training.
 
     python benchmarks/speed/fetch.py [--tasks fetch_reach fetch_pick_and_place] [--batch 8192 32768] [--faithful]
         [--parts]               where the time of a physics step goes
-        [--jaxgcrl CHECKOUT]    JaxGCRL's arms on the same device (peers/fetch_peer_jaxgcrl.py)
+        [--jaxgcrl CHECKOUT]    JaxGCRL's arms on the same device (peers/fetch_peer_mjx.py)
         [--assets FOLDER]       the reference's models on C MuJoCo in two processes (peers/fetch_peer_mujoco.py)
     python benchmarks/speed/fetch.py --images [--tasks fetch_reach] [--seeds 5] [--updates 100] [--out FILE.json]
 
@@ -189,7 +189,7 @@ def print_rates(arguments) -> None:
     peers = {}
     for task in arguments.tasks:
         if arguments.jaxgcrl and PEER[task] not in peers:
-            from fetch_peer_jaxgcrl import measure as measure_jaxgcrl
+            from fetch_peer_mjx import measure_jaxgcrl
 
             peers[PEER[task]] = max(
                 measure_jaxgcrl(arguments.jaxgcrl, PEER[task], batch, 20)[1] for batch in arguments.batch

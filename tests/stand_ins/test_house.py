@@ -24,9 +24,9 @@ def files_of(root):
     return {path.relative_to(root): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-def test_the_same_seed_writes_the_same_bytes(tiny, tmp_path):
+def test_the_same_seed_writes_the_same_bytes(tiny_house, tmp_path):
     house.build_house(tmp_path, seed=3, **TINY_HOUSE)
-    assert files_of(tmp_path) == files_of(tiny)
+    assert files_of(tmp_path) == files_of(tiny_house)
 
 
 def test_another_seed_is_another_house():
@@ -54,10 +54,10 @@ def test_twelve_turns_come_full_circle(annotations):
         assert len(set(seen)) == 12
 
 
-def test_moves_go_where_they_say(tiny, annotations):
+def test_moves_go_where_they_say(tiny_house, annotations):
     """A translation keeps the heading and lies within 15 degrees of the direction it is named after."""
     names = sorted(annotations)
-    position = dict(zip(names, pictures.read_positions(tiny / "Home_101_1", names).astype(float), strict=True))
+    position = dict(zip(names, pictures.read_positions(tiny_house / "Home_101_1", names).astype(float), strict=True))
     for name, record in annotations.items():
         for action, degrees in (("forward", 0), ("left", 90), ("backward", 180), ("right", -90)):
             if record[action]:
@@ -105,9 +105,9 @@ def test_objects_do_not_overlap_and_stand_on_their_furniture(plan):
                 assert (np.abs(other.foot - placed.foot)[:2] >= (other.size + placed.size)[:2] / 2).any()
 
 
-def test_pose_file_is_consistent(tiny):
+def test_pose_file_is_consistent(tiny_house):
     """The matrices are rotations with the camera looking along `direction`, and t = -R position."""
-    content = scipy.io.loadmat(tiny / "Home_101_1" / "image_structs.mat")
+    content = scipy.io.loadmat(tiny_house / "Home_101_1" / "image_structs.mat")
     records = content["image_structs"][0]
     assert records.dtype.names == tuple(house.MATLAB_FIELDS)
     for record in records[:24]:
@@ -134,9 +134,9 @@ def test_bad_arguments_are_named(tmp_path, argument, match):
         house.build_house(tmp_path, **argument)
 
 
-def test_a_scene_is_not_overwritten(tiny):
+def test_a_scene_is_not_overwritten(tiny_house):
     with pytest.raises(UserError, match="exists already"):
-        house.build_house(tiny, **TINY_HOUSE)
+        house.build_house(tiny_house, **TINY_HOUSE)
 
 
 @pytest.fixture

@@ -56,9 +56,9 @@ def test_an_object_partly_outside_the_frame_counts_as_partly_visible():
     assert 0.4 < sighting.visible_fraction < 0.6
 
 
-def test_boxes_lie_in_the_picture_and_are_not_empty(annotations, tiny):
+def test_boxes_lie_in_the_picture_and_are_not_empty(annotations, tiny_house):
     name = next(iter(annotations))
-    height, width = cv2.imread(str(tiny / "Home_101_1" / "jpg_rgb" / name)).shape[:2]
+    height, width = cv2.imread(str(tiny_house / "Home_101_1" / "jpg_rgb" / name)).shape[:2]
     for record in annotations.values():
         for left, top, right, bottom, identity, difficulty in record["bounding_boxes"]:
             assert 0 <= left < right <= width

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from infogoal_jax.envs.fetch import constraints, model, newton_kernel, physics, solver
+from infogoal_jax.envs.fetch import constraints, model, physics, solver
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
 
@@ -228,7 +228,7 @@ def test_the_kernel_finds_what_plain_operations_find(size, count, steps):
     damping, start = jnp.linspace(0.1, 1.0, size), jnp.linspace(-1.0, 1.0, size)
     problem = (inertia, damping, force, rows.jacobian, rows.stiffness, rows.reference, start)
     plain = solver.solve_anywhere(*problem, steps=steps)
-    kernel = newton_kernel.solve(
+    kernel = solver.solve_on_gpu(
         *problem, lengths=solver.TRIAL_LENGTHS, equalities=solver.EQUALITIES, steps=steps, interpret=True
     )
     np.testing.assert_allclose(kernel[0], plain[0], atol=1e-3 * np.abs(plain[0]).max())
@@ -240,7 +240,7 @@ def test_elimination_solves_what_a_library_solves():
     """Gauss-Jordan elimination of the leading part of a padded matrix."""
     inertia, force, _ = random_problem(1)
     padded, vector = jnp.pad(inertia, (0, 8)), jnp.pad(force, (0, 8))
-    solution = newton_kernel.positive_definite_solve(padded, vector, 8)
+    solution = solver.gauss_jordan_solve(padded, vector, 8)
     np.testing.assert_allclose(solution[:8], np.linalg.solve(np.array(inertia, float), force), rtol=2e-3)
 
 
