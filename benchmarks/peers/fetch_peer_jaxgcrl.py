@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 
 import jax
 
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 TASKS = {"panda_reach": ("arm_reach", "ArmReach"), "panda_push_easy": ("arm_push_easy", "ArmPushEasy")}
 ACTION_SIZES = {"panda_reach": 4, "panda_push_easy": 5}

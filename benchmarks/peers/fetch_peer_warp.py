@@ -21,7 +21,7 @@ from mujoco import mjx
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 CONTACTS = (
     24  # Of one robot: what Warp sets memory aside for. The cube on the table has four, held by both fingers twelve.

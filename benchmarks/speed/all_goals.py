@@ -19,7 +19,7 @@ from method_cost import SIZES, measure
 from infogoal_jax import make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 ROWS = {
     "her": ("her", {}),

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import compiled, make_train, presets, replay
 from infogoal_jax.learners.learner import encode_all
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates as updates_of

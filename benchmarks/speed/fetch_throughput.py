@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from infogoal_jax import compiled, envs
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 PEER = {
     "fetch_reach": "panda_reach",

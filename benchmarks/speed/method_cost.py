@@ -16,7 +16,7 @@ from pathlib import Path
 import jax
 
 from infogoal_jax import compiled, make_train, presets
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.update import updates
 
 SIZES = {"num_epochs": 1, "epochs_per_evaluation": 1}

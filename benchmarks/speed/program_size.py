@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import jit, make_train, presets
 from infogoal_jax.presets import TASKS
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
 
 
