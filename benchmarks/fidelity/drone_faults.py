@@ -26,7 +26,7 @@ import numpy as np
 from infogoal_jax.drone import records
 from infogoal_jax.drone.envelope import Envelope
 from infogoal_jax.drone.simulated_tello import SimulatedTello, Started, start
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 SPEED = 4.0
 ENVELOPE = Envelope(left=3, right=3, up=2, down=2)

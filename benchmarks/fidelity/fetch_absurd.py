@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.rollout import chosen
 
 CORNERS = jnp.array([[float(2 * (number >> bit & 1) - 1) for bit in range(4)] for number in range(16)])

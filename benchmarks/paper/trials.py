@@ -33,7 +33,7 @@ from infogoal_jax import jit, presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import splits
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import chunk_of
 from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.lanes import batched_hyper

@@ -36,7 +36,7 @@ from mujoco import mjx
 from infogoal_jax import envs
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 ARMS = {"panda_reach": ("arm_reach", "ArmReach"), "panda_push_easy": ("arm_push_easy", "ArmPushEasy")}
 ACTION_SIZES = {"panda_reach": 4, "panda_push_easy": 5}

@@ -23,7 +23,7 @@ from stable_baselines3 import SAC, HerReplayBuffer, __version__
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from infogoal_jax.bridges import gymnasium as bridge
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 
 
 def learner(task: str, seed: int) -> SAC:

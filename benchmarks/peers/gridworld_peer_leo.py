@@ -37,8 +37,7 @@ from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.registry import Entry
-from infogoal_jax.report.machine import describe_machine
-from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.report.statistics import describe_machine, mean_interval
 
 NUM_ENVS, ROLLOUT, BATCH, REUSE = 1024, 32, 512, 2
 """Theirs: environments, steps of each between updates, transitions of an update, and how often each is used."""

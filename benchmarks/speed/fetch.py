@@ -26,7 +26,7 @@ from infogoal_jax import compiled, envs, make_train, presets, replay
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.learners.learner import encode_all
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates as updates_of

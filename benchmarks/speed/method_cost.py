@@ -26,7 +26,7 @@ import numpy as np
 from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.update import updates
 
 SIZES = {"num_epochs": 1, "epochs_per_evaluation": 1}

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import compiled, make_train, presets
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.experience import usable_mask
 
 MILLION = 1_000_000

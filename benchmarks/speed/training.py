@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import compiled, jit, make_train, presets
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect

@@ -95,7 +95,7 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
         out: File to write; must end in .zip.
         seed: Seed of the run; none: its first.
     """
-    from infogoal_jax.report.tables import diverged_seeds
+    from infogoal_jax.report.runs import diverged_seeds
     from infogoal_jax.runs import description, packed
 
     folder = packed.find_run(run)
@@ -157,7 +157,7 @@ def video(
     use_compilation_cache()
     if subject not in TASKS and (Path(subject).exists() or os.sep in subject):
         from infogoal_jax.report.figures import read_subject
-        from infogoal_jax.report.image_goal_episodes import policy_video
+        from infogoal_jax.report.image_goals import policy_video
 
         run = read_subject(Path(subject))
         reached = policy_video(run, out, episodes, seed, corruption, size)

@@ -21,9 +21,8 @@ from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.report.runs import Run
+from infogoal_jax.report.runs import Run, RunTable
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.report.tables import Table
 from infogoal_jax.runs import disk
 from infogoal_jax.train.program import Train
 
@@ -52,8 +51,8 @@ class Subject:
 
     run: Run
     train: Train
-    epochs: Table
-    evaluations: Table
+    epochs: RunTable
+    evaluations: RunTable
     diverged: dict[int, int]
     params: Any
     params_seed: int

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from infogoal_jax import presets
 from infogoal_jax.errors import nearest, require
-from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
     ANY,
     NOT_NEGATIVE,
@@ -32,7 +31,7 @@ from infogoal_jax.report.figures import (
     progress,
     success_within,
 )
-from infogoal_jax.report.runs import Run, load_run
+from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, table_of
 from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
@@ -48,8 +47,8 @@ class Compared(NamedTuple):
     """A run, its tables without the seeds that diverged, and those seeds with the epoch."""
 
     run: Run
-    evaluations: tables.Table
-    epochs: tables.Table
+    evaluations: RunTable
+    epochs: RunTable
     diverged: dict[int, int]
 
 
@@ -84,15 +83,15 @@ def read_compared(folder: Path) -> Compared:
     """The run in this folder. Raises `UserError` if it has no evaluation of a seed that did not diverge."""
     run = load_run(folder)
     folder = run.folder
-    diverged = tables.diverged_seeds(folder)
-    evaluations = tables.read(folder, "evaluations", diverged)
+    diverged = diverged_seeds(folder)
+    evaluations = table_of(folder, "evaluations", diverged)
     require(
         bool(evaluations.values), "run", str(folder), "has no evaluation of a seed that did not diverge; leave it out"
     )
-    return Compared(run, evaluations, tables.read(folder, "epochs", diverged), diverged)
+    return Compared(run, evaluations, table_of(folder, "epochs", diverged), diverged)
 
 
-def table_with(metric: str, each: Compared) -> tables.Table | None:
+def table_with(metric: str, each: Compared) -> RunTable | None:
     """The table of a run that has this metric; None if neither has."""
     return next((table for table in (each.evaluations, each.epochs) if metric in table.values), None)
 
@@ -151,7 +150,7 @@ def small_print(compared: list[Compared], titles: list[str], *more: str) -> tupl
     return "; ".join((seeds, *left_out, *more)), f"data: {data}"
 
 
-def entry_of(title: str, table: tables.Table) -> str:
+def entry_of(title: str, table: RunTable) -> str:
     """A run in the legend."""
     count = len(table.seeds)
     return f"{title}, {count} seed{'s' if count > 1 else ''}"

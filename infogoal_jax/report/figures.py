@@ -17,7 +17,6 @@ from infogoal_jax import learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.report import tables
 from infogoal_jax.report.canvas import (
     FORMATS,
     NOT_NEGATIVE,
@@ -35,8 +34,8 @@ from infogoal_jax.report.canvas import (
 )
 from infogoal_jax.report.goal_codes import representations
 from infogoal_jax.report.house_figures import draw_plans
-from infogoal_jax.report.image_goal_figures import draw_image_goals
-from infogoal_jax.report.runs import load_run, read_params
+from infogoal_jax.report.image_goals import draw_image_goals
+from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
@@ -80,14 +79,14 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
     """The run in this folder with its tables, and the parameters of its first seed that did not diverge."""
     run = load_run(folder)
     folder = run.folder
-    diverged = tables.diverged_seeds(folder)
-    train, evaluations = make_train(run.config, env), tables.read(folder, "evaluations", diverged)
+    diverged = diverged_seeds(folder)
+    train, evaluations = make_train(run.config, env), table_of(folder, "evaluations", diverged)
     params, seed = None, -1
     if (folder / "policy").exists() and evaluations.seeds:
         seed = evaluations.seeds[0]
         index = run.seeds.index(seed)
         params = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), read_params(run, train))
-    return Subject(run, train, tables.read(folder, "epochs", diverged), evaluations, diverged, params, seed)
+    return Subject(run, train, table_of(folder, "epochs", diverged), evaluations, diverged, params, seed)
 
 
 def learning_curves(subject: Subject) -> Figure:
@@ -115,7 +114,7 @@ def learning_curves(subject: Subject) -> Figure:
     return figure
 
 
-def progress(config: TrainConfig, evaluations: tables.Table, env) -> tuple[np.ndarray, str]:
+def progress(config: TrainConfig, evaluations: RunTable, env) -> tuple[np.ndarray, str]:
     """How far training was at each evaluation [E], and in what: environment steps, or epochs for who learns offline and
     takes none."""
     if env.recorded is not None:

@@ -1,4 +1,5 @@
-"""A run as read back from its folder: configuration, seeds, tables and parameters."""
+"""A run as read back from its folder: configuration, environment, policies and parameters; and its tables as arrays,
+seeds by epochs, without the seeds that diverged."""
 
 import dataclasses
 import functools
@@ -7,11 +8,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from infogoal_jax.errors import require
-from infogoal_jax.runs import checkpoint, description
+from infogoal_jax.runs import checkpoint, description, tables
 from infogoal_jax.runs.description import Description
 from infogoal_jax.runs.packed import find_run
+from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import GoalView
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
@@ -73,3 +76,42 @@ def read_params(run: Run, train: Train) -> dict[str, Any]:
     keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
     shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
     return checkpoint.load(run.folder / "policy", shapes)[1]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunTable:
+    """seeds: those that count; epochs: int [E], the numbers of the epochs; values: {name: [seeds, E, ...]}."""
+
+    seeds: list[int]
+    epochs: np.ndarray
+    values: dict[str, np.ndarray]
+
+    def last(self) -> dict[str, np.ndarray]:
+        """The last row of each seed, {name: [seeds, ...]}."""
+        return {name: value[:, -1] for name, value in self.values.items()}
+
+
+def diverged_seeds(folder: Path) -> dict[int, int]:
+    """Seeds whose loss or gradient stopped being finite, with the first such epoch."""
+    return host.diverged_seeds(tables.read_table(folder, "epochs"))
+
+
+def table_of(folder: Path, name: str, leave_out=()) -> RunTable:
+    """A table of the run (one of `tables.TABLES`) without some seeds. An epoch counts once every seed has its row.
+
+    Raises `UserError` if the run has no such table.
+    """
+    rows = {(row["seed"], row["epoch"]): row for row in tables.read_table(folder, name)}
+    all_seeds = sorted({seed for seed, _ in rows})
+    epochs = [
+        epoch for epoch in sorted({epoch for _, epoch in rows}) if all((seed, epoch) in rows for seed in all_seeds)
+    ]
+    seeds = [seed for seed in all_seeds if seed not in leave_out]
+    if not seeds or not epochs:
+        return RunTable(seeds, np.asarray(epochs, int), {})
+    columns = [column for column in rows[seeds[0], epochs[0]] if column not in ("seed", "epoch")]
+    values = {
+        column: np.asarray([[rows[seed, epoch][column] for epoch in epochs] for seed in seeds], float)
+        for column in columns
+    }
+    return RunTable(seeds, np.asarray(epochs, int), values)

@@ -1,8 +1,12 @@
-"""Means over seeds and how sure they are: 95 % intervals of Student's t, and differences of two methods that ran on the
-same seeds."""
+"""What stands beside every number: how sure a mean over seeds is (95 % intervals of Student's t, and differences of two
+methods that ran on the same seeds), and the machine that it was measured on."""
 
 import dataclasses
+import datetime
+import os
+import platform
 
+import jax
 import numpy as np
 from scipy import stats
 
@@ -70,3 +74,14 @@ def paired_difference(first, second) -> Interval:
         "a paired difference needs the same seeds of both methods",
     )
     return mean_interval(first - second)
+
+
+def describe_machine() -> str:
+    """Device, processor cores, versions and date, in words and without the machine's name."""
+    device = jax.devices()[0]
+    kind = (
+        f"{os.cpu_count()} CPU cores ({platform.machine()})"
+        if device.platform == "cpu"
+        else f"{len(jax.devices())} x {device.device_kind}"
+    )
+    return f"{kind}, jax {jax.__version__}, Python {platform.python_version()}, {datetime.date.today()}"

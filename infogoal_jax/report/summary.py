@@ -12,8 +12,7 @@ from rich.table import Table
 from infogoal_jax import learners, presets
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_WHOLE
-from infogoal_jax.report import tables
-from infogoal_jax.report.runs import Run, load_run, read_params
+from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runs import checkpoint, results
 from infogoal_jax.runs.folder import RUN, remove_abandoned
@@ -85,12 +84,12 @@ def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
 def print_run(folder: Path, console: Console | None = None) -> None:
     """Print what the run in this folder came to. Raises `UserError` if there is none, or it has no evaluation yet."""
     run = load_run(folder)
-    show(run, tables.diverged_seeds(run.folder), console or Console())
+    show(run, diverged_seeds(run.folder), console or Console())
 
 
 def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     """Print the table of the last evaluation, then a line for each of the other things to know."""
-    evaluations, epochs = (tables.read(run.folder, name, diverged) for name in ("evaluations", "epochs"))
+    evaluations, epochs = (table_of(run.folder, name, diverged) for name in ("evaluations", "epochs"))
     left, acted = len(evaluations.seeds), "collect/valid" in epochs.values  # Who learns offline collects nothing.
     last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0
     head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {last_epoch} of {run.config.num_epochs}"
@@ -138,7 +137,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
 
 
-def learner_numbers(run: Run, epochs: tables.Table) -> str:
+def learner_numbers(run: Run, epochs: RunTable) -> str:
     """Beta, accuracy and KL of the last epoch, for the methods that have them."""
     if not epochs.values or not epochs.seeds:
         return ""
@@ -186,7 +185,7 @@ def evaluate_run(
     )
     run, console = load_run(folder), console or Console()
     folder = run.folder
-    train, diverged = make_train(run.config, env), tables.diverged_seeds(folder)
+    train, diverged = make_train(run.config, env), diverged_seeds(folder)
     has_images = has_image_goals(train.env)
     require(
         corruption is None or has_images,

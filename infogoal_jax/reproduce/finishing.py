@@ -11,7 +11,7 @@ import numpy as np
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
-from infogoal_jax.report.machine import describe_machine
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.reproduce import completion, files, lanes, measure
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import Run, command_of

@@ -15,11 +15,10 @@ from scipy import stats
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.report import fetch_figures, pose_figures
 from infogoal_jax.report.canvas import Subject
-from infogoal_jax.report.image_goal_episodes import is_fetch, policy_episodes, seen_images
-from infogoal_jax.report.image_goal_figures import spread_goals
+from infogoal_jax.report.image_goals import is_fetch, policy_episodes, seen_images, spread_goals
 from infogoal_jax.report.runs import Run as RunInFolder
+from infogoal_jax.report.trajectory_figures import angles_to_goals, drawing_of
 from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, reward_of_images, walks_of_policy
 from infogoal_jax.train.combinations import has_own_loss, has_reward
 from infogoal_jax.train.evaluation import EVALUATION_SEED
@@ -159,8 +158,7 @@ def ways_of_images(subject: Subject) -> dict[str, np.ndarray]:
     way_goal float32 [G, 2]."""
     env = subject.train.env
     fetch = is_fetch(env)
-    apart = fetch_figures.distances_of_goals(env) if fetch else pose_figures.angles_between_goals(env)
-    chosen = spread_goals(env.goals, np.asarray(env.goals.test_mask), WAYS, apart)
+    chosen = spread_goals(env.goals, np.asarray(env.goals.test_mask), WAYS, drawing_of(env).apart(env))
     episodes = policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
     way = np.full((len(WEIGHTS), len(chosen), env.episode_length + 1, 2), np.nan, np.float32)
     for view, found in enumerate(episodes):
@@ -168,7 +166,7 @@ def ways_of_images(subject: Subject) -> dict[str, np.ndarray]:
             paths = np.asarray(env.unwrapped.robot.achieved(found.observations))[..., :2]
             paths = [path[: steps + 1] for path, steps in zip(paths, found.steps, strict=True)]
         else:
-            angles = pose_figures.angles_to_goals(env, chosen, found)
+            angles = angles_to_goals(env, chosen, found)
             paths = [np.stack([np.arange(len(angle)), angle], -1) for angle in angles]
         for goal, path in enumerate(paths):
             way[view, goal, : len(path)] = path

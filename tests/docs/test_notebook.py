@@ -13,7 +13,7 @@ nbformat = pytest.importorskip("nbformat")
 DRAWS = {
     "quickstart": ("env", "curves", "codes", "path", "sweep"),
     "fetch_image_goals": ("curves", "goals", "corrupt", "video"),
-    "seed_sweeps": ("curves", "enough", "pairs"),
+    "seed_sweeps": ("curves", "pairs", "enough"),
     "your_own": ("task-figure", "compare", "dataset", "dataset-train"),
 }
 """The cells of each notebook that end in a picture."""

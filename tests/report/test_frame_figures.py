@@ -14,15 +14,7 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import (
-    figures,
-    house_figures,
-    image_goal_episodes,
-    image_goal_figures,
-    pose_figures,
-    shelf_figures,
-    walks,
-)
+from infogoal_jax.report import figures, house_figures, image_goals, shelf_figures, trajectory_figures, walks
 from infogoal_jax.report.summary import print_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
@@ -93,14 +85,14 @@ def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
     """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
     env, data = pose_subject.train.env, hand_made_frames.arm()
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))
-    (episodes,) = image_goal_episodes.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
+    (episodes,) = image_goals.policy_episodes(pose_subject, goals, [0.0], EVALUATION_SEED)
     rotation = Rotation.from_matrix(data.rotation)
     for goal, frames, steps, success, angle in zip(
         goals,
         episodes.observations.frame,
         episodes.steps,
         episodes.success,
-        pose_figures.angles_to_goals(env, goals, episodes),
+        trajectory_figures.angles_to_goals(env, goals, episodes),
         strict=True,
     ):
         target = rotation[int(env.goals.rows[goal])]
@@ -113,26 +105,26 @@ def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
 def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart(pose_subject):
     """The first region, then the one whose training pose lies farthest from it."""
     env = pose_subject.train.env
-    apart = pose_figures.angles_between_goals(env)
+    apart = trajectory_figures.angles_between_goals(env)
     assert apart.shape == (3, 3) and (apart[~np.eye(3, dtype=bool)] > 20).all()
     regions = np.asarray(env.goals.regions)
     mask = np.isin(np.arange(env.goals.num_goals), [np.flatnonzero(regions == region)[0] for region in range(3)])
-    chosen = image_goal_figures.spread_goals(env.goals, mask, 2, apart)
+    chosen = image_goals.spread_goals(env.goals, mask, 2, apart)
     assert regions[chosen].tolist() == [0, int(apart[0].argmax())]
 
 
 def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_subject, pose_subject, tmp_path):
     """Its frames with the goal's image in the corner; a task whose goals are texts has none."""
-    reached = image_goal_episodes.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
+    reached = image_goals.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
     video, count, first = cv2.VideoCapture(str(tmp_path / "poses.mp4")), 0, None
     while (read := video.read())[0]:
         first, count = read[1] if first is None else first, count + 1
     assert len(reached) == 2 and first.shape == (64, 96, 3)
-    assert (count - 2 * 25) % image_goal_episodes.PICTURES_A_FRAME == 0 and 2 <= (
+    assert (count - 2 * 25) % image_goals.PICTURES_A_FRAME == 0 and 2 <= (
         count - 2 * 25
-    ) // image_goal_episodes.PICTURES_A_FRAME <= 2 * 13
+    ) // image_goals.PICTURES_A_FRAME <= 2 * 13
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
-        image_goal_episodes.policy_video(shelf_subject, tmp_path / "flights.mp4")
+        image_goals.policy_video(shelf_subject, tmp_path / "flights.mp4")
 
 
 def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, pose_subject):
@@ -146,7 +138,7 @@ def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, po
     )
     assert shelf_figures.draw_shelves(unknown) == shelf_figures.draw_shelves(pose_subject) == {}
     assert house_figures.draw_plans(shelf_subject) == house_figures.draw_plans(pose_subject) == {}
-    assert image_goal_figures.draw_image_goals(shelf_subject) == {}
+    assert image_goals.draw_image_goals(shelf_subject) == {}
 
 
 def test_border_of_two_places_side_by_side_has_six_sides(shelf_subject):

@@ -15,8 +15,9 @@ from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import fetch_figures, image_goal_episodes, image_goal_figures, tables
+from infogoal_jax.report import image_goals, trajectory_figures
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
+from infogoal_jax.report.runs import table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.train import host
@@ -46,7 +47,7 @@ def rows_of(text: str) -> list[list[str]]:
 
 @pytest.mark.long
 def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_run):
-    text, scores = printed(print_run, reach_run.folder), tables.read(reach_run.folder, "evaluations").last()
+    text, scores = printed(print_run, reach_run.folder), table_of(reach_run.folder, "evaluations").last()
     kinds = ("training", "validation", "test", "training, corrupted", "test, corrupted")
     assert rows_of(text) == [[kind, code] for kind in kinds for code in ("sampled", "mean")]
     for words in (
@@ -72,7 +73,7 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
         points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params
     )
     assert beta_and_accuracy(subject) is None
-    figure = image_goal_figures.draw_image_goals(subject)["codes_and_trajectories"]
+    figure = image_goals.draw_image_goals(subject)["codes_and_trajectories"]
     # Codes under growing corruption are compared: one unit is as long in all panels and on both axes.
     codes = [axes for axes in figure.axes if "background of weight" in axes.get_title()]
     assert len(codes) == 4 and len({(axes.get_xlim(), axes.get_ylim()) for axes in codes}) == 1
@@ -100,7 +101,7 @@ def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(p
 
 @pytest.mark.long
 def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run):
-    env, scores = reach_run.train.env, tables.read(reach_run.folder, "evaluations").last()
+    env, scores = reach_run.train.env, table_of(reach_run.folder, "evaluations").last()
     for group in env.goals.groups:
         mask = evaluated_mask(env.goals, group)
         assert len(mask) == 48 and mask.sum() == {"train": 8, "validation": 8, "test": 32}[group]
@@ -111,18 +112,16 @@ def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run
 @pytest.mark.long
 def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
     env = reach_run.train.env
-    apart = fetch_figures.distances_of_goals(env)
-    chosen = image_goal_figures.spread_goals(env.goals, env.goals.test_mask, 4, apart)
+    apart = trajectory_figures.distances_of_goals(env)
+    chosen = image_goals.spread_goals(env.goals, env.goals.test_mask, 4, apart)
     assert len(set(np.asarray(env.goals.regions)[chosen])) == 4 and np.asarray(env.goals.test_mask)[chosen].all()
-    assert len(image_goal_figures.spread_goals(env.goals, env.goals.train_mask, 100, apart)) == 8
+    assert len(image_goals.spread_goals(env.goals, env.goals.train_mask, 100, apart)) == 8
 
 
 def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
     env = points.train.env
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
-    clean, again, corrupted = image_goal_episodes.policy_episodes(
-        points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED
-    )
+    clean, again, corrupted = image_goals.policy_episodes(points_subject, goals, [0.0, 0.0, 1.0], EVALUATION_SEED)
     path = np.asarray(env.unwrapped.robot.achieved(clean.observations))
     assert path.shape == (4, env.episode_length + 1, 3)
     nearest = np.linalg.norm(path - np.asarray(env.unwrapped.positions)[goals][:, None], axis=-1).min(1)
@@ -136,7 +135,7 @@ def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(
 def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
     env = reach_run.train.env
     clean, half, background = (
-        image_goal_episodes.seen_images(env, np.array([5, 3]), weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
+        image_goals.seen_images(env, np.array([5, 3]), weight, 7).astype(float) for weight in (0.0, 0.5, 1.0)
     )
     np.testing.assert_array_equal(clean, np.asarray(env.goals.inputs)[[5, 3]])
     assert np.abs(half - (clean + background) / 2).max() <= 0.5
@@ -154,10 +153,10 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
     some, env = np.array([126, 130]), points.train.env
     parts = points.train.parts._replace(learner=learner._replace(encode=encode))
     corrupted_view(parts, points_subject.params, env, jnp.asarray(some), 1, 0.4, 9)
-    np.testing.assert_array_equal(seen[-1], image_goal_episodes.seen_images(env, some, 0.4, 9))
+    np.testing.assert_array_equal(seen[-1], image_goals.seen_images(env, some, 0.4, 9))
 
 
 @pytest.mark.long
 def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):
-    image_goal_figures.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
+    image_goals.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
     assert imread(tmp_path / "goals.png").std() > 0.1

@@ -19,10 +19,10 @@ from rich.console import Console
 from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
-from infogoal_jax.report import house_figures, tables, walks
+from infogoal_jax.report import house_figures, walks
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.goal_codes import principal_components, representations
-from infogoal_jax.report.runs import read_params
+from infogoal_jax.report.runs import diverged_seeds, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
 from infogoal_jax.runs.packed import pack, shipped
@@ -70,7 +70,7 @@ def diverged_run(sweep, tmp_path):
 
 def test_summary_names_data_seeds_and_times(sweep):
     text = printed(print_summary, sweep)
-    scores = tables.read(sweep.folder, "evaluations").last()
+    scores = table_of(sweep.folder, "evaluations").last()
     for word in (
         "hand-made graph",
         "3 seeds",
@@ -88,10 +88,10 @@ def test_summary_names_data_seeds_and_times(sweep):
 
 def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
     everything, left = (
-        tables.read(sweep.folder, "evaluations"),
-        tables.read(diverged_run, "evaluations", tables.diverged_seeds(diverged_run)),
+        table_of(sweep.folder, "evaluations"),
+        table_of(diverged_run, "evaluations", diverged_seeds(diverged_run)),
     )
-    assert tables.diverged_seeds(diverged_run) == {4: 3}
+    assert diverged_seeds(diverged_run) == {4: 3}
     assert left.seeds == [3, 5]
     name = "train_goal/episode_length"
     np.testing.assert_array_equal(left.values[name], everything.values[name][[0, 2]])
@@ -199,7 +199,7 @@ def test_walks_are_those_of_the_last_evaluation(sweep, env):
 
 
 def test_success_by_length_ends_at_the_success_rate(sweep, env):
-    scores = tables.read(sweep.folder, "evaluations").last()
+    scores = table_of(sweep.folder, "evaluations").last()
     curve = success_within(scores["first_reached"], np.asarray(env.goals.test_mask), env.episode_length)
     assert curve.shape == (len(SEEDS), env.episode_length + 1)
     np.testing.assert_allclose(curve[:, -1], scores["test_goal/success_rate"], atol=1e-6)
@@ -231,7 +231,7 @@ def test_a_packed_run_is_a_run_of_one_seed(sweep, env, packed, tmp_path):
     assert (run.seeds, run.config, run.data) == ([4], whole.config, whole.data)
     params = (read_params(one, sweep.train) for one in (run, whole))
     jax.tree.map(lambda own, all_seeds: np.testing.assert_array_equal(own[0], all_seeds[1]), *params)
-    last = [tables.read(one.folder, "evaluations").last()["first_reached"] for one in (run, whole)]
+    last = [table_of(one.folder, "evaluations").last()["first_reached"] for one in (run, whole)]
     np.testing.assert_array_equal(last[0][0], last[1][1])
     assert "1 seed" in printed(print_run, packed)
     drawn = draw_figures(packed, env)

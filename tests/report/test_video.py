@@ -11,7 +11,7 @@ import pytest
 from infogoal_jax import UserError, envs
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.report import image_goal_episodes
+from infogoal_jax.report import image_goals
 from infogoal_jax.report.figures import read_subject
 from infogoal_jax.report.video import episode_video, random_policy, write_video
 
@@ -127,14 +127,12 @@ def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
 @pytest.mark.long
 def test_a_trained_policy_becomes_a_video_with_its_goal_in_the_corner(reach_run, tmp_path):
     subject = read_subject(reach_run.folder, reach_run.train.env)
-    outcomes = image_goal_episodes.policy_video(
-        subject, tmp_path / "policy.mp4", episodes=2, seed=3, corruption=0.8, size=SIZE
-    )
+    outcomes = image_goals.policy_video(subject, tmp_path / "policy.mp4", episodes=2, seed=3, corruption=0.8, size=SIZE)
     found = read(tmp_path / "policy.mp4")
     assert len(outcomes) == 2 and 2 * (2 + 25) <= len(found) <= 2 * (11 + 25)
     test = np.flatnonzero(np.asarray(reach_run.train.env.goals.test_mask))
     shown = np.random.default_rng(3).permutation(test)[:2]
-    images = image_goal_episodes.seen_images(reach_run.train.env, shown, 0.8, 3)
+    images = image_goals.seen_images(reach_run.train.env, shown, 0.8, 3)
     for frame, image in ((found[0], images[0]), (found[-1], images[1])):
         corner = frame[4:36, -36:-4].astype(float)
         assert np.abs(corner.mean((0, 1)) - image.mean((0, 1))).max() < 15
@@ -149,4 +147,4 @@ def test_a_video_of_a_run_refuses_what_it_cannot_draw(reach_run, tmp_path):
         ({"seed": -1}, "seed = -1"),
     ):
         with pytest.raises(UserError, match=message):
-            image_goal_episodes.policy_video(subject, tmp_path / "a.mp4", **changes)
+            image_goals.policy_video(subject, tmp_path / "a.mp4", **changes)

@@ -1,29 +1,117 @@
-"""The policy's ways to corrupted test poses: the angle that is left at each step, and the images on the way (paper,
-Fig. 9, lower half).
+"""The policy's ways to corrupted test goals (paper, Fig. 9): on Fetch as they are seen from above; for an object that
+is turned, as the angle that is left at each step, and as images.
 
 The paper draws pitch and yaw, which are no distances: what counts is the angle of the turn to the goal, and that is
 drawn here.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 
+from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.object_manipulation import REACHED, ObjectManipulation
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour
-from infogoal_jax.report.image_goal_episodes import seen_images
-from infogoal_jax.train.evaluation import EVALUATION_SEED
 from infogoal_jax.train.rollout import Episodes
 
-SHOWN = f"dashed: {np.rad2deg(REACHED):g} degrees, within which a pose is reached"
-"""For the small print."""
-VERTICAL_LABEL = "angle to the goal (degrees)"
 IMAGES = 7
 """Of an episode, start and end included."""
+
+
+class Drawing(NamedTuple):
+    """How the ways to the goals of a task are drawn. shown: for the small print; vertical_label: of the axis;
+    apart(env): how far training goals lie apart, [R, R]; draw(axes, env, chosen, episodes): an episode to each of the
+    goals `chosen` [E]; legend(env, chosen): what the marks mean."""
+
+    shown: str
+    vertical_label: str
+    apart: Callable[[Any], np.ndarray]
+    draw: Callable[[Axes, Any, np.ndarray, Episodes], None]
+    legend: Callable[[Any, np.ndarray], list[Line2D]]
+
+
+def drawing_of(env: Any) -> Drawing:
+    """The drawing for this environment's goals."""
+    return AS_ANGLES if has_poses(env) else FROM_ABOVE
+
+
+def distances_of_goals(env: Any) -> np.ndarray:
+    """Metres between any two training goals, [R, R]."""
+    centres = np.asarray(env.unwrapped.positions)[np.asarray(env.goals.training_goals)]
+    return np.linalg.norm(centres[:, None] - centres, axis=-1)
+
+
+def draw_from_above(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episodes) -> None:
+    """Episodes from above, one to each of the goals `chosen` [E], in the colours of their regions."""
+    path, positions = (
+        np.asarray(env.unwrapped.robot.achieved(episodes.observations)),
+        np.asarray(env.unwrapped.positions),
+    )
+    regions = np.asarray(env.goals.regions)
+    for goal, steps, success, way in zip(chosen, episodes.steps, episodes.success, path, strict=True):
+        colour, outcome, way = room_colour(regions[goal]), SUCCESS if success else FAILURE, way[: steps + 1]
+        axes.add_patch(
+            Circle(positions[goal, :2], DISTANCE_THRESHOLD, facecolor=outcome, edgecolor="none", alpha=0.22, zorder=1)
+        )
+        axes.add_patch(
+            Circle(
+                positions[goal, :2], DISTANCE_THRESHOLD, facecolor="none", edgecolor=outcome, linewidth=1.6, zorder=2
+            )
+        )
+        axes.plot(
+            *positions[goal, :2],
+            marker="*",
+            markersize=11,
+            color=colour,
+            markeredgecolor="black",
+            markeredgewidth=0.7,
+            zorder=4,
+        )
+        axes.plot(*way[:, :2].T, color=colour, linewidth=1.6, marker=".", markersize=3, zorder=3)
+        axes.plot(*way[0, :2], marker="o", markersize=6, markerfacecolor="white", markeredgecolor="black", zorder=5)
+    low, high = env.space.bounds[:, :2] + np.array([[-1.5], [1.5]]) * DISTANCE_THRESHOLD
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (m)")
+    axes.grid()
+
+
+def legend_from_above(env: Any, chosen: np.ndarray) -> list[Line2D]:
+    """What the marks of `draw_from_above` mean."""
+    mover = "gripper" if env.unwrapped.robot.task.object_height is None else "object"
+    round_mark = {"linestyle": "", "marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgewidth": 1.6}
+    return [
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="o",
+            markerfacecolor="white",
+            markeredgecolor="black",
+            label=f"start of the {mover}",
+        ),
+        Line2D([], [], color="#888888", marker=".", markersize=3, label=f"way of the {mover}, a dot a step"),
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="*",
+            markersize=11,
+            markerfacecolor="white",
+            markeredgecolor="black",
+            label="test goal",
+        ),
+        *(
+            Line2D([], [], markeredgecolor=colour, label=label, **round_mark)
+            for colour, label in ((SUCCESS, "reached"), (FAILURE, "not reached"))
+        ),
+    ]
 
 
 def has_poses(env: Any) -> bool:
@@ -52,7 +140,7 @@ def angles_to_goals(env: Any, chosen: np.ndarray, episodes: Episodes) -> list[np
     ]
 
 
-def draw_trajectories(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episodes) -> None:
+def draw_angles(axes: Axes, env: Any, chosen: np.ndarray, episodes: Episodes) -> None:
     """The angle that is left at each step, one curve to each of the goals `chosen` [E], in the colours of their
     regions."""
     regions = np.asarray(env.goals.regions)
@@ -80,8 +168,8 @@ def title_of(env: Any, chosen: np.ndarray, number: int) -> str:
     return f"{number + 1}: {in_words(env.goals.names[chosen[number]])}"
 
 
-def trajectory_legend(env: Any, chosen: np.ndarray) -> list[Line2D]:
-    """What the marks of `draw_trajectories` mean."""
+def legend_of_angles(env: Any, chosen: np.ndarray) -> list[Line2D]:
+    """What the marks of `draw_angles` mean."""
     regions = np.asarray(env.goals.regions)[chosen]
     ends = ((SUCCESS, "reached"), (FAILURE, "time is up"))
     return [
@@ -96,11 +184,27 @@ def trajectory_legend(env: Any, chosen: np.ndarray) -> list[Line2D]:
     ]
 
 
+FROM_ABOVE = Drawing(
+    f"circles: within {100 * DISTANCE_THRESHOLD:g} cm of the goal in x and y, green if it was reached (z counts too)",
+    "y (m)",
+    distances_of_goals,
+    draw_from_above,
+    legend_from_above,
+)
+AS_ANGLES = Drawing(
+    f"dashed: {np.rad2deg(REACHED):g} degrees, within which a pose is reached",
+    "angle to the goal (degrees)",
+    angles_between_goals,
+    draw_angles,
+    legend_of_angles,
+)
+
+
 def poses_on_the_way(
-    subject: Subject, chosen: np.ndarray, weights: Sequence[float], episodes: list[Episodes]
+    subject: Subject, chosen: np.ndarray, seen: dict[float, np.ndarray], episodes: list[Episodes]
 ) -> Figure:
     """The ways as images: for each of the goals `chosen` and each weight the goal as the policy sees it, and images
-    from the start to the end."""
+    from the start to the end. seen: {weight: images of the goals, uint8 [C, H, W, 3]}."""
     env = subject.train.env
     shown = (
         f"seed {subject.params_seed}, last parameters; test backgrounds; up to {IMAGES} images of each way; below each "
@@ -111,7 +215,6 @@ def poses_on_the_way(
     rows, across = -(-len(chosen) // 2), min(2, len(chosen))
     figure = new_figure(subject, "ways to corrupted test poses", (7.4 * across, 4.6 * rows + 1.0), shown=shown)
     blocks = figure.subfigures(rows, across, squeeze=False, hspace=0.02, wspace=0.02).ravel()
-    seen = [seen_images(env, chosen, weight, EVALUATION_SEED) for weight in weights]
     angles = [angles_to_goals(env, chosen, found) for found in episodes]
     for number, block in zip(range(len(chosen)), blocks, strict=False):
         block.suptitle(
@@ -122,7 +225,7 @@ def poses_on_the_way(
         )
         ways = [
             (weight, images[number], found.observations.frame[number], bool(found.success[number]), angle[number])
-            for weight, images, found, angle in zip(weights, seen, episodes, angles, strict=True)
+            for (weight, images), found, angle in zip(seen.items(), episodes, angles, strict=True)
         ]
         draw_ways(block, np.asarray(env.goals.inputs), ways)
     return figure

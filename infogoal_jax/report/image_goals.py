@@ -1,0 +1,279 @@
+"""Tasks whose goals are images: episodes of a trained policy on clean or corrupted goals, the video of them, and
+figures of the goals (paper, Fig. 6) and of their codes with the policy's ways under corruption (Fig. 9)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from infogoal_jax.envs.fetch.image_goals import ImageGoals
+from infogoal_jax.envs.fetch.scene import draw_fetch
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_figure, save, share_limits
+from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
+from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
+from infogoal_jax.report.video import LAST_PICTURE, write_video
+from infogoal_jax.train.evaluation import EVALUATION_SEED, draw_starts, run_side_by_side
+from infogoal_jax.train.hierarchy import SubgoalState
+from infogoal_jax.train.rollout import Episodes, Policy
+from infogoal_jax.train.settings import corrupted_images, corrupted_view, has_image_goals
+
+PICTURES_A_FRAME = 8
+"""How often each frame of a walk is shown: about three steps a second."""
+WEIGHTS = (0.1, 0.2, 0.4, 0.8)
+"""Of the backgrounds, in the paper's figures."""
+EXAMPLES, EXAMPLE_SEED = 2, 0
+"""Goals of each kind in the figure of examples, and the seed of their backgrounds."""
+SHOWN_GOALS = 4
+"""Test goals whose trajectories are drawn."""
+
+
+@flax.struct.dataclass
+class Watched:
+    """A simulated environment whose observation is the robot's whole state, so that a rollout keeps it."""
+
+    env: Any
+
+    @property
+    def episode_length(self) -> int:
+        """Steps after which an episode is truncated."""
+        return self.env.episode_length
+
+    def step(self, state, action):
+        """One step of the environment."""
+        return self.env.step(state, action)
+
+    def observe(self, state):
+        """The robot's state, `FetchState`."""
+        return (state.inner if isinstance(state, SubgoalState) else state).robot
+
+    def policy(self, policy: Policy) -> Policy:
+        """The policy on these observations."""
+        return lambda robot, goal, key: policy(robot.observation, goal, key)
+
+
+def is_fetch(env: Any) -> bool:
+    """Whether a robot can be drawn."""
+    return isinstance(env.unwrapped, ImageGoals)
+
+
+def seen_images(env: Any, goals: np.ndarray, weight: float, seed: int) -> np.ndarray:
+    """The corrupted images uint8 [M, H, W, 3] of these goals [M] that the policy of `policy_episodes` looks at."""
+    return np.asarray(corrupted_images(env, jnp.asarray(goals, jnp.int32), 1, weight, seed))[:, 0]
+
+
+def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
+    """For each weight of the backgrounds (0: clean images) an episode to each of the goals `which` [E], all in one
+    rollout.
+
+    Their observations are states of the robot [E, T + 1], or the observations of a task that is a walk among frames.
+    Starts, noise and backgrounds follow from the seed and are the same for every weight.
+    """
+
+    @jax.jit
+    def run(params, env):
+        goals, policy = jnp.asarray(which, jnp.int32), subject.train.policy(params, subject.run.config.hyper, env)
+        views = [corrupted_view(subject.train.parts, params, env, goals, 1, weight, seed) for weight in weights]
+        starts, key = draw_starts(env, goals, 1, seed), jax.random.key(seed + 1)
+        watched = Watched(env) if is_fetch(env) else env
+        acting = watched.policy(policy) if is_fetch(env) else policy
+        found = run_side_by_side(watched, acting, views, starts, key)
+        return [jax.tree.map(lambda leaf, view=view: leaf[view, :, 0], found) for view in range(len(views))]
+
+    return jax.device_get(run(subject.params, subject.train.env))
+
+
+def policy_video(
+    subject: Subject,
+    path: str | Path,
+    episodes: int = 1,
+    seed: int = 0,
+    corruption: float = 0.0,
+    size: tuple[int, int] = (480, 640),
+) -> list[bool]:
+    """Write a video of the trained policy on test goals drawn from the seed, each goal's image in the corner; whether
+    each goal was reached.
+
+    corruption: weight of the backgrounds of the images, 0: clean. Raises `UserError` for a run without parameters, or
+    of a task without image goals.
+    """
+    env = subject.train.env
+    require(episodes > 0, "episodes", episodes, "give at least 1")
+    require(seed >= 0, "seed", seed, "give 0 or more")
+    require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
+    if not has_image_goals(env):
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals"
+        )
+    if subject.params is None:
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first"
+        )
+    if "test" not in env.goals.groups:
+        raise UserError(
+            f"run = {str(subject.run.folder)!r}: its goal images have no test goals to show; give others with "
+            "--env.goal-images"
+        )
+    which = np.resize(
+        np.random.default_rng(seed).permutation(np.flatnonzero(np.asarray(env.goals.test_mask))), episodes
+    )
+    images, outcomes = seen_images(env, which, corruption, seed), []
+
+    def frames():
+        (found,) = policy_episodes(subject, which, [corruption], seed)
+        outcomes.extend(found.success.tolist())
+        for episode, (steps, image) in enumerate(zip(found.steps, images, strict=True)):
+            for step in range(steps + 1):
+                observation = jax.tree.map(lambda leaf, place=(episode, step): leaf[place], found.observations)
+                picture = with_inset(draw_observation(env, observation, size), image)
+                for _ in range(1 if is_fetch(env) else PICTURES_A_FRAME):
+                    yield picture
+            for _ in range(LAST_PICTURE):
+                yield picture
+
+    write_video(path, frames())
+    return outcomes
+
+
+def draw_observation(env: Any, observation: Any, size: tuple[int, int]) -> np.ndarray:
+    """A picture uint8 [height, width, 3] of one observation of `policy_episodes`: the scene, or the frame, as large as
+    it fits, on the left."""
+    if is_fetch(env):
+        return draw_fetch(env.unwrapped.robot, observation, size)
+    frame = np.asarray(env.render(observation))
+    scale = min(size[0] / frame.shape[0], size[1] / frame.shape[1])
+    frame = cv2.resize(
+        frame, (round(scale * frame.shape[1]), round(scale * frame.shape[0])), interpolation=cv2.INTER_CUBIC
+    )
+    picture = np.full((*size, 3), 40, np.uint8)
+    picture[: frame.shape[0], : frame.shape[1]] = frame
+    return picture
+
+
+def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The picture with the goal's image in its upper right corner, in a white frame."""
+    side, gap = max(32, round(0.3 * picture.shape[0])), max(2, picture.shape[0] // 60)
+    inset = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+    picture = picture.copy()
+    picture[gap : side + 3 * gap, -side - 3 * gap : -gap] = 255
+    picture[2 * gap : side + 2 * gap, -side - 2 * gap : -2 * gap] = inset
+    return picture
+
+
+def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
+    """The figures of this file by name; none for a task with other goals. Those of the policy need parameters and test
+    goals."""
+    env = subject.train.env
+    if not has_image_goals(env):
+        return {}
+    figures = {"goal_images": goal_images(env, subject.run.config.task)}
+    if subject.params is None or "test" not in env.goals.groups:
+        return figures
+    chosen = spread_goals(env.goals, env.goals.test_mask, SHOWN_GOALS, drawing_of(env).apart(env))
+    episodes = policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
+    figures["codes_and_trajectories"] = codes_and_trajectories(subject, chosen, episodes)
+    if has_poses(env):
+        seen = {weight: seen_images(env, chosen, weight, EVALUATION_SEED) for weight in WEIGHTS}
+        figures["poses_on_the_way"] = poses_on_the_way(subject, chosen, seen, episodes)
+    return figures
+
+
+def save_goal_images(env: Any, path: Path) -> None:
+    """Draw examples of an environment's goal images without a run: `save_goal_images(envs.load("fetch_push",
+    FetchConfig(goals="images")), path)`."""
+    with figure_style():
+        save(goal_images(env), path)
+
+
+def goal_images(env: Any, task: str = "") -> Figure:
+    """Goal images clean and corrupted, a row a goal (paper, Fig. 6): training goals while training and in the test,
+    then test goals.
+
+    task: for the title.
+    """
+    goals, rows = env.goals, []
+    for title, mask, backgrounds in (
+        ("training goal,\ntraining background", goals.train_mask, env.train_backgrounds),
+        ("training goal,\ntest background", goals.train_mask, env.test_backgrounds),
+        ("test goal,\ntest background", goals.test_mask, env.test_backgrounds),
+    ):
+        chosen = np.flatnonzero(np.asarray(mask))[:EXAMPLES]
+        behind = draw_backgrounds(
+            jax.random.fold_in(jax.random.key(EXAMPLE_SEED), len(rows)), backgrounds, chosen.shape
+        )
+        rows += [(title, goals.inputs_of(goal), background) for goal, background in zip(chosen, behind, strict=True)]
+    columns = {"clean": 0.0, **{f"weight {weight:g}": weight for weight in WEIGHTS}, "background": 1.0}
+    title = f"{task.replace('_', ' ')}: " * bool(task) + "goal images and the weight of their background"
+    below = (f"the first goals of each kind; backgrounds drawn from seed {EXAMPLE_SEED}", f"data: {env.source}")
+    figure = empty_figure(title, below, (9.6, 1.56 * len(rows) + 0.9))
+    for (title, image, background), line in zip(
+        rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True
+    ):
+        line[0].set_ylabel(title, fontsize=8)
+        for axes, (name, weight) in zip(line, columns.items(), strict=True):
+            axes.imshow(corrupt(image, background, weight))
+            axes.set_xticks([])
+            axes.set_yticks([])
+            if axes.get_subplotspec().is_first_row():
+                axes.set_title(name, fontsize=10)
+    return figure
+
+
+def spread_goals(goals: Any, mask: np.ndarray, count: int, apart: np.ndarray) -> np.ndarray:
+    """The first goal of the mask in each of `count` regions, int [C]: a rule that looks at no result. apart: [R, R]
+    distances of training goals.
+
+    The first region, then again and again the one whose training goal lies farthest from those of all that were taken.
+    """
+    regions, which = np.asarray(goals.regions), np.flatnonzero(np.asarray(mask))
+    left = np.unique(regions[which])
+    taken = [left[0]]
+    while len(taken) < min(count, len(left)):
+        taken.append(left[apart[left][:, taken].min(1).argmax()])
+    return np.array([which[regions[which] == region][0] for region in taken])
+
+
+def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[Episodes]) -> Figure:
+    """Codes of corrupted goals, and beneath them the policy's way to the corrupted test goals `chosen`, a column a
+    weight (paper, Fig. 9)."""
+    env, goals = subject.train.env, subject.train.env.goals
+    below = drawing_of(env)
+    shown = (
+        f"seed {subject.params_seed}, last parameters; test backgrounds; principal axes of the clean goals' means; "
+        f"{below.shown}; "
+        f"at most {env.episode_length} steps"
+    )
+    figure = new_figure(subject, "codes of corrupted goals, and ways to corrupted test goals", (14.5, 7.4), shown=shown)
+    panels = figure.subplots(2, len(WEIGHTS))
+    groups = tuple(group for group in ("train", "test") if group in goals.groups)
+    which = np.flatnonzero(np.any([np.asarray(getattr(goals, f"{group}_mask")) for group in groups], axis=0))
+    clean, *codes = (
+        jax.tree.map(
+            np.asarray,
+            subject.train.parts.learner.encode(
+                subject.params["goal"], seen_images(env, which, weight, EVALUATION_SEED)
+            ),
+        )
+        for weight in (0.0, *WEIGHTS)
+    )
+    centre, directions, _ = principal_components(clean.mean)
+    for (code_axes, way_axes), weight, code, found in zip(panels.T, WEIGHTS, codes, episodes, strict=True):
+        code_axes.set_title(f"background of weight {weight:g}", fontsize=10)
+        draw_codes(code_axes, code, goals, which, centre, directions, size=0.55)
+        code_axes.set_xlabel("first principal axis")
+        below.draw(way_axes, env, chosen, found)
+    share_limits(panels[0], square=True)
+    panels[0, 0].set_ylabel("second principal axis")
+    panels[1, 0].set_ylabel(below.vertical_label)
+    random_code = any(code.std is not None for code in codes)
+    legends = code_legend(goals, groups, random_code), below.legend(env, chosen)
+    for axes, entries in zip(panels[:, -1], legends, strict=True):
+        axes.legend(handles=entries, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
