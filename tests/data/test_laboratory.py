@@ -152,6 +152,7 @@ def test_the_low_level_of_another_arm(tmp_path, capsys):
     run(*arguments, "--agent.low-level", tmp_path / "low")
 
 
+@pytest.mark.long
 def test_questions_about_a_corridor(tmp_path):
     """Imported, checked, learned from offline, evaluated; questions are the laboratory's choice among those that are
     embedded."""

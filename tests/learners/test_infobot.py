@@ -210,6 +210,7 @@ def test_gradient_is_zero_and_finite_at_the_standard_normal():
         np.testing.assert_array_equal(gradient, np.zeros(8))
 
 
+@pytest.mark.long
 def test_a_run_is_finite_and_counts_every_collected_step():
     config = hand_made.config(
         "infobot", num_epochs=1, epochs_per_evaluation=1, learner=infobot.InfoBotConfig(warm_up=0)

@@ -47,9 +47,8 @@ def shelf_subject(flights):
     return figures.read_subject(flights.folder, flights.train.env)
 
 
-@pytest.mark.parametrize(
-    ("run", "names"), [pytest.param("poses", POSE_FIGURES, marks=pytest.mark.long), ("flights", SHELF_FIGURES)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("run", "names"), [("poses", POSE_FIGURES), ("flights", SHELF_FIGURES)])
 def test_every_figure_is_drawn_and_says_that_its_data_are_a_stand_in(run, names, request, monkeypatch):
     """Files that are not blank, whose small print names the data."""
     drawn, real_save, sweep = {}, figures.save, request.getfixturevalue(run)

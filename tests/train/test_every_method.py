@@ -10,6 +10,7 @@ import hand_made
 import hand_made_frames
 import hand_made_points
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -68,16 +69,19 @@ SOME_LONG = [pair if pair[0] == "object_search" else pytest.param(*pair, marks=p
 
 
 @pytest.mark.parametrize(("task", "method"), SOME_LONG)
-def test_is_one_program_over_seeds(task, method):
-    """Traced, not run: shapes agree from the first draw to the last evaluation, with an axis of seeds, and the method's
-    own loss has its metrics."""
+def test_goes_through_an_epoch_and_an_evaluation(task, method):
+    """Traced, not run: shapes agree from the first draw to the evaluation after an epoch, and the method's own loss has
+    its metrics. Seeds are beside each other where the programs run, among the long tests."""
     train = train_of(task, method)
-    result = jax.eval_shape(
-        lambda keys, env: swept(train, keys, env), jax.random.split(jax.random.key(0), 2), train.env
-    )
-    assert result.metrics["test_goal/success_rate"].shape == (2, 2) and result.epochs["agent/loss"].shape == (2, 2)
+
+    def chunk(key, env):
+        return train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)
+
+    state, epochs, metrics = jax.eval_shape(chunk, jax.random.key(0), train.env)
+    assert metrics["test_goal/success_rate"].shape == () and epochs["agent/loss"].shape == (1,)
+    assert state.params["agent"].keys() == state.target_params["agent"].keys()
     learner = presets.METHODS[method].learner
-    assert any(name.startswith(f"{learner}/") for name in result.epochs) == (learner not in ("none", "rad", "index"))
+    assert any(name.startswith(f"{learner}/") for name in epochs) == (learner not in ("none", "rad", "index"))
 
 
 @pytest.mark.long

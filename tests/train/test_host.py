@@ -69,12 +69,8 @@ def train_on_two_devices(folder: Path, program: str, epochs: int, at_once: int) 
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
     }
     command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), program, str(epochs), str(at_once)]
-    subprocess.run(
-        command,
-        cwd=TESTS / "train",
-        env=environment | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TESTS)])},
-        check=True,
-    )
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(TESTS)])
+    subprocess.run(command, cwd=TESTS / "train", env=environment, check=True)
 
 
 def test_seeds_spread_over_two_devices_are_the_same_seeds(small_program, tmp_path):

@@ -188,8 +188,8 @@ def test_a_final_runs_trials_of_a_search_again(result, env):
     np.testing.assert_allclose(
         [trial.loss for trial in again.trials], [found.trials[number].loss for number in (1, 0)], rtol=1e-4
     )
-    others = search.final(found.config, finalists[:1], [1002], env=env)
-    assert not np.isclose(others.trials[0].loss[-1][0], found.trials[1].loss[-1]).any()
+    others = search.final(found.config, finalists, [1002, 1003], env=env)
+    assert not np.isclose(others.trials[0].loss[-1], found.trials[1].loss[-1]).any()
 
 
 @pytest.mark.parametrize(
