@@ -134,17 +134,16 @@ def seeds_in_words(counts: Iterable[int]) -> str:
     return f"{interval}, each seed a thin line"
 
 
-def save(figure: Figure, path: Path, captions: bool = False, metadata: dict[str, str] | None = None) -> None:
+def save(figure: Figure, path: Path, captions: bool = False) -> None:
     """Write a figure, in the format of the path's ending. captions: the line above it and the small print go into
-    NAME.caption.txt beside it, and not into the figure; metadata: words in the file, by name, beside what is seen.
-    Raises `UserError` if the disk refuses."""
+    NAME.caption.txt beside it, and not into the figure. Raises `UserError` if the disk refuses."""
     disk.make_folder(path.parent)
     if captions:
         words = f"{figure.get_suptitle()}\n{' '.join(figure.get_supxlabel().split())}\n"
         disk.write_atomically(path.with_suffix(".caption.txt"), lambda file: file.write(words.encode()))
         for text in (figure.suptitle(""), figure.supxlabel("")):
             text.set_in_layout(False)
-    disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:], metadata=metadata))
+    disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
 
 
 def draw_curve(

@@ -7,11 +7,13 @@ OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png (and .pdf or .svg)    OUT
 import base64
 import hashlib
 import html
+import io
 import os
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from matplotlib.figure import Figure
+from PIL import Image, PngImagePlugin
 
 from infogoal_jax.report import canvas
 from infogoal_jax.reproduce import claims, tables
@@ -68,11 +70,21 @@ def draw_figure(name: str, results: Results, folder: Path, format: str) -> list[
             path.with_suffix(f".{ending}").unlink(missing_ok=True)
     if figure is None:
         return []
-    canvas.save(figure, path, metadata={NUMBERS: numbers})
+    save_in_few_colours(figure, path, numbers)
     if format == "png":
         return [path]
     canvas.save(figure, path.with_suffix(f".{format}"))
     return [path, path.with_suffix(f".{format}")]
+
+
+def save_in_few_colours(figure: Figure, path: Path, numbers: str) -> None:
+    """Write a figure as a PNG of 256 colours and 100 dots an inch, which takes a quarter of the space in the
+    repository. numbers: the digest of what it was drawn from, which the file says."""
+    drawn, words = io.BytesIO(), PngImagePlugin.PngInfo()
+    figure.savefig(drawn, format="png", dpi=100)
+    words.add_text(NUMBERS, numbers)
+    picture = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    disk.write_atomically(path, lambda file: picture.save(file, "PNG", optimize=True, pnginfo=words))
 
 
 def digest(results: Results, name: str) -> str:

@@ -87,24 +87,16 @@ def fig9(results: Results) -> Figure | None:
         f"{CODES_IN_WORDS}; below them trajectories to corrupted test goals, on the cube the angle to the goal "
         f"(degrees) against steps; {PATHS_IN_WORDS}; one seed, last parameters, test backgrounds",
     )
-    methods = [method for method in DRAWN if any(known == method for _, known in found)]
-    figure = empty_figure(
-        "Codes and trajectories under corruption, external rewards alone", below, (24, 4.2 * len(methods) + 1)
-    )
-    panels = figure.subplots(2 * len(methods), 2 * len(WEIGHTS), squeeze=False)
-    for row, method in enumerate(methods):
-        for half, task in enumerate(tasks):
-            for place, weight in enumerate(WEIGHTS):
-                codes, trajectories = panels[2 * row : 2 * row + 2, half * len(WEIGHTS) + place]
-                if (task, method) not in found:
-                    codes.axis("off")
-                    trajectories.axis("off")
-                    continue
-                codes_panel(codes, found[task, method], 1 + place)
-                trajectory_panel(trajectories, found[task, method], place)
-                if row == 0:
-                    codes.set_title(f"{TITLES[task]}, weight {weight:g}", fontsize=11)
-        panels[2 * row, 0].set_ylabel(f"{METHODS[method]}: codes", fontsize=11)
+    title = "Codes and trajectories under corruption, external rewards alone"
+    figure = empty_figure(title, below, (13, 4.2 * len(found) + 1))
+    panels = figure.subplots(2 * len(found), len(WEIGHTS), squeeze=False)
+    for row, ((task, method), result) in enumerate(found.items()):
+        for place, weight in enumerate(WEIGHTS):
+            codes, trajectories = panels[2 * row : 2 * row + 2, place]
+            codes_panel(codes, result, 1 + place)
+            trajectory_panel(trajectories, result, place)
+            codes.set_title(f"background of weight {weight:g}", fontsize=9)
+        panels[2 * row, 0].set_ylabel(f"{TITLES[task]}, {METHODS[method]}", fontsize=11)
         panels[2 * row + 1, 0].set_ylabel("trajectories", fontsize=11)
     return figure
 
@@ -165,11 +157,11 @@ def fig14(results: Results) -> Figure | None:
     figure = empty_figure("FetchPickAndPlace: codes under fixed beta", below, (15, 3.1 * len(found) + 0.8))
     panels = figure.subplots(len(found), 1 + len(WEIGHTS), squeeze=False)
     for line, (title, result) in zip(panels, found.items(), strict=True):
-        for view, (axes, weight) in enumerate(zip(line, (0.0, *WEIGHTS), strict=True)):
+        for view, axes in enumerate(line):
             codes_panel(axes, result, view)
-            if line is panels[0]:
-                axes.set_title(f"weight {weight:g}" if weight else "clean")
         line[0].set_ylabel(title, fontsize=11)
+    for axes, weight in zip(panels[0], (0.0, *WEIGHTS), strict=True):
+        axes.set_title(f"background of weight {weight:g}" if weight else "clean")
     return figure
 
 
