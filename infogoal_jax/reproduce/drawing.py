@@ -84,6 +84,7 @@ def save_in_few_colours(figure: Figure, path: Path, numbers: str) -> None:
     figure.savefig(drawn, format="png", dpi=100)
     words.add_text(NUMBERS, numbers)
     picture = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    disk.make_folder(path.parent)
     disk.write_atomically(path, lambda file: picture.save(file, "PNG", optimize=True, pnginfo=words))
 
 
