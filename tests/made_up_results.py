@@ -6,6 +6,7 @@ import zlib
 
 import numpy as np
 
+from infogoal_jax.reproduce import claims
 from infogoal_jax.reproduce.completion import is_judged, is_pictured
 from infogoal_jax.reproduce.files import Result, recorded_config
 from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
@@ -116,3 +117,9 @@ def results(seeds: int = 2, **chosen) -> Results:
     """Every run of the manifest, compact, with so many seeds; chosen: further fields of the choice."""
     runs = runs_of(tuple(STUDIES), Choice(**({"variants": ("paper", "her"), "seeds": seeds} | chosen)))
     return {run: compact(result_of(run)) for run in runs}
+
+
+def verdict(results, name: str) -> str:
+    """The verdict on the claim of this name."""
+    (claim,) = (claim for claim in claims.CLAIMS if claim.name == name)
+    return claim.find(results).verdict

@@ -24,8 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import trial_numbers
-from probe import code_errors
-from trial_numbers import Row
+from trial_numbers import Row, code_errors
 from trial_queue import ALL_GOALS_TABLES, COMPARISONS, QUEUE, TABLES, Trial
 from tuning import tuning_house
 

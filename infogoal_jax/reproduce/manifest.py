@@ -52,8 +52,8 @@ def fixed(beta: float) -> tuple[str, tuple]:
 QUICK = {
     "object_search": ("infogoal", "infobot", "gcb", "none", "her"),
     "object_manipulation": ("infogoal", "infobot", "gcb", "none", "her"),
-    "fetch_reach": ("infogoal", "none"),
-    "fetch_push": ("infogoal", "none"),
+    "fetch_reach": ("infogoal",),
+    "fetch_push": ("infogoal",),
     "fetch_pick_and_place": ("infogoal", "infobot", "gcb", "none"),
     "embodied_qa": ("infogoal", "infobot", "gcb", "none", "her"),
 }
@@ -253,11 +253,11 @@ def command_of(run: Run) -> list[str]:
 
 
 def is_quick(run: Run) -> bool:
-    """Whether a run is one of the few at toy size: learners with HER on object search alone, a second goal set on the
+    """Whether a run is one of the few at toy size: with HER, InfoGoal on object search alone; a second goal set on the
     shelf alone."""
     sets = (0, 1) if run.task == "embodied_qa" else (0,)
-    with_her = run.relabelling == "her"
-    return run.method in QUICK[run.task] and run.goal_set in sets and (not with_her or run.task == "object_search")
+    with_her = run.relabelling == "her" and (run.task, run.method) != ("object_search", "infogoal")
+    return run.method in QUICK[run.task] and run.goal_set in sets and not with_her
 
 
 def is_allowed(run: Run) -> bool:

@@ -1,8 +1,15 @@
-"""A reproduction whose clock runs out, for every file of tests on that."""
+"""What several files of tests use: made-up numbers of every run, and a reproduction whose clock runs out."""
 
+import made_up_results
 import pytest
 
 from infogoal_jax.reproduce import lanes
+
+
+@pytest.fixture(scope="session")
+def results():
+    """Made-up numbers of every run, of three seeds; nobody changes them."""
+    return made_up_results.results(seeds=3)
 
 
 @pytest.fixture

@@ -12,12 +12,6 @@ from infogoal_jax.reproduce.manifest import FIXED_BETAS, fixed
 RISING = np.linspace(0, 1, made_up_results.EVALUATIONS)
 
 
-@pytest.fixture(scope="module")
-def results():
-    """Made-up numbers of every run."""
-    return made_up_results.results(seeds=3)
-
-
 def finding(results, name: str):
     """What is found of the claim of this name."""
     (claim,) = (claim for claim in claims.CLAIMS if claim.name == name)
