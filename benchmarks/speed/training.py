@@ -1,25 +1,54 @@
-"""Speed of training, and how long its program takes to build.
+"""What training costs, in four tables.
 
-    python benchmarks/speed/training.py [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128] [--repeats 3]
-    python benchmarks/speed/training.py --size [--tasks object_search fetch_reach ...] [--seeds 1 16]
+    python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
+    python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
+    python benchmarks/speed/training.py methods [--tasks object_search] [--methods vae her ...] [--out FILE.json]
+    python benchmarks/speed/training.py goals [--goals 24 324 6384] [--rows her leo head ...] [--out FILE.json]
 
-Environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's time` says
-how much longer the sweep takes than one seed alone. With `--size`: how large the training program of each task is, and
-how long it takes to build: traced, lowered and compiled. Operations are equations of the jaxpr, those of inner
-functions counted wherever they are called, and nothing comes from a compilation cache. Prints a Markdown table.
+rates: environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's
+time` says how much longer the sweep takes than one seed alone.
+
+size: how large the training program of each task is, and how long it takes to build: traced, lowered and compiled.
+Operations are equations of the jaxpr, those of inner functions counted wherever they are called, and nothing comes from
+a compilation cache.
+
+methods: seconds of an epoch's updates relative to the bare agent's, all in one run. What is timed is what an epoch does
+after collecting: preparing what is drawn from (tables of a relabelling, bonuses of an explorer), drawing, and the
+preset's updates; the fastest of some repeats after one that is not counted, compile time apart.
+
+goals: the cost of an update under all goals, beside HER's: object search with its goals repeated to so many. `every
+goal` gives each transition every goal in turn, one pass of the universal value function for each: what learning from
+all goals would cost without a head for it. `subset` draws 256 goals for each update. Goals are texts here; goals that
+are images cost more to encode.
 """
 
 import argparse
+import json
 import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from infogoal_jax import compiled, jit, make_train, presets
+from infogoal_jax.goals import NO_USE, GoalSet
+from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
+from infogoal_jax.train.update import updates
+
+SIZES = {"num_epochs": 1, "epochs_per_evaluation": 1}
+ROWS = {
+    "her": ("her", {}),
+    "leo": ("leo", {}),
+    "head": ("all_goals", {}),
+    "leo, subset": ("leo", {"relabelling.num_goals": 256}),
+    "head, subset": ("all_goals", {"relabelling.num_goals": 256}),
+    "every goal": ("all_goals", {"agent.head": "concatenated"}),
+}
 
 
 def timed(function, *arguments):
@@ -92,18 +121,56 @@ def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, fl
     return operations(traced.jaxpr), *seconds
 
 
-def print_rates(tasks, method: str, seeds: list[int], repeats: int) -> None:
-    """Print the table of speeds."""
+def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
+    """Seconds to compile, and of an epoch's updates of this many seeds side by side."""
+    config, env = train.config, train.env
+    keys = jax.random.split(jax.random.key(0), num_seeds)
+    start = jax.jit(
+        jax.vmap(
+            lambda key, hyper, env: train.chunk(train.initial(key, hyper, env), jax.numpy.arange(1), hyper, env)[0],
+            in_axes=(0, None, None),
+        )
+    )
+    states = start(keys, config.hyper, env)  # One epoch, so that there is something to draw from.
+
+    def epoch(state, key, hyper, env):
+        experience, state = train.experience_of(state, 0, hyper, env)
+        return updates(train.parts, env, hyper, experience, state, key, config.updates_per_epoch)[0].params
+
+    started = time.perf_counter()
+    program = compiled(jax.vmap(epoch, in_axes=(0, 0, None, None)), states, keys, config.hyper, env)
+    compile_seconds, seconds = time.perf_counter() - started, []
+    for _ in range(repeats + 1):
+        started = time.perf_counter()
+        jax.block_until_ready(program(states, keys, config.hyper, env))
+        seconds.append(time.perf_counter() - started)
+    return {"compile_seconds": compile_seconds, "seconds": min(seconds[1:])}
+
+
+def repeated(env, num_goals: int):
+    """Object search whose goals are repeated until there are so many. The repetitions can be achieved only."""
+    own, goals = env.goals.num_goals, env.goals
+    which = np.arange(num_goals) % own
+    uses = np.where(goals.train_mask, 0, np.where(goals.validation_mask, 1, 2))[which]
+    uses[own:] = NO_USE
+    names = tuple(goals.names[goal] for goal in which)
+    many = GoalSet.of(goals.inputs[which], goals.regions[which], uses, names, goals.region_names)
+    place = jnp.asarray(np.pad(np.asarray(env.place), (0, max(0, num_goals - own))))
+    return env.replace(goals=many, in_view=env.in_view[:, which], place=place)
+
+
+def print_rates(arguments) -> None:
+    """The table of speeds."""
     print(
         "| task | seeds | environment alone, steps/s | compile s | fused training, env steps/s | updates/s | compile s "
         "| one seed's time | state, MiB |\n|---|---|---|---|---|---|---|---|---|"
     )
-    for task in tasks:
-        config, alone = presets.load(task, method, epochs_per_evaluation=1, evaluation_starts=1), None
+    for task in arguments.tasks:
+        config, alone = presets.load(task, arguments.method, epochs_per_evaluation=1, evaluation_starts=1), None
         train = make_train(config)
-        for num_seeds in seeds:
-            steps_rate, env_compile = env_rate(config, train.env, num_seeds, repeats)
-            seconds, train_compile, size = training_rate(config, train, num_seeds, repeats)
+        for num_seeds in arguments.seeds:
+            steps_rate, env_compile = env_rate(config, train.env, num_seeds, arguments.repeats)
+            seconds, train_compile, size = training_rate(config, train, num_seeds, arguments.repeats)
             alone = seconds if alone is None else alone
             steps, updates = (
                 num_seeds * count / seconds
@@ -116,32 +183,79 @@ def print_rates(tasks, method: str, seeds: list[int], repeats: int) -> None:
             )
 
 
-def print_sizes(tasks, method: str, seeds: list[int]) -> None:
-    """Print the table of programs."""
+def print_sizes(arguments) -> None:
+    """The table of programs."""
     print("| task | seeds | operations | trace s | lower s | compile s | all s |\n|---|---|---|---|---|---|---|")
-    for task in tasks:
-        for num_seeds in seeds:
-            count, *seconds = build(task, method, num_seeds)
+    for task in arguments.tasks:
+        for num_seeds in arguments.seeds:
+            count, *seconds = build(task, arguments.method, num_seeds)
             each = " | ".join(f"{value:.1f}" for value in (*seconds, sum(seconds)))
             print(f"| {task} | {num_seeds} | {count:,} | {each} |", flush=True)
 
 
+def print_methods(arguments) -> dict:
+    """The table of methods; returns its numbers."""
+    found = {}
+    for task in arguments.tasks:
+        base = presets.load(task, "none", **SIZES)
+        env, seeds = make_train(base).env, arguments.seeds[0]
+        print(f"{task}, {seeds} seeds, {base.updates_per_epoch} updates of batch {base.batch_size}; {env.source}\n")
+        print("| method | ms an update | times the bare agent's | compile s |\n|---|---|---|---|")
+        for method in ["none", *arguments.methods]:
+            config = presets.load(task, method, **SIZES)
+            cost = update_cost(make_train(config, env), seeds, arguments.repeats)
+            ratio = cost["seconds"] / found.setdefault(f"{task}/none", cost)["seconds"]
+            milliseconds = 1000 * cost["seconds"] / config.updates_per_epoch
+            print(f"| {method} | {milliseconds:.2f} | {ratio:.2f} | {cost['compile_seconds']:.1f} |", flush=True)
+            found[f"{task}/{method}"] = cost
+    return found
+
+
+def print_goals(arguments) -> list[dict]:
+    """The table of learning under all goals; returns its numbers."""
+    sizes = SIZES | {"updates_per_epoch": arguments.updates}
+    env = make_train(presets.load("object_search", "none", **sizes)).env
+    print(f"{arguments.seeds[0]} seeds; {env.source}\n\n| goals | | ms an update | compile s |\n|---|---|---|---|")
+    found = []
+    for num_goals in arguments.goals:
+        many = repeated(env, num_goals)
+        for row in arguments.rows:
+            method, changes = ROWS[row]
+            config = with_values(presets.load("object_search", method, **sizes), changes)
+            cost = update_cost(make_train(config, many), arguments.seeds[0], arguments.repeats)
+            milliseconds = 1000 * cost["seconds"] / arguments.updates
+            print(f"| {num_goals:,} | {row} | {milliseconds:.2f} | {cost['compile_seconds']:.1f} |", flush=True)
+            found.append({"goals": num_goals, "row": row, "milliseconds": milliseconds})
+    return found
+
+
+TABLES = {"rates": print_rates, "size": print_sizes, "methods": print_methods, "goals": print_goals}
+
+
 def main():
-    """Measure and print the table."""
+    """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--size", action="store_true", help="how large the programs are and how long they take to build"
-    )
+    parser.add_argument("table", choices=TABLES)
     parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=["object_search"])
-    parser.add_argument("--method", default="infogoal")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 16, 128])
+    parser.add_argument("--method", default="infogoal", help="of rates and size")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[1], help="side by side; for methods and goals one number"
+    )
     parser.add_argument("--repeats", type=int, default=3)
+    methods = [name for name in presets.METHODS if name != "none"]
+    parser.add_argument("--methods", nargs="*", default=methods, choices=methods)
+    parser.add_argument("--goals", type=int, nargs="+", default=[24, 324, 6384])
+    parser.add_argument("--rows", nargs="*", default=list(ROWS), choices=list(ROWS), help="of goals")
+    parser.add_argument("--updates", type=int, default=20, help="of an epoch, for goals")
+    parser.add_argument("--out", type=Path, help="file to write the numbers of methods or goals to (json)")
     arguments = parser.parse_args()
-    print(f"{arguments.method}; {describe_machine()}\n")
-    if arguments.size:
-        print_sizes(arguments.tasks, arguments.method, arguments.seeds)
-    else:
-        print_rates(arguments.tasks, arguments.method, arguments.seeds, arguments.repeats)
+    if arguments.out and arguments.table in ("rates", "size"):
+        parser.error("--out is for methods and goals")
+    print(f"{arguments.table}; {describe_machine()}\n")
+    found = TABLES[arguments.table](arguments)
+    if arguments.out:
+        about = {"machine": describe_machine(), "table": arguments.table, "seeds": arguments.seeds}
+        arguments.out.write_text(json.dumps(about | {"found": found}) + "\n")
 
 
 if __name__ == "__main__":

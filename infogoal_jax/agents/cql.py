@@ -8,7 +8,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.agents import dqn
+from infogoal_jax.agents import dqn, value_heads
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.hyperparameters import Number, Search
 
@@ -35,7 +35,7 @@ def conservative_gap(values: jax.Array, action_mask: jax.Array, actions: jax.Arr
 
     values: float32 [B, A]; action_mask: bool [B, A]; actions: int32 [B].
     """
-    return jax.nn.logsumexp(jnp.where(action_mask, values, -jnp.inf), axis=-1) - dqn.of_actions(values, actions)
+    return jax.nn.logsumexp(jnp.where(action_mask, values, -jnp.inf), axis=-1) - value_heads.of_actions(values, actions)
 
 
 def make(config: CQLConfig, env) -> Agent:

@@ -60,11 +60,6 @@ def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:
     return jnp.where(action_mask, values, -jnp.inf).argmax(-1)
 
 
-def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
-    """The values of these actions, float32 [B]: values float32 [B, A], actions int32 [B]."""
-    return jnp.take_along_axis(values, actions[:, None], axis=1)[:, 0]
-
-
 def double_q_target(reward, discount, next_values, target_values, next_action_mask) -> jax.Array:
     """Targets of double Q-learning (van Hasselt et al. 2016, Eq. 4), float32 [B], without gradient: the trained network
     chooses what follows, the target network says what it is worth.
@@ -73,7 +68,7 @@ def double_q_target(reward, discount, next_values, target_values, next_action_ma
     after the transition, by the trained and by the target network; next_action_mask: bool [B, A].
     """
     chosen = greedy(next_values, next_action_mask)
-    return jax.lax.stop_gradient(reward + discount * of_actions(target_values, chosen))
+    return jax.lax.stop_gradient(reward + discount * value_heads.of_actions(target_values, chosen))
 
 
 def td_loss(
@@ -81,7 +76,7 @@ def td_loss(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Temporal-difference error of the values float32 [B, A] of these actions int32 [B] against their targets float32
     [B]: (loss, metrics)."""
-    predicted = of_actions(values, actions)
+    predicted = value_heads.of_actions(values, actions)
     error = optax.huber_loss(predicted, target) if huber else optax.l2_loss(predicted, target)
     return error.mean(), {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean()}
 

@@ -1,7 +1,6 @@
-"""HRAC's losses: its adjacency network against the numbers of its authors' code (fixtures/README.md), and where ours is
-meant to differ; which loss trains which network, and the targets of the critics."""
+"""HRAC's losses by hand, and its adjacency network against the numbers of its authors' code (fixtures/README.md), and
+where ours is meant to differ; cells of positions; TD3's targets."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import jax
@@ -10,12 +9,13 @@ import numpy as np
 import places
 import pytest
 
-from infogoal_jax import networks, pairs, replay
+from infogoal_jax import networks, pairs, presets
 from infogoal_jax.agents import hrac, td3
+from infogoal_jax.agents.hrac import HRACConfig, adjacency_loss, adjacency_penalty
+from infogoal_jax.envs.fetch.targets import TargetSpace
+from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.envs.target_states import Cells
-from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.update import agent_batch
 
 FIXTURE = places.recorded("hrac")
 INTERVAL = int(FIXTURE["interval"])
@@ -24,6 +24,56 @@ INTERVAL = int(FIXTURE["interval"])
 def assert_relatively_close(found, recorded):
     """To 1e-5 of the largest number recorded."""
     np.testing.assert_allclose(found, recorded, rtol=1e-5, atol=1e-5 * np.abs(recorded).max())
+
+
+def test_adjacent_states_may_lie_1_apart_and_others_have_to_lie_1_2_apart():
+    distance, weight = jnp.array([0.0, 0.9, 1.0, 1.1, 1.2, 1.3, 3.0]), jnp.ones(7)
+    for adjacent, errors in ((True, [0, 0, 0, 0.1, 0.2, 0.3, 2.0]), (False, [1.2, 0.3, 0.2, 0.1, 0, 0, 0])):
+        for position in range(7):
+            one = jnp.zeros(7).at[position].set(1.0)
+            np.testing.assert_allclose(
+                adjacency_loss(distance, jnp.full(7, adjacent), one), errors[position], atol=1e-6
+            )
+        np.testing.assert_allclose(adjacency_loss(distance, jnp.full(7, adjacent), weight), np.mean(errors), atol=1e-6)
+    assert adjacency_loss(distance, jnp.full(7, True), jnp.zeros(7)) == 0.0
+
+
+def test_subgoals_cost_from_1_1_on():
+    np.testing.assert_allclose(adjacency_penalty(jnp.array([0.0, 1.0, 1.1, 1.2, 2.1])), [0, 0, 0, 0.1, 1.0], atol=1e-6)
+    slope = jax.vmap(jax.grad(adjacency_penalty))(jnp.array([0.5, 1.05, 1.15, 4.0]))
+    np.testing.assert_array_equal(slope, [0, 0, 1, 1])
+
+
+def test_lengths_have_a_finite_gradient_at_0():
+    assert np.isfinite(jax.grad(lambda vector: hrac.length(vector))(jnp.zeros(3))).all()
+
+
+@pytest.mark.parametrize("task", presets.FETCH_TASKS)
+@pytest.mark.parametrize("side", [0.05, 0.07])
+def test_a_position_lies_in_the_cell_whose_centre_is_nearest(task, side):
+    space = TargetSpace(TASKS[task])
+    cells = Cells.over(space.bounds, side)
+    centres = cells.low + side * (
+        np.stack(np.meshgrid(*map(np.arange, cells.shape), indexing="ij"), -1).reshape(-1, 3) + 0.5
+    )
+    assert len(centres) == cells.count
+    place = np.random.default_rng(0).uniform(space.bounds[0] - 0.99 * side, space.bounds[1] + 0.99 * side, (500, 3))
+    found = np.asarray(cells.of(jnp.asarray(place, jnp.float32)))
+    distance = np.linalg.norm(place[:, None] - centres, axis=-1)
+    assert (found >= 0).all()
+    np.testing.assert_allclose(distance[np.arange(500), found], distance.min(1), atol=1e-5)
+    beyond = np.concatenate([space.bounds[0] - 2.6 * side * np.eye(3), space.bounds[1] + 2.6 * side * np.eye(3)])
+    assert (cells.of(jnp.asarray(beyond)) == -1).all()
+
+
+@pytest.mark.parametrize("task", presets.FETCH_TASKS)
+def test_robot_and_object_at_rest_do_not_waver_between_cells(task):
+    """All grips start at one place, and all objects lie at one height: neither may be a border."""
+    space, grip, height = TargetSpace(TASKS[task]), np.array(TASKS[task].start_grip), TASKS[task].object_height
+    cells = Cells.over(space.bounds, HRACConfig.cell)
+    for place in (grip, grip if height is None else np.array([*grip[:2], height])):
+        around = place + 0.005 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        assert len(np.unique(cells.of(jnp.asarray(around)))) == 1
 
 
 def test_margins_are_those_of_the_authors_code():
@@ -141,100 +191,6 @@ def test_recorded_training_pairs_carry_the_labels_that_are_remembered():
     )
     ours = remembered(INTERVAL - 1, FIXTURE["trajectories"])
     np.testing.assert_array_equal(ours[first, second], FIXTURE["training_labels"])
-
-
-@pytest.fixture(scope="module")
-def gradients(train, rows):
-    """The gradient of HRAC's loss, and its metrics, for parameters, target parameters, hyperparameters and whether goal
-    encoders are left alone."""
-    row, first = (jnp.asarray(index[:64]) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
-    batch = replay.transitions_at(rows, row, first, train.parts.agent.num_steps)
-    cells = Cells.over(train.env.space.bounds, train.config.agent.cell)
-    apart = train.parts.agent.observe(pairs.initial_dissimilarity(cells.count)[None], rows)
-
-    def gradient(params, target_params, hyper, stop=False):
-        parts = train.parts._replace(config=dataclasses.replace(train.config, stop_encoder_gradient=stop))
-
-        def loss(params):
-            codes = agent_batch(
-                parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1)
-            )
-            return parts.agent.loss(
-                params["agent"], target_params["agent"], codes, apart, hyper.agent, jax.random.key(2)
-            )
-
-        return jax.grad(loss, has_aux=True)(params)
-
-    return jax.jit(gradient, static_argnums=3)
-
-
-def scaled(params, name: str):
-    """The parameters with another actor, critic or adjacency network."""
-    return params | {
-        "agent": params["agent"] | {name: jax.tree.map(lambda leaf: 1.5 * leaf + 0.01, params["agent"][name])}
-    }
-
-
-def norm(tree) -> float:
-    """The largest entry."""
-    return max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(tree))
-
-
-def assert_close(one, other):
-    jax.tree.map(lambda first, second: np.testing.assert_allclose(first, second, atol=1e-5), one, other)
-
-
-def test_the_critic_trains_the_encoders_and_the_actor_trains_nothing_but_itself(train, params, gradients):
-    hyper = train.config.hyper
-    found, _ = gradients(params, params, hyper)
-    for part in (found["goal"], found["state"], *(found["agent"][name] for name in ("actor", "critic", "adjacency"))):
-        assert norm(part) > 0
-    other_actor, _ = gradients(scaled(params, "actor"), params, hyper)
-    for gradient in (found, other_actor):
-        gradient["others"] = [
-            gradient["goal"],
-            gradient["state"],
-            gradient["agent"]["critic"],
-            gradient["agent"]["adjacency"],
-        ]
-    assert_close(other_actor["others"], found["others"])
-    other_critic, _ = gradients(scaled(params, "critic"), params, hyper)
-    # It climbs the critic.
-    assert norm(jax.tree.map(jnp.subtract, other_critic["agent"]["actor"], found["agent"]["actor"])) > 1e-4
-    assert_close(other_critic["agent"]["adjacency"], found["agent"]["adjacency"])
-
-
-def test_the_goal_encoder_can_be_left_to_its_own_loss(train, params, gradients):
-    hyper = train.config.hyper
-    let_through, _ = gradients(params, params, hyper)
-    stopped, _ = gradients(params, params, hyper, True)
-    assert norm(stopped["goal"]) == 0 and norm(let_through["goal"]) > 0
-    assert_close(stopped["state"], let_through["state"])
-
-
-def test_targets_come_from_the_target_networks_where_an_episode_goes_on(train, params, gradients):
-    hyper = train.config.hyper
-    _, near = gradients(params, params, hyper.replace(discount=0.0))
-    _, blind = gradients(params, scaled(params, "critic"), hyper.replace(discount=0.0))
-    assert near["td_error"] == blind["td_error"]  # Nothing follows.
-    _, far = gradients(params, scaled(params, "critic"), hyper)
-    _, smooth = gradients(params, params, hyper)
-    assert len({float(found["td_error"]) for found in (near, far, smooth)}) == 3
-    _, sharp = gradients(params, params, with_values(hyper, {"agent.target_noise": 0.0}))
-    assert smooth["td_error"] != sharp["td_error"]
-
-
-def test_the_adjacency_penalty_moves_the_actor_alone(train, params, gradients):
-    far_off = scaled(params, "adjacency")
-    # Everything lies far apart.
-    far_off["agent"]["adjacency"] = jax.tree.map(lambda leaf: 4.0 * leaf, far_off["agent"]["adjacency"])
-    free, metrics = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 0.0}))
-    bound, _ = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 20.0}))
-    assert metrics["adjacency_penalty"] > 0
-    assert norm(jax.tree.map(jnp.subtract, bound["agent"]["actor"], free["agent"]["actor"])) > 1e-3
-    for name in ("critic", "adjacency"):
-        assert_close(bound["agent"][name], free["agent"][name])
-    assert_close(bound["goal"], free["goal"])
 
 
 def test_smoothing_noise_is_clipped_and_actions_stay_in_range():

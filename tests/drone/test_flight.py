@@ -70,7 +70,7 @@ OPEN_LOGS: list[Log] = []
 
 @pytest.fixture(autouse=True)
 def trusted_pictures(monkeypatch):
-    """Pictures are trusted: tests/drone/test_vision.py is about them. Logs are closed in the end."""
+    """Pictures are trusted: tests/drone/test_simulated_drone.py is about them. Logs are closed in the end."""
     monkeypatch.setattr(flight_module, "fault_of", lambda found, now, since, *more: "" if now > since else "waiting")
     yield
     while OPEN_LOGS:
