@@ -36,7 +36,7 @@ LONGEST_FIRST = (
     "frame_figures",
     "relabelling",
     "command_line",
-    "notebook",
+    "programs",
     "reconstruction",
     "environment",
     "sse_db",

@@ -110,6 +110,13 @@ def join(coordinator: str, count: int, number: int) -> None:
             f"distributed = {coordinator!r}: {error}; start all processes within {SECONDS} s, or give HOST:PORT of the "
             "first, --num-processes and --process"
         ) from error
+    try:
+        any_process(False)  # They meet once, before anything is compiled.
+    except jax.errors.JaxRuntimeError as error:
+        raise UserError(
+            f"distributed = {coordinator!r}: the processes do not reach each other: {error}; the name of each host has "
+            "to stand for an address that the others reach (see hostname -i; 127.0.1.1 is none)"
+        ) from error
 
 
 def part() -> None:

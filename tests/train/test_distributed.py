@@ -172,6 +172,18 @@ def test_what_cannot_be_joined_is_refused(coordinator, count, number, named):
         distributed.join(coordinator, count, number)
 
 
+def test_processes_that_do_not_reach_each_other_are_told_so(monkeypatch):
+    """Such as those of two hosts whose names stand for 127.0.1.1 on each."""
+
+    def refused(said):
+        raise jax.errors.JaxRuntimeError("Connection refused")
+
+    monkeypatch.setattr(jax.distributed, "initialize", lambda **given: None)
+    monkeypatch.setattr(distributed, "any_process", refused)
+    with pytest.raises(UserError, match="Connection refused; the name of each host"):
+        distributed.join("here:1", 2, 0)
+
+
 @pytest.mark.parametrize("flags", [["--num-processes", "2"], ["--distributed", "auto", "--resume", "auto"]])
 def test_flags_that_do_not_go_together_are_refused(flags, tmp_path, capsys):
     assert main(["train", "object_search", "--out", str(tmp_path), *flags]) == 2
