@@ -4,7 +4,7 @@ that of a run to resume. And the command for each task, whose flags are the fiel
 import dataclasses
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Union
 
 import tyro
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from infogoal_jax.config import TrainConfig
 
 
+Name = Union[str, None]  # noqa: UP007 (of `str | None` tyro asks typeguard, whose import is a tenth of a help's time)
+"""Of a part; None: not given."""
 AUTO = "auto"
 """In place of a run's folder: the newest of the configuration."""
 
@@ -23,15 +25,15 @@ AUTO = "auto"
 class Parts:
     """Parts that are chosen by name. None: the task's or the method's own."""
 
-    method: str | None = None
+    method: Name = None
     """A row of the paper's Table I."""
-    learner: str | None = None
+    learner: Name = None
     """Goal-representation learner."""
-    agent: str | None = None
+    agent: Name = None
     """Reinforcement-learning agent."""
-    relabelling: str | None = None
+    relabelling: Name = None
     """Relabelling of goals."""
-    explorer: str | None = None
+    explorer: Name = None
     """Explorer."""
 
     def names(self) -> dict[str, str]:
@@ -47,7 +49,7 @@ class Parts:
 class Choice(Parts):
     """What is read before anything else is: a command's defaults, and so its help, depend on it."""
 
-    resume: str | None = None
+    resume: Name = None
     """Folder of a run to go on with."""
     help: Annotated[bool, tyro.conf.arg(aliases=["-h"])] = False
     """Show the help."""

@@ -10,6 +10,9 @@ from tyro.constructors import ConstructorRegistry
 from infogoal_jax.errors import UserError, nearest
 
 Command = Callable[..., int]
+NOTHING = Annotated[object, tyro.conf.Suppress]
+"""An arm of a union that is no command, since a command alone would be no union. Anything is an `object`: so tyro does
+not ask typeguard about the arms after it, whose import is a tenth of a help's time."""
 
 
 class Group(NamedTuple):
@@ -59,7 +62,7 @@ def check_names(group: Group, arguments: list[str], path: str = "") -> None:
 
 def type_of(group: Group) -> Any:
     """The group as a type that tyro parses: a union with a subcommand for each command."""
-    arms = []
+    arms = [NOTHING]
     for name, command in group.commands.items():
         if isinstance(command, Group):
             described = tyro.conf.subcommand(name, constructor=type_of(command), description=command.help)
@@ -67,4 +70,4 @@ def type_of(group: Group) -> Any:
             help = command.__doc__ if isinstance(command, functools.partial) else None
             described = tyro.conf.subcommand(name, constructor=command, description=help)
         arms.append(Annotated[Any, described])
-    return Union[(*arms, Annotated[None, tyro.conf.Suppress])]  # A command alone would be no union.
+    return Union[(*arms,)]

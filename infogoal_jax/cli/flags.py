@@ -56,7 +56,7 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
             elif of_command and name == "task":  # The name of the subcommand, and no flag.
                 hint = tyro.conf.Suppress[tyro.conf.Fixed[str]]
             elif of_command and brief and dataclasses.is_dataclass(value):
-                hint = tyro.conf.Suppress[type(value)]
+                continue  # Nothing is made of what a help is of.
             else:
                 hint = short(hints[name]) if of_command and brief else hints[name]
             fields.append(StructFieldSpec(name, hint, value, helps.get(name)))

@@ -2,17 +2,17 @@
 
 from tyro.conf import Positional
 
-from infogoal_jax.cli.choice import Parts
+from infogoal_jax.cli.choice import Name, Parts
 from infogoal_jax.errors import UserError
 
 
 def methods(
     task: Positional[str] = "",
     method: Positional[str] = "",
-    learner: str | None = None,
-    agent: str | None = None,
-    relabelling: str | None = None,
-    explorer: str | None = None,
+    learner: Name = None,
+    agent: Name = None,
+    relabelling: Name = None,
+    explorer: Name = None,
 ) -> int:
     """Say which methods and tasks go together, and why others do not.
 

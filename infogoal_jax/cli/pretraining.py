@@ -1,7 +1,7 @@
 """`infogoal pretrain TASK`: the low levels that drive a robot to target states."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from tyro.conf import Suppress
@@ -15,7 +15,7 @@ JOINTS = "object_manipulation"
 
 
 def pretrain(
-    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
     seeds: int = 4,
     first_seed: int = 0,
     out: str = "",

@@ -17,8 +17,8 @@ HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, 
 
 
 def train(
-    parts: Annotated[Any, tyro.conf.arg(name="")] = None,
-    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    parts: Annotated[object, tyro.conf.arg(name="")] = None,
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
     resume: str = "",
     seeds: int = 1,
     first_seed: int = 0,

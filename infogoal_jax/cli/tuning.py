@@ -17,8 +17,8 @@ HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help`
 
 
 def tune(
-    parts: Annotated[Any, tyro.conf.arg(name="")] = None,
-    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    parts: Annotated[object, tyro.conf.arg(name="")] = None,
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
     resume: str = "",
     trials: int = 16,
     seeds: int = 2,
