@@ -1,12 +1,17 @@
 """Which configuration a command starts from: the preset of a task and a method, with parts that are chosen by name, or
-that of a run to resume. And the command for each task, whose flags are the fields of that configuration."""
+that of a run to resume. And the command for each task, whose flags are the fields of that configuration: how they are
+shown, help from their docstrings, intervals from the declarations of the numbers."""
 
 import dataclasses
+import functools
 import shlex
+import typing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Union
 
+import docstring_parser
 import tyro
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from infogoal_jax.cli.commands import Command, Group, TaskCommands, first_word, named
 from infogoal_jax.errors import UserError
@@ -15,6 +20,8 @@ if TYPE_CHECKING:
     from infogoal_jax.config import TrainConfig
 
 
+Name = Union[str, None]  # noqa: UP007 (of `str | None` tyro asks typeguard, whose import is a tenth of a help's time)
+"""Of a part; None: not given."""
 AUTO = "auto"
 """In place of a run's folder: the newest of the configuration."""
 
@@ -23,15 +30,15 @@ AUTO = "auto"
 class Parts:
     """Parts that are chosen by name. None: the task's or the method's own."""
 
-    method: str | None = None
+    method: Name = None
     """A row of the paper's Table I."""
-    learner: str | None = None
+    learner: Name = None
     """Goal-representation learner."""
-    agent: str | None = None
+    agent: Name = None
     """Reinforcement-learning agent."""
-    relabelling: str | None = None
+    relabelling: Name = None
     """Relabelling of goals."""
-    explorer: str | None = None
+    explorer: Name = None
     """Explorer."""
 
     def names(self) -> dict[str, str]:
@@ -47,7 +54,7 @@ class Parts:
 class Choice(Parts):
     """What is read before anything else is: a command's defaults, and so its help, depend on it."""
 
-    resume: str | None = None
+    resume: Name = None
     """Folder of a run to go on with."""
     help: Annotated[bool, tyro.conf.arg(aliases=["-h"])] = False
     """Show the help."""
@@ -137,10 +144,82 @@ def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice)
 def of_task(command: Command, config: Any, choice: Choice, arguments: list[str]) -> TaskCommands:
     """The command for one task, with this configuration and the names of its parts as defaults."""
     from infogoal_jax import presets
-    from infogoal_jax.cli.flags import configuration_flags
 
     parts = parts_of(config)
     help = presets.registry[config.task].description if config.task in presets.registry else ""
     group = Group("", {config.task: named(command, help, config=config, parts=parts)})
     asked = choice.help or choice.help_all
     return TaskCommands(group, [config.task, "--help"] if asked else arguments, configuration_flags(brief=choice.help))
+
+
+def configuration_flags(brief: bool) -> ConstructorRegistry:
+    """Rules of tyro for a command's configuration, whose task is no flag: it is the name of the subcommand.
+
+    brief: for a help of one screen. The records of the configuration's parts are left out, and of a field's docstring
+    all but the first sentence.
+    """
+    from infogoal_jax.hyperparameters import numbers_of
+
+    registry = ConstructorRegistry()
+
+    @registry.struct_rule
+    def rule(info: StructTypeInfo) -> StructConstructorSpec | None:
+        record, default = info.type, info.default
+        if not dataclasses.is_dataclass(record) or type(default) is not record:
+            return None
+        hints = typing.get_type_hints(record, include_extras=True)
+        of_command = {"task", "hyper"} <= hints.keys()
+        if not (of_command or record is Parts or numbers_of(record)):
+            return None  # Tyro's own rule does.
+        helps = docstrings_of(record)
+        if record is Parts:
+            helps = {
+                name: f"{words.removesuffix('.')}: {', '.join(known_names()[name])}." for name, words in helps.items()
+            }
+        if of_command and brief:
+            helps = {
+                name: words.partition(";")[0].partition(". ")[0].removesuffix(".") + "."
+                for name, words in helps.items()
+            }
+        fields = []
+        for name in (field.name for field in dataclasses.fields(record)):
+            value, number = getattr(default, name), numbers_of(record).get(name)
+            if record is Parts:
+                hint = Annotated[str, tyro.conf.arg(metavar="NAME")]
+            elif number is not None:
+                hint = Annotated[
+                    float,
+                    tyro.conf.arg(
+                        help_behavior_hint=lambda shown, number=number: f"(in {number.interval}, default: {shown})"
+                    ),
+                ]
+            elif of_command and name == "task":  # The name of the subcommand, and no flag.
+                hint = tyro.conf.Suppress[tyro.conf.Fixed[str]]
+            elif of_command and brief and dataclasses.is_dataclass(value):
+                continue  # Nothing is made of what a help is of.
+            else:
+                hint = short(hints[name]) if of_command and brief else hints[name]
+            fields.append(StructFieldSpec(name, hint, value, helps.get(name)))
+        return StructConstructorSpec(record, tuple(fields))
+
+    return registry
+
+
+@functools.cache
+def docstrings_of(record: type) -> dict[str, str]:
+    """What the docstrings of a record's fields say, in one line each."""
+    found = docstring_parser.parse_from_object(record).params
+    return {field.arg_name: " ".join((field.description or "").split()) for field in found}
+
+
+def short(hint: Any) -> Any:
+    """The type of a field whose flag is to fit the left column: without the kind of its value, which the default
+    shows."""
+    if hint is bool:
+        return tyro.conf.FlagCreatePairsOff[hint]
+    if typing.get_origin(hint) is typing.Literal:
+        choices = " | ".join(typing.get_args(hint))
+        return Annotated[
+            hint, tyro.conf.arg(metavar="", help_behavior_hint=lambda shown: f"({choices}, default: {shown})")
+        ]
+    return Annotated[hint, tyro.conf.arg(metavar="")]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group
-from infogoal_jax.cli.folders import check_seed, empty_folder
+from infogoal_jax.cli.commands import Group, check_seed, empty_folder
 from infogoal_jax.errors import UserError, require
 
 

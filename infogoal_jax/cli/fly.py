@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
-from infogoal_jax.cli.folders import empty_folder, new_folder
+from infogoal_jax.cli.commands import empty_folder, new_folder
 from infogoal_jax.errors import UserError, require
 
 CHECKS = """Before the propellers turn:

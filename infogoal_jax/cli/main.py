@@ -7,15 +7,13 @@ import sys
 import tyro
 
 import infogoal_jax
-from infogoal_jax.cli import pretraining, training, tuning
+from infogoal_jax.cli import training, tuning
 from infogoal_jax.cli.commands import Group, check_names, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
-from infogoal_jax.cli.methods import methods
-from infogoal_jax.cli.pretraining import pretrain
 from infogoal_jax.cli.reproduce import REPRODUCE, check_flags
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
-from infogoal_jax.cli.training import train
+from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError
 from infogoal_jax.stopping import NOTHING, STATUS
@@ -43,7 +41,7 @@ COMMANDS = Group(
         "reproduce": REPRODUCE,
     },
 )
-BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": pretraining.tasks}
+BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.pretraining_tasks}
 """Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where
 one of these is called."""
 

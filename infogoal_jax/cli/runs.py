@@ -6,7 +6,7 @@ from typing import Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.folders import check_seed
+from infogoal_jax.cli.commands import check_seed
 from infogoal_jax.errors import UserError, require
 
 

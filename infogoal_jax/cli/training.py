@@ -1,15 +1,33 @@
-"""`infogoal train TASK`."""
+"""`infogoal train TASK`; `infogoal methods`, which says what can be trained; and `infogoal pretrain TASK`, which trains
+the low levels that drive a robot to target states."""
 
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff
+from tyro.conf import FlagCreatePairsOff, Positional, Suppress
 
-from infogoal_jax.cli.choice import AUTO, all_tasks, config_of_run, of_task, preset_of, read_choice
-from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import check_resumed_in_place, new_folder, seeds_from
-from infogoal_jax.errors import require
+from infogoal_jax.cli.choice import (
+    AUTO,
+    Name,
+    Parts,
+    all_tasks,
+    config_of_run,
+    configuration_flags,
+    of_task,
+    preset_of,
+    read_choice,
+)
+from infogoal_jax.cli.commands import (
+    Group,
+    TaskCommands,
+    check_resumed_in_place,
+    first_word,
+    named,
+    new_folder,
+    seeds_from,
+)
+from infogoal_jax.errors import UserError, nearest, require
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -17,8 +35,8 @@ HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, 
 
 
 def train(
-    parts: Annotated[Any, tyro.conf.arg(name="")] = None,
-    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    parts: Annotated[object, tyro.conf.arg(name="")] = None,
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
     resume: str = "",
     seeds: int = 1,
     first_seed: int = 0,
@@ -135,3 +153,95 @@ def tasks(arguments: list[str]) -> TaskCommands:
     of_run = choice.resume not in (None, "", AUTO)
     config = config_of_run(choice.resume, task, choice) if of_run else preset_of(task, choice)
     return of_task(train, config, choice, arguments if task else [config.task, *arguments])
+
+
+def methods(
+    task: Positional[str] = "",
+    method: Positional[str] = "",
+    learner: Name = None,
+    agent: Name = None,
+    relabelling: Name = None,
+    explorer: Name = None,
+) -> int:
+    """Say which methods and tasks go together, and why others do not.
+
+    Args:
+        task: Name of a task; empty: all.
+        method: Name of a method on that task; empty: all.
+        learner: Name of another learner than the method's own.
+        agent: Name of another agent than the task's own.
+        relabelling: Name of another relabelling than the method's own.
+        explorer: Name of another explorer than the method's own.
+
+    Returns:
+        0; with a task and a method 1 where they do not work together.
+    """
+    from infogoal_jax import presets
+    from infogoal_jax.report import methods as table
+
+    parts = Parts(None, learner, agent, relabelling, explorer).names()
+    if method:
+        return 0 if table.print_combination(task, method, **parts) else 1
+    if parts:
+        raise UserError(f"method = {method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
+    if task:
+        presets.load(task)  # Refuses a name that does not exist.
+    table.print_methods((task,) if task else presets.TASKS)
+    return 0
+
+
+JOINTS = "object_manipulation"
+"""Trained with one seed where nothing else is asked for, as the shipped one was."""
+
+
+def pretrain(
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
+    seeds: int = 4,
+    first_seed: int = 0,
+    out: str = "",
+    evaluation_episodes: int = 2000,
+    command: Suppress[str] = "",
+) -> int:
+    """Train the low level that drives a robot to target states.
+
+    Args:
+        config: That of the task.
+        seeds: Seeds that are trained side by side: 0, 1, 2, ...
+        first_seed: Number of the first seed.
+        out: Folder to write to; empty: a new one under runs/.
+        evaluation_episodes: Fresh episodes that each seed is measured on at the end.
+        command: What is written into the file as the command that made it.
+
+    Returns:
+        0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
+    """
+    from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.train.low_level import host
+
+    numbers = seeds_from(first_seed, seeds)
+    use_compilation_cache()
+    folder = Path(out) if out else new_folder(config.task, "low-level")
+    result = host.pretrain(config, numbers, folder, evaluation_episodes, command)
+    host.print_result(result)
+    return 130 if result.stopped else 0
+
+
+def pretraining_tasks(arguments: list[str]) -> TaskCommands:
+    """`pretrain` for each task that has a low level, with its configuration as the defaults."""
+    from infogoal_jax.train.low_level.host import TASKS, preset
+
+    task = first_word(arguments)
+    if task and task not in TASKS:
+        raise UserError(
+            f"task = {task!r}: no low level can be trained for it.{nearest(task, list(TASKS))} Known: "
+            f"{', '.join(TASKS)}"
+        )
+    written = " ".join(["infogoal pretrain", *arguments])
+    commands = {
+        task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written)
+        for task in TASKS
+    }
+    help = "The low level of object manipulation (docs/object_manipulation.md)."
+    commands[JOINTS] = named(pretrain, help, config=preset(JOINTS), command=written, seeds=1, evaluation_episodes=4000)
+    group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)
+    return TaskCommands(group, arguments, configuration_flags(brief=False))

@@ -8,8 +8,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.choice import all_tasks, config_of_run, of_task, preset_of, read_choice
-from infogoal_jax.cli.commands import TaskCommands
-from infogoal_jax.cli.folders import check_resumed_in_place, check_seed, new_folder, seeds_from
+from infogoal_jax.cli.commands import TaskCommands, check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require
 
 HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help` shows the flags of a task, and
@@ -17,8 +16,8 @@ HELP = """Look for hyperparameters by random search. `infogoal tune TASK --help`
 
 
 def tune(
-    parts: Annotated[Any, tyro.conf.arg(name="")] = None,
-    config: Annotated[Any, tyro.conf.arg(name="")] = None,
+    parts: Annotated[object, tyro.conf.arg(name="")] = None,
+    config: Annotated[object, tyro.conf.arg(name="")] = None,
     resume: str = "",
     trials: int = 16,
     seeds: int = 2,

@@ -14,8 +14,9 @@ from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.runs import checkpoint, results
+from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
+from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import near_and_far
@@ -126,7 +127,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     lines = {"data": run.data, "protocol": protocol, "device": run.device}
     if numbers := learner_numbers(run, epochs):
         lines[learners.registry.name_of(run.config.learner)] = f"{numbers} (mean of the last epoch)"
-    if times := results.read_timing(run.folder):
+    if times := read_timing(run.folder):
         lines["time"] = (
             f"compiling {times.compile_seconds:.0f} s, running {times.run_seconds:.0f} s in the last session: "
             + f"{times.env_steps_per_second:,.0f} environment steps/s, " * acted
@@ -217,7 +218,7 @@ def evaluate_run(
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
     scores |= near_and_far(train.env, scores["first_reached"])
-    found = results.Evaluation(
+    found = Evaluation(
         epoch=epoch,
         starts=starts,
         start_seed=start_seed,
@@ -242,6 +243,6 @@ def evaluate_run(
         console.print(sentence, style="bold red", soft_wrap=True)
     console.print(f"data        {run.data}", soft_wrap=True, highlight=False, markup=False)
     remove_abandoned(folder)
-    results.write_evaluation(folder, found)  # After the table: a disk that refuses should not cost the numbers.
+    write_evaluation(folder, found)  # After the table: a disk that refuses should not cost the numbers.
     console.print(f"file        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
     return {name: value for name, value in scores.items() if name != "first_reached"}

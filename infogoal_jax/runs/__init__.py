@@ -5,8 +5,8 @@ RUN/checkpoint               everything that training carries, for all seeds    
 RUN/policy                   parameters alone, of the same epoch                         checkpoint.py
 RUN/epochs.csv, .jsonl       a line for each seed and epoch                              tables.py
 RUN/evaluations.csv, .jsonl  a line for each seed and evaluation                         tables.py
-RUN/timing.json              seconds compiling and running, and rates, of a session      results.py
-RUN/evaluation.json          what `infogoal evaluate` found last                         results.py
+RUN/timing.json              seconds compiling and running, and rates, of a session      tables.py
+RUN/evaluation.json          what `infogoal evaluate` found last                         tables.py
 SEARCH/trials.jsonl          values and scores of each trial of a search or a final      search.py
 SEARCH/best.json             the best trial, with the flags to give to `infogoal train`  search.py
 

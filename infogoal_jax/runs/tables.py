@@ -1,4 +1,5 @@
-"""epochs, evaluations and curve: tables to which a run appends, as CSV and as JSON lines.
+"""The numbers of a run. epochs, evaluations and curve: tables to which it appends, as CSV and as JSON lines.
+timing.json and evaluation.json: numbers about a run that are no part of it.
 
 A line is a row of a seed and an epoch. Lists of numbers stand in the JSON lines only. What a killed run wrote after its
 last checkpoint is cut off when it goes on.
@@ -13,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs.decoding import Place, decode, parse_lines, read_bytes
-from infogoal_jax.runs.disk import disk_error, sync, write_text
+from infogoal_jax.runs.decoding import Place, decode, parse, parse_lines, read_bytes
+from infogoal_jax.runs.disk import disk_error, sync, write_json, write_text
 
 TABLES = ("epochs", "evaluations")
 Row = dict[str, Any]
@@ -121,3 +122,51 @@ def replace_table(folder: Path, table: str, rows: list[Row]) -> None:
         path = folder / name
         if (rows or path.exists()) and not (path.exists() and path.read_bytes() == text.encode()):
             write_text(path, text)
+
+
+@dataclasses.dataclass(frozen=True)
+class Timing:
+    """Seconds of compiling and running in the last session of a run, and rates over all seeds."""
+
+    compile_seconds: float
+    run_seconds: float
+    env_steps_per_second: float
+    updates_per_second: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """What `infogoal evaluate` found. epoch: of the parameters; starts: a goal; corruption: weight of the backgrounds,
+    None for goals that are not images; seeds: those that did not diverge; diverged: the others, with the epoch;
+    metrics: {name: [seeds, ...]}."""
+
+    epoch: int
+    starts: int
+    start_seed: int
+    test_epsilon: float
+    corruption: float | None
+    seeds: list[int]
+    diverged: dict[int, int]
+    data: str
+    metrics: dict[str, Any]
+
+
+def write_timing(folder: Path, timing: Timing) -> None:
+    """Write RUN/timing.json."""
+    write_json(folder / "timing.json", dataclasses.asdict(timing))
+
+
+def read_timing(folder: Path) -> Timing | None:
+    """The times of the last session of a run; None if no session got past a chunk. Raises `UserError` for a file that
+    holds something else."""
+    place = Place(
+        folder / "timing.json", remedy="delete it: it is not needed to go on, or bring back a copy of the file"
+    )
+    if not place.path.exists():
+        return None
+    return decode(Timing, parse(read_bytes(place, f"{place.path}: not there"), place), place)
+
+
+def write_evaluation(folder: Path, evaluation: Evaluation) -> None:
+    """Write RUN/evaluation.json."""
+    write_json(folder / "evaluation.json", dataclasses.asdict(evaluation))

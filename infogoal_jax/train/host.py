@@ -16,11 +16,11 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.runs import checkpoint, description, results, tables
+from infogoal_jax.runs import checkpoint, description, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
 from infogoal_jax.runs.description import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
-from infogoal_jax.runs.results import Timing
+from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train import distributed
 from infogoal_jax.train.compilation import Chunk, chunk_of, jit
@@ -247,7 +247,7 @@ def train_on(
             tables.append_rows(folder, "evaluations", evaluations)
             checkpoint.save(folder / "checkpoint", {"epoch": done, **now.values()}, whole)
             checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, whole.params)
-            results.write_timing(folder, timing)
+            tables.write_timing(folder, timing)
             stop.advice = how_to_go_on(folder, done)
             progress = Progress(
                 done, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)

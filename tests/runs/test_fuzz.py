@@ -25,11 +25,11 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import figures, runs, summary, tuning
 from infogoal_jax.reproduce import command, numbers
-from infogoal_jax.runs import checkpoint, description, results, search, tables
+from infogoal_jax.runs import checkpoint, description, search, tables
 from infogoal_jax.runs.configuration import from_dict, to_json
 from infogoal_jax.runs.description import Description
-from infogoal_jax.runs.results import Timing
 from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
+from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stand_ins import cube, photographs, shelf
 from infogoal_jax.train import host, tune
 from infogoal_jax.train.low_level import host as low_level
@@ -88,7 +88,7 @@ def write_run(folder: Path) -> None:
     search.write_scores(folder, [line], best)
     for table in tables.TABLES:
         tables.append_rows(folder, table, rows)
-    results.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))
+    tables.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))
     checkpoint.save(folder / "checkpoint", {"epoch": 2, **about.values()}, TREE)
     checkpoint.save(folder / "policy", {"epoch": 2, **about.values()}, TREE)
 
@@ -119,7 +119,7 @@ READERS = (
     go_on,
     tuning.read,
     tuning.read_drawn,
-    results.read_timing,
+    tables.read_timing,
     lambda folder: checkpoint.load(folder / "policy", TREE),
     lambda folder: tables.read_table(folder, "evaluations"),
 )
