@@ -59,7 +59,7 @@ class Train:
     evaluation: Callable[[TrainState, Hyperparameters, Any], dict[str, jax.Array]]
     """(state, hyper, env) -> the metrics of an evaluation."""
     policy: Callable[..., Policy]
-    """(params, hyper, env, use_mean=False) -> the policy of `policies.trained_policy`."""
+    """(params, hyper, env, use_mean=False) -> the policy of `rollout.trained_policy`."""
     evaluate: Callable[..., dict[str, jax.Array]]
     """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `settings.evaluate_settings`."""
     experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
