@@ -25,9 +25,14 @@ MANY_MAPS = 20_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
 next."""
 LONGEST_FIRST = (
+    "command",
+    "same_numbers",
     "every_method",
-    "hrac_program",
     "fly",
+    "kills",
+    "programs",
+    "parity",
+    "hrac_program",
     "training",
     "resume",
     "low_level",
@@ -36,7 +41,6 @@ LONGEST_FIRST = (
     "frame_figures",
     "relabelling",
     "command_line",
-    "programs",
     "reconstruction",
     "environment",
     "sse_db",
@@ -53,7 +57,6 @@ LONGEST_FIRST = (
     "cher",
     "image_goals",
     "settings",
-    "parity",
 )
 """Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about
 the same time."""

@@ -275,6 +275,8 @@ def test_runs_without_error_or_warning_and_draws_its_figures(name, monkeypatch, 
     for folder in folders:  # The user's own Jupyter is left alone.
         monkeypatch.setenv(folder, str(tmp_path / folder))
     monkeypatch.setenv("INFOGOAL_TOY", "1")
+    # Nothing is learned at this size: compiling would be most of the time.
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
     resources = {"metadata": {"path": str(tmp_path)}}
     notebook = nbclient.NotebookClient(read(name), timeout=600, kernel_name="python3", resources=resources).execute()
     assert "Warning" not in printed(notebook)
