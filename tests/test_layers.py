@@ -36,7 +36,10 @@ LAYERS = (
     {"cli"},
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
-NOT_OF_LEARNING = {"envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"}}
+NOT_OF_LEARNING = {
+    "data": {"goals", "goal_uses", "errors", "stopping"},
+    "envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"},
+}
 """What data and environments may know of the lowest layer."""
 
 

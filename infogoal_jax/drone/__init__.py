@@ -10,5 +10,6 @@
 | `records.py` | what a flight leaves behind: its log, and recordings |
 | `simulated_tello.py`, `simulated_drone.py` | a Tello in a process of its own, and what it simulates |
 
-Nothing here is imported by the rest of the package but the commands `infogoal fly` and `infogoal record`.
+Nothing here is imported by the rest of the package but by the commands `infogoal fly` and `infogoal record`, and by
+`infogoal report` of a flight.
 """

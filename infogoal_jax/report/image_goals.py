@@ -250,7 +250,9 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
         f"{below.shown}; "
         f"at most {env.episode_length} steps"
     )
-    figure = new_figure(subject, "codes of corrupted goals, and ways to corrupted test goals", (14.5, 7.4), shown=shown)
+    figure = new_figure(
+        subject, "codes of corrupted goals, and paths to corrupted test goals", (14.5, 7.4), shown=shown
+    )
     panels = figure.subplots(2, len(WEIGHTS))
     groups = tuple(group for group in ("train", "test") if group in goals.groups)
     which = np.flatnonzero(np.any([np.asarray(getattr(goals, f"{group}_mask")) for group in groups], axis=0))

@@ -118,9 +118,8 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         "all": "all goals",
     }[run.config.known_goals]
     protocol = (
-        f"only training goals were desired in training; {known} could enter the representation (known_goals "
-        "= "
-        f"{run.config.known_goals})"
+        f"only training goals were desired goals in training; {known} could enter the representation "
+        f"(known_goals = {run.config.known_goals})"
     )
     if run.config.training_corruption:
         protocol += f"; goal images were corrupted while training too, with weight {run.config.training_corruption:g}"

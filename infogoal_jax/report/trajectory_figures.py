@@ -96,7 +96,7 @@ def legend_from_above(env: Any, chosen: np.ndarray) -> list[Line2D]:
             markeredgecolor="black",
             label=f"start of the {mover}",
         ),
-        Line2D([], [], color="#888888", marker=".", markersize=3, label=f"way of the {mover}, a dot a step"),
+        Line2D([], [], color="#888888", marker=".", markersize=3, label=f"path of the {mover}, a dot a step"),
         Line2D(
             [],
             [],
@@ -174,7 +174,7 @@ def legend_of_angles(env: Any, chosen: np.ndarray) -> list[Line2D]:
     ends = ((SUCCESS, "reached"), (FAILURE, "time is up"))
     return [
         *(
-            Line2D([], [], color=room_colour(region), marker=".", label=f"way to test goal {number + 1}")
+            Line2D([], [], color=room_colour(region), marker=".", label=f"path to test goal {number + 1}")
             for number, region in enumerate(regions)
         ),
         *(
@@ -207,13 +207,13 @@ def poses_on_the_way(
     from the start to the end. seen: {weight: images of the goals, uint8 [C, H, W, 3]}."""
     env = subject.train.env
     shown = (
-        f"seed {subject.params_seed}, last parameters; test backgrounds; up to {IMAGES} images of each way; below each "
-        "its step and the angle "
+        f"seed {subject.params_seed}, last parameters; test backgrounds; up to {IMAGES} images of each path; below "
+        "each its step and the angle "
         f"to the goal; the last in green if it is within {np.rad2deg(REACHED):g} degrees, in red if time was up "
         f"({env.episode_length} steps)"
     )
     rows, across = -(-len(chosen) // 2), min(2, len(chosen))
-    figure = new_figure(subject, "ways to corrupted test poses", (7.4 * across, 4.6 * rows + 1.0), shown=shown)
+    figure = new_figure(subject, "paths to corrupted test poses", (7.4 * across, 4.6 * rows + 1.0), shown=shown)
     blocks = figure.subfigures(rows, across, squeeze=False, hspace=0.02, wspace=0.02).ravel()
     angles = [angles_to_goals(env, chosen, found) for found in episodes]
     for number, block in zip(range(len(chosen)), blocks, strict=False):

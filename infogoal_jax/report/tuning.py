@@ -114,6 +114,6 @@ def print_result(result: TuneResult) -> None:
     space = search_space(result.config.hyper)
     floored = [field for field, value in result.best.values.items() if space[field].is_at_floor(value)]
     if floored:
-        lines.append(f"floor       at the lower end of its range: {', '.join(floored)}; the term is all but off")
+        lines.append(f"floor       at the lower end of its range: {', '.join(floored)}; below it the term would be off")
     for line in lines:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

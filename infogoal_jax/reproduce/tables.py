@@ -3,7 +3,7 @@ and what the runs cost."""
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -53,15 +53,20 @@ def table1(results: Results, variant: str) -> Table | None:
     for kind, task in shown:
         head += [f"{TITLES[task]}, {KINDS[kind]}"]
     body = [[METHODS[method], *(cells[method, kind, task] for kind, task in shown)] for method in methods]
-    found = {fault for row in rows.values() for fault in row.faults()}
     seeds = sorted({row.seeds for row in rows.values()})
     foot = [
         "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t); in brackets the paper's number. "
         "Bold: best of a column; underlined: second best, in columns in which every method ran on every goal set. "
         f"{' or '.join(map(str, seeds))} seed(s) on each goal set. Corrupted: background of weight 0.4."
     ]
-    foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
+    foot += legend(rows.values())
     return Table(f"table1_{variant}", f"Table I, {VARIANTS[variant]}", head, body, foot)
+
+
+def legend(rows: Iterable[Row]) -> list[str]:
+    """What the marks of these rows mean, a line each."""
+    found = {fault for row in rows for fault in row.faults()}
+    return [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
 
 
 def cell_of(row: Row | None, variant: str, kind: str, task: str, method: str) -> Cell:
@@ -92,11 +97,9 @@ def is_planned(variant: str, task: str, method: str) -> bool:
 
 def table2(results: Results) -> Table | None:
     """Table II: beta, accuracy and KL that InfoGoal converges to."""
-    body = []
-    for task in TASKS:
-        row = row_of(results, "paper", task, "infogoal")
-        if row is None:
-            continue
+    found = {task: row_of(results, "paper", task, "infogoal") for task in TASKS}
+    rows, body = {task: row for task, row in found.items() if row}, []
+    for task, row in rows.items():
         cells: list[Cell | str] = [TITLES[task]]
         for metric, decimals in (("beta", 4), ("accuracy", 3), ("kl", 1)):
             values = [scores_of(result, f"infogoal/{metric}") for result in row.results]
@@ -105,7 +108,8 @@ def table2(results: Results) -> Table | None:
             cells.append(f"{mean.mean:.{decimals}f}{half}{row.marks()}")
         body.append([*cells, "0.013, 0.96" if task == "fetch_pick_and_place" else ""])
     foot = [
-        "Mean ± 95 % interval over seeds. The paper's supplementary table could not be had; its text has PickAndPlace."
+        "Mean ± 95 % interval over seeds. The paper's supplementary table could not be had; its text has PickAndPlace.",
+        *legend(rows.values()),
     ]
     head = ["task", "beta", "accuracy", "KL (nats)", "paper: beta, accuracy"]
     return Table("table2", "Table II: what InfoGoal converges to", head, body, foot) if body else None
@@ -128,7 +132,9 @@ def near_and_far(results: Results) -> Table | None:
     ]
     foot = [
         "Success rate on clean test goals that count as reached from a training goal (near), and on the others (far): "
-        "mean ± 95 % interval over seeds / over goal sets."
+        "mean ± 95 % interval over seeds / over goal sets, relabelling as in the paper, at the last of the three "
+        "evaluations whose mean Table I shows.",
+        *legend(row for rows, _ in columns for row in rows.values()),
     ]
     return Table("near_and_far", "Near and far test goals of Fetch", head, body, foot) if body else None
 
@@ -141,8 +147,10 @@ def near_cell(row: Row | None, near: bool) -> Cell:
     for result in row.results:
         kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
         part = (result.arrays["uses"] == TEST) & (result.arrays["near"] == near)
+        if not part.any():  # A goal set may have none that are near.
+            continue
         scores.append((result.arrays["first_reached"][kept][:, part] <= result.about["episode_length"]).mean((1, 2)))
-    found = over_seeds_and_sets(scores) if all(len(each) and np.isfinite(each).all() for each in scores) else None
+    found = over_seeds_and_sets(scores) if scores and all(len(each) for each in scores) else None
     return Cell(found, "", 0, row.marks(), row.results[0].run.name)
 
 
@@ -193,8 +201,7 @@ def over_tasks(results: Results, variant: str) -> Table | None:
         foot.append(f"{KINDS[kind]}: {', '.join(TITLES[task] for task in tasks_of[kind])}.")
         left = [left_out(rows, task, methods) for task in tasks_of[kind]]
         foot += [f"Left out of {KINDS[kind]}: {'; '.join(filter(None, left))}."] if any(left) else []
-    found = {fault for row in rows.values() for fault in row.faults() if fault in NOT_COUNTED}
-    foot += [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
+    foot += legend(rows.values())
     return Table(f"over_tasks_{variant}", f"Over tasks, {VARIANTS[variant]}", head, body, foot)
 
 

@@ -84,7 +84,7 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
 
 
 def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_run_without_compiling(program, sweep):
-    """The compiled programs take any; each seed with hyperparameters of its own is in test_training.py."""
+    """The compiled programs take any; a seed with a learning rate of its own is in test_training.py."""
     train, run = program
     jax.tree.map(np.testing.assert_array_equal, plain(run(train.config.hyper)), plain(sweep))
     changed = run(train.config.hyper.replace(discount=0.5, noise=0.4))
