@@ -1,4 +1,4 @@
-"""Neural networks (flax.linen): goal encoder, state encoders, heads.
+"""Neural networks (flax.linen): goal encoder, state encoders, heads; and the loss of what they predict.
 
 All layers are matrix products. A convolution inside a scan runs 5 to 15 times slower on XLA:CPU, so images are cut into
 patches instead.
@@ -148,3 +148,10 @@ class VectorEncoder(nn.Module):
     @nn.compact
     def __call__(self, observation):
         return nn.relu(MLP((self.features,), self.features)(observation))
+
+
+def squared_or_huber(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
+    """Half the squared error of values against their targets, or the Huber loss: of their shape."""
+    import optax  # Here, since the help of a command needs no optimiser: a tenth of its time.
+
+    return optax.huber_loss(values, target) if huber else optax.l2_loss(values, target)

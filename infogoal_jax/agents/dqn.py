@@ -6,8 +6,8 @@ from typing import get_args
 
 import jax
 import jax.numpy as jnp
-import optax
 
+from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
@@ -77,7 +77,7 @@ def td_loss(
     """Temporal-difference error of the values float32 [B, A] of these actions int32 [B] against their targets float32
     [B]: (loss, metrics)."""
     predicted = value_heads.of_actions(values, actions)
-    error = optax.huber_loss(predicted, target) if huber else optax.l2_loss(predicted, target)
+    error = networks.squared_or_huber(predicted, target, huber)
     return error.mean(), {"td_error": jnp.abs(predicted - target).mean(), "value": predicted.mean()}
 
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import optax
 
 from infogoal_jax import networks
 
@@ -115,7 +114,7 @@ def next_value(
 def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
     """Temporal-difference error of both critics [2, B] against one target [B] (clipped double Q-learning, Eq. 10)."""
     target = jnp.broadcast_to(jax.lax.stop_gradient(target), values.shape)
-    error = optax.huber_loss(values, target) if huber else optax.l2_loss(values, target)
+    error = networks.squared_or_huber(values, target, huber)
     return error.mean(1).sum()
 
 

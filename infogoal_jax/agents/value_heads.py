@@ -18,7 +18,6 @@ from typing import Any, Literal, NamedTuple
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import optax
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
@@ -192,7 +191,7 @@ def td_loss_of_all(
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Temporal-difference error of values [B, G] against their targets [B, G], over goals of weight above 0 alone:
     (loss, metrics). Without `huber` it is LEO's half of the mean square."""
-    error = optax.huber_loss(predicted, target) if huber else optax.l2_loss(predicted, target)
+    error = networks.squared_or_huber(predicted, target, huber)
     metrics = {
         "td_error": mean_over_goals(jnp.abs(predicted - target), weight),
         "value": mean_over_goals(predicted, weight),

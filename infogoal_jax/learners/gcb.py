@@ -24,7 +24,6 @@ from typing import Literal
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-import optax
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
@@ -124,7 +123,7 @@ def bisimulation_target(
     that continues differ by discount || phi' || too.
     """
     rewards, following = jax.lax.stop_gradient((rewards, discounts[:, None] * following))
-    gap = optax.huber_loss(rewards, rewards[partner])
+    gap = networks.squared_or_huber(rewards, rewards[partner], huber=True)
     return reward_weight * gap + jnp.linalg.norm(following - following[partner], axis=-1)
 
 
