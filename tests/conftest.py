@@ -12,7 +12,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from hand_made_dataset import TINY_HOUSE
+from hand_made_frames import TINY_HOUSE
 
 from infogoal_jax import presets
 from infogoal_jax.data import goal_images
