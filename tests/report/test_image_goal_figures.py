@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
+from places import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
 from infogoal_jax.errors import UserError
