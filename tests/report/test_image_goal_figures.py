@@ -174,12 +174,6 @@ SIZE = (96, 128)
 CONFIG = FetchConfig(ends_at_goal=False, episode_length=3)
 
 
-def start(task: str):
-    """A task and one of its first states, without compiling a simulation: MuJoCo has the kinematics too."""
-    env = envs.load(task, CONFIG)
-    return env, jax.jit(type(env).reset)(env, jax.random.key(0))
-
-
 def frames(count: int = 5) -> list[np.ndarray]:
     """Pictures of one grey each, brighter and brighter."""
     return [np.full((32, 48, 3), 40 * number, np.uint8) for number in range(count)]
