@@ -1,5 +1,5 @@
-"""What several test files share because it takes long to make: programs on disk, a run with image goals, a tiny house,
-the shipped goal images; and the order of the files."""
+"""What several test files share: programs on disk, a run with image goals, a tiny house, the shipped goal images,
+made-up numbers of every run, and a reproduction whose clock runs out; and the order of the files."""
 
 import gc
 import json
@@ -10,13 +10,15 @@ import tempfile
 from pathlib import Path
 
 import jax
+import made_up_results
 import numpy as np
 import pytest
-from hand_made_dataset import TINY_HOUSE
+from hand_made_frames import TINY_HOUSE
 
 from infogoal_jax import presets
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.reproduce import lanes
 from infogoal_jax.stand_ins import house
 from infogoal_jax.train import host
 
@@ -159,4 +161,25 @@ def differing_pixels():
         difference = np.maximum(images, others) - np.minimum(images, others)  # Of bytes, without going below 0.
         return (difference.max(-1) > 16).sum((-1, -2))
 
+    return count
+
+
+@pytest.fixture(scope="session")
+def results():
+    """Made-up numbers of every run, of three seeds; nobody changes them."""
+    return made_up_results.results(seeds=3)
+
+
+@pytest.fixture
+def evaluations(monkeypatch) -> list[int]:
+    """The number of each evaluation as it comes. The third one that this test makes seems to take so long that the
+    clock, where there is one, leaves no time for another."""
+    go_on, count = lanes.go_on, []
+
+    def slow(training):
+        go_on(training)
+        count.append(training.evaluations)
+        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
+
+    monkeypatch.setattr(lanes, "go_on", slow)
     return count

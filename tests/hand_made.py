@@ -1,5 +1,6 @@
-"""A search task small enough to check by hand: four rooms, each a corridor of three places, around one crossing; four
-headings a place.
+"""What is small enough to check by hand: a search task, the training of a learner that reconstructs goals, and rows of
+replay for relabellings in hindsight. The task is four rooms, each a corridor of three places, around one crossing;
+four headings a place.
 
   room 1          place 0 is the crossing; room r has places 1 + 3 r, 2 + 3 r, 3 + 3 r from the crossing outwards.
     |             Heading h looks along room h. Each room has two objects, one desired in training and one in the
@@ -10,16 +11,22 @@ headings a place.
 """
 
 import dataclasses
+import functools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 
-from infogoal_jax import presets
+from infogoal_jax import networks, presets, replay
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import ObjectSearch, ObjectSearchConfig, lay_out
+from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Visited
+from infogoal_jax.relabelling.relabelling import Achievements, Context
+from infogoal_jax.replay import Trajectories
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -112,3 +119,112 @@ def visited(desired: int, achieved, mask) -> Visited:
 def learner_batch(encode, inputs=None, pairs=None, goals=None, desired=None, transitions=None) -> LearnerBatch:
     """What a learner's loss may look at, of which a test needs only a part. inputs: [N, ...] of all goals."""
     return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions)
+
+
+SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}
+
+
+def begun(learner, inputs):
+    """Parameters and state of the learner for these inputs as they begin."""
+    return jax.jit(lambda key: learner.init(key, example(inputs), NoHyperparameters()))(jax.random.key(0))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def loss_of(learner, inputs, params, state, key, goals=None):
+    """The learner's loss on goals of these inputs, all of them or those asked for: (loss, (metrics, state))."""
+    goals = jnp.arange(len(inputs)) if goals is None else goals
+    batch = learner_batch(lambda goals: learner.encode(params, inputs[goals]), inputs=inputs, goals=goals)
+    loss, metrics, state = learner.loss(params, state, batch, NoHyperparameters(), key)
+    return loss, (metrics, state)
+
+
+def trained(learner, inputs, updates, params=None, rate=3e-3, part=None):
+    """Parameters, state, and metrics {name: [updates]} after updates on goals drawn at random. params: to begin with;
+    part: all that changes."""
+    start, state = begun(learner, inputs)
+    params, optimizer = start if params is None else params, optax.adam(rate)
+
+    def step(carry, key):
+        params, state, optimizer_state = carry
+        goals = jax.random.randint(key, (learner.sample_spec.num_goals,), 0, len(inputs))
+        gradient, (metrics, state) = jax.grad(
+            lambda params: loss_of(learner, inputs, params, state, key, goals), has_aux=True
+        )(params)
+        gradient = {
+            name: leaf if part in (None, name) else jax.tree.map(jnp.zeros_like, leaf)
+            for name, leaf in gradient.items()
+        }
+        change, optimizer_state = optimizer.update(gradient, optimizer_state)
+        return (optax.apply_updates(params, change), state, optimizer_state), metrics
+
+    carry = params, state, optimizer.init(params)
+    (params, state, _), metrics = jax.jit(
+        lambda carry: jax.lax.scan(step, carry, jax.random.split(jax.random.key(1), updates))
+    )(carry)
+    return params, state, metrics
+
+
+def constant_error(inputs, standardise=False):
+    """Mean squared error of the best constant, for each input number."""
+    seen = networks.as_encoded(inputs, standardise)
+    return ((seen - seen.mean(0)) ** 2).mean()
+
+
+ROWS, STEPS, GOALS = 6, 12, 9
+
+
+def rows_of(valid, achieved) -> Trajectories:
+    """Rows of these valid transitions [R, T] and goals achieved [R, T + 1, K], padded with -1, which are observed too;
+    goal 0 is desired."""
+    valid, achieved = jnp.asarray(valid, bool), jnp.asarray(achieved, jnp.int32)
+    zero, nothing = jnp.zeros(valid.shape, jnp.int32), jnp.zeros(valid.shape, bool)
+    return Trajectories(achieved, achieved, zero, zero, valid, nothing, nothing, valid)
+
+
+def random_rows(several: int = 1) -> Trajectories:
+    """Rows of several episodes, with up to `several` different goals achieved at each step, never goal 0."""
+    random = np.random.default_rng(0)
+    valid = random.random((ROWS, STEPS)) < 0.85
+    goals = 1 + random.random((ROWS, STEPS + 1, GOALS - 1)).argsort(-1)[..., :several]
+    return rows_of(valid, np.where(random.random(goals.shape) < 0.6, goals, -1))
+
+
+def context(rows: Trajectories, num_goals: int = GOALS, known=None, **changes) -> Context:
+    """What a relabelling may look at of these rows, all of them written, before the first update."""
+    known = jnp.ones(num_goals, bool) if known is None else known
+    achieved = Achievements(
+        rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known
+    )
+    plain = {
+        "rows": rows,
+        "written": jnp.ones(rows.valid.shape[0], bool),
+        "achievements": achieved,
+        "discount": 0.9,
+        "updates": 0,
+        "goal_positions": jnp.arange(float(num_goals))[:, None],
+        "goal_codes": None,
+        "value": lambda observation, goal: jnp.zeros(goal.shape),
+        "reached": lambda record, goal: (record == goal[..., None]).any(-1),
+    }
+    return Context(**(plain | changes))
+
+
+def episodes(rows: Trajectories) -> list[tuple[int, int, int]]:
+    """Row, first and last observation of each episode that has transitions."""
+    found = []
+    for row, valid in enumerate(np.asarray(rows.valid)):
+        first = 0
+        for step, going_on in enumerate([*valid, False]):
+            if not going_on:
+                found += [(row, first, step)] if step > first else []
+                first = step + 1
+    return found
+
+
+def later_goals(rows: Trajectories, row: int, step: int) -> set[int]:
+    """Goals achieved after this step in its episode."""
+    found = set()
+    while step < rows.valid.shape[1] and rows.valid[row, step]:
+        step += 1
+        found |= set(rows.record[row, step].tolist())
+    return found - {-1}

@@ -1,15 +1,103 @@
-"""Where the tests find what they read, and numbers of published code."""
+"""Where the tests find what they read: numbers of published code, scripts that stand in the pages of docs, what is
+printed, and figures that show something."""
 
+import io
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import hand_made
 import numpy as np
+import pytest
+from matplotlib.image import imread
+from rich.console import Console
+
+import infogoal_jax
+from infogoal_jax import presets
+from infogoal_jax.train.program import make_train
 
 TESTS = Path(__file__).parent
 FIXTURES = TESTS / "fixtures"
 ROOT = TESTS.parent
+DOCS = ROOT / "docs"
 
 
 def recorded(method: str) -> dict[str, np.ndarray]:
     """The arrays that the code of a method's authors gave, by the names of fixtures/README.md."""
     with np.load(FIXTURES / "authors.npz", allow_pickle=False) as arrays:
         return {name.removeprefix(f"{method}/"): arrays[name] for name in arrays if name.startswith(f"{method}/")}
+
+
+CHAPTER = r"^## ([^\n]+)\n(.*?)(?=^## |\Z)"
+
+
+def block_of(page: str) -> str:
+    """The one block of Python of a page, or of a chapter of it: PAGE.md#its-title."""
+    name, _, chapter = page.partition("#")
+    text = (DOCS / name).read_text()
+    if chapter:
+        chapters = {title.lower().replace(" ", "-"): words for title, words in re.findall(CHAPTER, text, re.M | re.S)}
+        text = chapters[chapter]
+    (found,) = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+    return found
+
+
+def lines_of(block: str) -> int:
+    """How many of its lines are not empty."""
+    return len([line for line in block.splitlines() if line.strip()])
+
+
+@contextmanager
+def run(
+    block: str, name: str, *registries: dict, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None
+) -> Iterator[dict]:
+    """The names that the block leaves behind, for as long as what it registers under this name is there.
+
+    prepare: sets what is other than it is for a user, while the block runs.
+    """
+    names, before = {"__name__": "page"}, [registry.get(name) for registry in registries]
+    with pytest.MonkeyPatch.context() as kept:
+        for registry in registries:
+            kept.setitem(registry, name, None)  # The script sets it.
+        with pytest.MonkeyPatch.context() as patch:
+            prepare(patch)
+            exec(compile(block, "page", "exec"), names)
+        yield names
+    assert [registry.get(name) for registry in registries] == before
+
+
+def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:
+    """Presets of these sizes, trained in the hand-made rooms instead of a house, and nothing else changed."""
+    load, fields = presets.load, hand_made.sizes(**sizes)
+
+    def prepare(patch: pytest.MonkeyPatch) -> None:
+        patch.setattr(presets, "load", lambda task, method, **parts: load(task, method, **parts, **fields))
+        patch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
+
+    return prepare
+
+
+EVERY_TASKS_FIGURES = {
+    "learning_curves",
+    "beta_and_accuracy",
+    "representations",
+    "success_by_length",
+    "success_by_goal",
+}
+
+
+def printed(show, *arguments) -> str:
+    """What a function prints on a console of its own."""
+    console = Console(file=io.StringIO(), width=120)
+    show(*arguments, console=console)
+    return console.file.getvalue()
+
+
+def assert_drawn(paths, folder, names):
+    """These figures were drawn, and none is blank."""
+    assert {path.stem for path in paths} == names
+    for path in paths:
+        picture = imread(path)[..., :3]
+        assert path.parent == folder / "figures" and min(picture.shape[:2]) > 300
+        assert (picture.min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"

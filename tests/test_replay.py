@@ -1,4 +1,5 @@
-"""The replay buffer samples uniformly and never looks across an episode."""
+"""What training draws: the replay buffer samples uniformly and never looks across an episode; goal pairs and the
+dissimilarity matrix keep Algorithm 1's promises; keys with Threefry's rounds written out give jax's own numbers."""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +7,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from infogoal_jax import replay
+from infogoal_jax import pairs, replay
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.threefry import written_out
 
 
 @pytest.fixture
@@ -114,3 +116,109 @@ def test_new_rows_replace_the_oldest(rows):
         buffer = replay.add(buffer, rows.replace(goal=jnp.full_like(rows.goal, epoch)), epoch)
     np.testing.assert_array_equal(np.unique(buffer.goal[:6]), [2])
     np.testing.assert_array_equal(np.unique(buffer.goal[6:]), [1])
+
+
+def random_rows(seed: int, rows: int = 4, steps: int = 30, per_step: int = 3, num_goals: int = 12):
+    """Goals achieved at each step (some steps none) and episode numbers that grow along each row."""
+    generator = np.random.default_rng(seed)
+    goals = generator.integers(0, num_goals, (rows, steps, per_step)).astype(np.int32)
+    goals[generator.random(goals.shape) < 0.7] = -1
+    episode = np.cumsum(generator.random((rows, steps)) < 0.15, axis=1).astype(np.int32)
+    return goals, episode
+
+
+def similar_by_hand(goals, episode, window: int, num_goals: int = 12):
+    """Goal pairs seen within the window of one trajectory, by looking at every two steps."""
+    similar = np.zeros((num_goals, num_goals), bool)
+    for row in range(goals.shape[0]):
+        for first in range(goals.shape[1]):
+            for second in range(first, min(first + window + 1, goals.shape[1])):
+                if episode[row, first] == episode[row, second]:
+                    for one in goals[row, first][goals[row, first] >= 0]:
+                        for other in goals[row, second][goals[row, second] >= 0]:
+                            similar[one, other] = similar[other, one] = True
+    return similar
+
+
+def test_matrix_loses_exactly_the_pairs_seen_within_the_window():
+    for seed, window in [(0, 0), (1, 2), (2, 7)]:
+        goals, episode = random_rows(seed)
+        matrix = pairs.remove_similar(pairs.initial_dissimilarity(12), jnp.asarray(goals), jnp.asarray(episode), window)
+        expected = ~similar_by_hand(goals, episode, window) & ~np.eye(12, dtype=bool)
+        np.testing.assert_array_equal(matrix, expected)
+
+
+def test_matrix_is_symmetric_and_only_ever_loses_entries():
+    matrix = pairs.initial_dissimilarity(12)
+    for seed in range(5):
+        goals, episode = random_rows(seed, rows=1, steps=6)
+        smaller = pairs.remove_similar(matrix, jnp.asarray(goals), jnp.asarray(episode), 2)
+        assert not (smaller & ~matrix).any()
+        np.testing.assert_array_equal(smaller, smaller.T)
+        assert not jnp.diagonal(smaller).any()
+        matrix = smaller
+
+
+def test_negatives_are_known_and_dissimilar_or_carry_no_weight():
+    goals, episode = random_rows(3)
+    matrix = pairs.remove_similar(pairs.initial_dissimilarity(12), jnp.asarray(goals), jnp.asarray(episode), 1)
+    known = jnp.arange(12) % 3 != 0
+    anchors = jnp.tile(jnp.arange(12), 200)[:, None]
+    negative, weight = pairs.sample_negatives(jax.random.key(0), matrix, known, anchors)
+    for anchor in range(12):
+        allowed = set(np.flatnonzero(np.asarray(matrix[anchor] & known)))
+        chosen = negative[anchors == anchor][np.asarray(weight[anchors == anchor]) > 0]
+        assert set(np.asarray(chosen).tolist()) == allowed  # All that are allowed come up in 200 draws, and no other.
+
+
+def test_anchor_without_dissimilar_goals_carries_no_weight():
+    _, weight = pairs.sample_negatives(
+        jax.random.key(0), jnp.zeros((5, 5), bool), jnp.ones(5, bool), jnp.arange(5)[:, None]
+    )
+    assert not weight.any()
+    _, weight = pairs.sample_negatives(
+        jax.random.key(0), pairs.initial_dissimilarity(5), jnp.zeros(5, bool), jnp.arange(5)[:, None]
+    )
+    assert not weight.any()
+
+
+def test_choosing_from_a_mask_is_uniform_over_its_true_entries():
+    mask = jnp.asarray([False, True, False, True, True, False])
+    count = np.bincount(pairs.choose_from_mask(jax.random.key(1), mask, (3000,)), minlength=6)
+    assert count[~np.asarray(mask)].sum() == 0
+    assert (abs(count[np.asarray(mask)] - 1000) < 150).all()  # 150 is nearly six standard deviations.
+
+
+def test_choosing_among_achieved_goals_never_invents_one():
+    goals = jnp.asarray([[3, -1, 5], [-1, -1, -1], [2, -1, -1]])
+    for seed in range(20):
+        chosen = pairs.choose_goal(jax.random.key(seed), goals)
+        assert int(chosen[0]) in (3, 5) and int(chosen[1]) == -1 and int(chosen[2]) == 2
+
+
+DRAWS = {
+    "bits of 8": lambda key: jax.random.bits(key, (7, 3), jnp.uint8),
+    "bits of 16": lambda key: jax.random.bits(key, (7, 3), jnp.uint16),
+    "bits of 32": lambda key: jax.random.bits(key, (7, 3)),
+    "uniform": lambda key: jax.random.uniform(key, (5, 4), minval=-1.0),
+    "normal": lambda key: jax.random.normal(key, (301,)),
+    "a number": lambda key: jax.random.normal(key),
+    "integers": lambda key: jax.random.randint(key, (9,), 0, 17),
+    "permutation": lambda key: jax.random.permutation(key, 50),
+    "choice": lambda key: jax.random.choice(key, jnp.arange(10), (4,)),
+    "keys": lambda key: jax.random.key_data(jax.random.split(key, (3, 2))),
+    "a folded key": lambda key: jax.random.key_data(jax.random.fold_in(key, 2**32 - 1)),
+}
+
+
+@pytest.mark.parametrize("draw", DRAWS.values(), ids=DRAWS)
+def test_whatever_is_drawn_is_what_jax_draws(draw):
+    keys = jax.random.split(jax.random.key(3), 4)
+    np.testing.assert_array_equal(jax.vmap(draw)(written_out(keys)), jax.vmap(draw)(keys))
+
+
+def test_keys_of_other_generators_are_left_alone():
+    key = jax.random.key(0, impl="rbg")
+    assert written_out(key) is key
+    once = written_out(jax.random.key(0))
+    assert written_out(once) is once

@@ -3,8 +3,9 @@
     python benchmarks/fidelity/drone_faults.py --times 20 --out FOLDER
 
 A flight is a process of `infogoal fly` whose policy goes to and fro. Its fault begins after one or two moves. The
-script writes faults.json; copy it to docs/results/drone and run `python benchmarks/paper/tables.py drone`.
-Flights that are in FOLDER already are not flown again. tests/drone/test_fly.py flies the same, fewer of them.
+script writes faults.json; `python benchmarks/paper/tables.py drone --take FOLDER` puts it into docs/results/drone.json
+and the page. Flights that are in FOLDER already are not flown again. tests/drone/test_fly.py flies the same, fewer of
+them.
 """
 
 import argparse

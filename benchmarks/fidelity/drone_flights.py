@@ -3,9 +3,9 @@
     python benchmarks/fidelity/drone_flights.py shipped/embodied_qa --flights 100 --out FOLDER
 
 Every flight is a process of `infogoal fly`. The evaluation takes the same policy, questions and starts, and images of a
-hovering drone. The script writes flights.json: how every flight ended, and the times from an image to its command. Copy
-it to docs/results/drone and run `python benchmarks/paper/tables.py drone`. Flights that are in FOLDER
-already are not flown again.
+hovering drone. The script writes flights.json: how every flight ended, and the times from an image to its command.
+`python benchmarks/paper/tables.py drone --take FOLDER` puts it into docs/results/drone.json and the page. Flights that
+are in FOLDER already are not flown again.
 """
 
 import argparse

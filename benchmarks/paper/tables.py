@@ -1,6 +1,6 @@
 """Every table that a page shows of what was measured, written from the numbers in docs/results.
 
-    python benchmarks/paper/tables.py [SOURCE ...] [--pictures]
+    python benchmarks/paper/tables.py [SOURCE ...] [--take FOLDER] [--pictures]
 
 A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
 is replaced by what the numbers of the source give. Sources:
@@ -8,11 +8,13 @@ is replaced by what the numbers of the source give. Sources:
     paper     Table I of the runs in table1.npz; docs/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
-    sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach: numbers.csv of
-              benchmarks/peers/fetch_sb3_her.py, ours.csv, the curve.csv of `infogoal pretrain fetch_reach`
-    drone     the flights of drone_flights.py and drone_faults.py, in drone/
+    sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
+              sb3_her/curves.csv
+    drone     the flights of drone_flights.py and drone_faults.py, in drone.json
 
---pictures draws docs/results/learning.png, the picture of the README, and docs/results/sb3_her/learning.png, too.
+--take puts into these two, in place of what was there, what FOLDER has of flights.json and faults.json of the scripts,
+numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures draws
+docs/results/learning.png, the picture of the README, and docs/results/sb3_her/learning.png, too.
 """
 
 import argparse
@@ -60,9 +62,20 @@ LANDINGS = ("interrupted", "battery", "link lost", "video", "its own landing", "
 """Words by which reasons of a landing are counted as one, in front of what is special to a flight."""
 
 
+DRONE = RESULTS / "drone.json"
+
+
 def drone_numbers() -> dict[str, dict[str, Any]]:
     """What the scripts wrote, {"flights" or "faults": ...}."""
-    return {name: json.loads((RESULTS / "drone" / f"{name}.json").read_text()) for name in ("flights", "faults")}
+    return json.loads(DRONE.read_text())
+
+
+def take_drone(folder: Path) -> int:
+    """Put the flights of a folder into the numbers; how many of the two files it has."""
+    files = [folder / name for name in ("flights.json", "faults.json") if (folder / name).exists()]
+    found = drone_numbers() | {file.stem: json.loads(file.read_text()) for file in files}
+    DRONE.write_text(json.dumps(found, indent=0) + "\n")
+    return len(files)
 
 
 def drone_tables(results: dict[str, dict[str, Any]]) -> dict[str, str]:
@@ -138,8 +151,10 @@ def shown(kind: str, reason: str) -> str:
 
 
 SB3_HER = RESULTS / "sb3_her"
-LEARNERS = {"numbers.csv": "Stable-Baselines3, SAC + HER", "ours.csv": "infogoal-jax, TD3 + HER"}
-LEARNER_COLOURS = {"numbers.csv": "#0072B2", "ours.csv": "#D55E00"}
+CURVES = SB3_HER / "curves.csv"
+LEARNERS = {"sb3": "Stable-Baselines3, SAC + HER", "ours": "infogoal-jax, TD3 + HER"}
+LEARNER_COLOURS = {"sb3": "#0072B2", "ours": "#D55E00"}
+LEARNER_FILES = {"sb3": "numbers.csv", "ours": "curve.csv"}
 FIELDS = "env_steps", "success_rate"
 ENOUGH = 0.9
 
@@ -158,16 +173,32 @@ class Curve(NamedTuple):
         return int(self.steps[there[0]]) if len(there) else None
 
 
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The rows of a file by the names of its columns."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def take_sb3(folder: Path) -> int:
+    """Put the curves of a folder into the numbers; how many of the two files it has."""
+    found = {name: read_csv(folder / file) for name, file in LEARNER_FILES.items() if (folder / file).exists()}
+    rows = [row for row in read_csv(CURVES) if row["learner"] not in found]
+    rows += [{"learner": name} | row for name, own in found.items() for row in own]
+    with open(CURVES, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(dict.fromkeys(field for row in rows for field in row)), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return len(found)
+
+
 def sb3_curves() -> dict[str, list[Curve]]:
-    """The curves of each file."""
+    """The curves of each learner."""
     found: dict[str, list[Curve]] = {}
-    for name in LEARNERS:
-        with open(SB3_HER / name, newline="") as file:
-            rows = list(csv.DictReader(file))
-        for seed in sorted({int(row["seed"]) for row in rows}):
-            own = [row for row in rows if int(row["seed"]) == seed]
-            numbers = (np.array([float(row[field]) for row in own]) for field in FIELDS)
-            found.setdefault(name, []).append(Curve(seed, *numbers))
+    rows = read_csv(CURVES)
+    for name, seed in sorted({(row["learner"], int(row["seed"])) for row in rows}):
+        own = [row for row in rows if (row["learner"], int(row["seed"])) == (name, seed)]
+        numbers = (np.array([float(row[field]) for row in own]) for field in FIELDS)
+        found.setdefault(name, []).append(Curve(seed, *numbers))
     return found
 
 
@@ -247,8 +278,13 @@ def main():
     """Write the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="*", metavar="SOURCE", help=f"{', '.join(SOURCES)}; left out: all")
+    parser.add_argument(
+        "--take", type=Path, metavar="FOLDER", help="put the files of this folder into the numbers first"
+    )
     parser.add_argument("--pictures", action="store_true", help="draw the pictures too")
     arguments = parser.parse_args()
+    if arguments.take and not take_drone(arguments.take) + take_sb3(arguments.take):
+        parser.error(f"--take {arguments.take}: it has none of the files that are named above")
     for path, text in written(arguments.sources or list(SOURCES)).items():
         path.write_text(text)
     if arguments.pictures:

@@ -8,7 +8,7 @@ import sys
 
 import jax
 import pytest
-from hand_made_dataset import TINY_HOUSE
+from hand_made_frames import TINY_HOUSE
 
 import infogoal_jax
 from infogoal_jax.cli.main import main

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_dataset import write_cifar10
+from hand_made_frames import write_cifar10
 
 from infogoal_jax import goals
 from infogoal_jax.cli.main import main

@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from hand_made_dataset import MOVES, planted, small
+from hand_made_frames import MOVES, planted, small
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import check as check_module

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pooch
 import pytest
-from hand_made_dataset import BATCHES, write_cifar10
+from hand_made_frames import BATCHES, write_cifar10
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import backgrounds

@@ -10,7 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hand_made_dataset import OPTIONAL, small
+from hand_made_frames import OPTIONAL, small
 
 from infogoal_jax import stopping
 from infogoal_jax.cli.main import main

@@ -13,8 +13,7 @@ import nbformat
 import numpy as np
 import optax
 import pytest
-from pages import block_of, in_hand_made_rooms, lines_of, run
-from places import ROOT
+from places import ROOT, block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
 from infogoal_jax import agents, envs, learners, presets

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from hand_made_rows import rows_of
+from hand_made import rows_of
 
 from infogoal_jax import UserError, make_train
 from infogoal_jax.learners import infobot

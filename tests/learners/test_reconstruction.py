@@ -8,12 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_codes import IMAGES, SMALL, VECTORS, begun, constant_error, loss_of, trained
+from hand_made import SMALL, begun, constant_error, loss_of, trained
 
 from infogoal_jax import networks
 from infogoal_jax.learners import dgrl, vae
 from infogoal_jax.train.program import make_train
 
+VECTORS = jax.random.normal(jax.random.key(10), (8, 16)) / 4.0  # Of length 1, about, as sentence embeddings are.
+# 16 x 16, of squares.
+IMAGES = jnp.kron(jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256), jnp.ones((1, 4, 4, 1), int)).astype(
+    jnp.uint8
+)
 DISCRETE = dgrl.DGRLConfig(factors=4, codes=16, **SMALL)
 
 

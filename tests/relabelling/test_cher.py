@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import places
 import pytest
-from hand_made_rows import GOALS, STEPS, context, random_rows
+from hand_made import GOALS, STEPS, context, random_rows
 
 from infogoal_jax import replay
 from infogoal_jax.errors import UserError

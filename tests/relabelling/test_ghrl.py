@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import places
 import pytest
-from hand_made_rows import GOALS, ROWS, STEPS, context, episodes, random_rows, rows_of
+from hand_made import GOALS, ROWS, STEPS, context, episodes, random_rows, rows_of
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import ghrl

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_rows import GOALS, STEPS, context, episodes, later_goals, random_rows, rows_of
+from hand_made import GOALS, STEPS, context, episodes, later_goals, random_rows, rows_of
 
 from infogoal_jax import make_train, replay
 from infogoal_jax import relabelling as relabellings

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from reports import EVERY_TASKS_FIGURES, assert_drawn, printed
+from places import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
 from infogoal_jax import UserError, envs, load_run, rollout

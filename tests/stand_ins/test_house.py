@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.io
-from hand_made_dataset import TINY_HOUSE
+from hand_made_frames import TINY_HOUSE
 
 from infogoal_jax import envs
 from infogoal_jax.data import archives, pictures

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hand_made_searches import environment, made, save, small
+from made_up_results import environment, made, save, small
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError

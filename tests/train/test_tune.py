@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hand_made_searches import environment, made, save, small
+from made_up_results import environment, made, save, small
 
 from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.cli.main import main
