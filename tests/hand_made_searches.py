@@ -8,7 +8,7 @@ import numpy as np
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan
 from infogoal_jax.train.lanes import plan_of
 

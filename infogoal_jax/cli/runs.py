@@ -96,10 +96,10 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
         seed: Seed of the run; none: its first.
     """
     from infogoal_jax.report.runs import diverged_seeds
-    from infogoal_jax.runs import description, packed
+    from infogoal_jax.runs import configuration, packed
 
     folder = packed.find_run(run)
-    chosen = description.read(folder).seeds[0] if seed is None else seed
+    chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     packed.pack(folder, Path(out), chosen)
     print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {out}")

@@ -90,9 +90,9 @@ def train(
     if resume == AUTO:
         resume = run_to_go_on_with(config, numbers, out)
     elif resume and (seeds, first_seed) == (1, 0):
-        from infogoal_jax.runs import description
+        from infogoal_jax.runs import configuration
 
-        numbers = description.read(Path(resume)).seeds
+        numbers = configuration.read(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     if not several.is_writer():
         sweep = host.run(config, numbers, folder, bool(resume))

@@ -1,6 +1,6 @@
 """The files of runs: each kind is written, read and checked against its declaration in one module.
 
-RUN/config.json              the resolved configuration, seeds, dataset and versions     description.py
+RUN/config.json              the resolved configuration, seeds, dataset and versions   configuration.py
 RUN/checkpoint               everything that training carries, for all seeds             checkpoint.py
 RUN/policy                   parameters alone, of the same epoch                         checkpoint.py
 RUN/epochs.csv, .jsonl       a line for each seed and epoch                              tables.py

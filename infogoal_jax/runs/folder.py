@@ -10,7 +10,7 @@ from pathlib import Path
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.archives import has_no_locks, try_lock
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs import description, tables
+from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import disk_error, make_folder
 from infogoal_jax.stopping import temporary
@@ -56,9 +56,9 @@ def newest_run(parent: Path, config: TrainConfig, seeds: Sequence[int]) -> Path 
     it was to have; None where there is none. Folders that hold something else are passed over."""
     wanted = to_dict(config) | {"num_epochs": None}
     found = []
-    for path in parent.glob(f"*/{description.NAME}"):
+    for path in parent.glob(f"*/{configuration.NAME}"):
         try:
-            about = description.read(path.parent)
+            about = configuration.read(path.parent)
         except UserError:
             continue
         if to_dict(about.config) | {"num_epochs": None} == wanted and about.seeds == list(seeds):

@@ -20,7 +20,7 @@ import jax
 
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, nearest, require
-from infogoal_jax.runs import checkpoint, description, disk, tables
+from infogoal_jax.runs import checkpoint, configuration, disk, tables
 
 SHIPPED = Path(__file__).parent.parent / "data" / "files" / "policies"
 PREFIX = "shipped/"
@@ -45,7 +45,7 @@ def pack(folder: Path, out: Path, seed: int) -> None:
     Raises `UserError` for a folder without a run, a seed that the run does not have or that was never evaluated, a file
     of somebody else in the way, or a disk that refuses.
     """
-    about = description.read(folder)
+    about = configuration.read(folder)
     require(out.suffix == SUFFIX, "out", str(out), f"give a file that ends in {SUFFIX}")
     require(may_be_replaced(out), "out", str(out), "is there already and is no packed run; give a new file")
     require(seed in about.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, about.seeds))}")
@@ -60,7 +60,7 @@ def pack(folder: Path, out: Path, seed: int) -> None:
     epochs = [row for row in epochs if row["epoch"] in known]
     with tempfile.TemporaryDirectory() as beside:
         one = Path(beside)
-        description.write(one, about)
+        configuration.write(one, about)
         checkpoint.save(one / "policy", {"epoch": header["epoch"], **about.values()}, params)
         for table, rows in (("epochs", epochs), ("evaluations", evaluations)):
             tables.append_rows(one, table, rows)
