@@ -7,13 +7,12 @@ import zlib
 import numpy as np
 
 from infogoal_jax.reproduce import claims
-from infogoal_jax.reproduce.completion import is_judged, is_pictured
 from infogoal_jax.reproduce.files import Result, recorded_config
 from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
-from infogoal_jax.reproduce.plan import config_of
+from infogoal_jax.reproduce.plan import config_of, is_judged, is_pictured
 
 EVALUATIONS, GOALS, STARTS, LENGTH = 8, 20, 2, 10
 SUCCESS = {"infogoal": 0.9, "infobot": 0.7, "her": 0.6, "cher": 0.6, "ghrl": 0.6, "none": 0.2}

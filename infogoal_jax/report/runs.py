@@ -15,10 +15,9 @@ from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.packed import find_run
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import GoalView
+from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
-from infogoal_jax.train.settings import corrupted_view, has_image_goals
 
 
 @dataclasses.dataclass(frozen=True)

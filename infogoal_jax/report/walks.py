@@ -9,8 +9,7 @@ import numpy as np
 
 from infogoal_jax.learners.learner import GoalEncoding, InputSpec, Visited
 from infogoal_jax.report.canvas import Subject, in_words
-from infogoal_jax.train.evaluation import EVALUATION_SEED, draw_starts, run_side_by_side
-from infogoal_jax.train.settings import clean_view
+from infogoal_jax.train.evaluation import EVALUATION_SEED, clean_view, draw_starts, run_side_by_side
 
 
 @dataclasses.dataclass(frozen=True)

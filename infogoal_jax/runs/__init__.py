@@ -10,6 +10,6 @@ RUN/evaluation.json          what `infogoal evaluate` found last                
 SEARCH/trials.jsonl          values and scores of each trial of a search or a final      search.py
 SEARCH/best.json             the best trial, with the flags to give to `infogoal train`  search.py
 
-folder.py gives a run its folder and one writer at a time; disk.py writes files that survive a crash at any moment;
-decoding.py turns what a file holds into the record that it should be, or says what is wrong with it.
+folder.py gives a run its folder and one writer at a time; disk.py writes files that survive a crash at any
+moment, and turns what a file holds into the record that it should be, or says what is wrong with it.
 """

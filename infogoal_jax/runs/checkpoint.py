@@ -17,8 +17,7 @@ import jax
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import Description, to_dict
-from infogoal_jax.runs.decoding import Place, decode, decode_value, parse, read_bytes
-from infogoal_jax.runs.disk import write_atomically
+from infogoal_jax.runs.disk import Place, decode, decode_value, parse, read_bytes, write_atomically
 from infogoal_jax.runs.tables import Row
 from infogoal_jax.threefry import written_out
 

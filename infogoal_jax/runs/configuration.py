@@ -16,7 +16,7 @@ from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.runs import disk
-from infogoal_jax.runs.decoding import Place, Record, built, decode, decode_value, parse, read_bytes
+from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
 
 NAME = "config.json"
 MOST_SEEDS = 2**32

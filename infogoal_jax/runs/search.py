@@ -16,7 +16,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.runs import configuration, disk
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.decoding import Place, decode, parse, parse_lines, read_bytes
+from infogoal_jax.runs.disk import Place, decode, parse, parse_lines, read_bytes
 
 
 @dataclasses.dataclass(frozen=True)

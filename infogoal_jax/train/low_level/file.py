@@ -21,7 +21,7 @@ from infogoal_jax.envs.fetch.targets import TargetSpace
 from infogoal_jax.envs.fetch.tasks import find
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint
-from infogoal_jax.runs.decoding import Place, decode
+from infogoal_jax.runs.disk import Place, decode
 
 DATA = Path(__file__).parent.parent.parent / "data" / "files"
 SHIPPED, SHIPPED_JOINT_LEVEL = DATA / "fetch" / "low_level", DATA / "cube" / "low_level"
