@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import infogoal_jax
-from infogoal_jax.reproduce.remote import News
+from infogoal_jax.reproduce.workers import News
 
 
 class RayError(Exception):

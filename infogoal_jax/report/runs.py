@@ -13,7 +13,7 @@ import numpy as np
 from infogoal_jax.errors import require
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.packed import find_run
+from infogoal_jax.runs.folder import find_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train, make_train
