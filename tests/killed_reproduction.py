@@ -12,7 +12,7 @@ import hand_made
 import jax.numpy as jnp
 from killed_run import small_train
 
-from infogoal_jax.reproduce import completion, files, finishing, lanes, plan, work
+from infogoal_jax.reproduce import files, finishing, lanes, plan, work
 from infogoal_jax.reproduce.manifest import Lane, Run
 from infogoal_jax.reproduce.work import Outcome, Work, work_on
 
@@ -85,8 +85,8 @@ def small_programs(folder: Path, judge=None):
             (lanes, "begin", begin),
             (lanes, "go_on", go_on),
             (files, "save", save),
-            (completion, "is_pictured", lambda run: False),
-            (completion, "is_judged", lambda run: judge is not None),
+            (plan, "is_pictured", lambda run: False),
+            (plan, "is_judged", lambda run: judge is not None),
             (finishing, "MEASURES", {"codes": judge}),
         ):
             patches.enter_context(mock.patch.object(module, name, value))

@@ -13,14 +13,13 @@ from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
 from infogoal_jax.reproduce import claims
-from infogoal_jax.reproduce.completion import is_judged, is_pictured
 from infogoal_jax.reproduce.files import Result, recorded_config
 from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
 from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
-from infogoal_jax.reproduce.plan import config_of
-from infogoal_jax.runs.description import Description
+from infogoal_jax.reproduce.plan import config_of, is_judged, is_pictured
+from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan
 from infogoal_jax.train.lanes import plan_of
 

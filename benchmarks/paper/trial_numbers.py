@@ -33,7 +33,7 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.reproduce.table_formats import markdown_lines
-from infogoal_jax.train.settings import corrupted_images
+from infogoal_jax.train.evaluation import corrupted_images
 
 FILE = "numbers.csv"
 LAST = 3

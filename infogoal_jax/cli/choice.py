@@ -80,9 +80,9 @@ def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
     """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts
     than those that are named."""
     from infogoal_jax import presets
-    from infogoal_jax.runs import description
+    from infogoal_jax.runs import configuration
 
-    config = description.read(Path(folder)).config
+    config = configuration.read(Path(folder)).config
     if task not in ("", config.task):
         raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
     if choice.method is not None and not is_of_method(config, choice.method):

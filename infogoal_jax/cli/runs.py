@@ -96,12 +96,13 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
         seed: Seed of the run; none: its first.
     """
     from infogoal_jax.report.runs import diverged_seeds
-    from infogoal_jax.runs import description, packed
+    from infogoal_jax.runs import configuration
+    from infogoal_jax.runs import folder as folders
 
-    folder = packed.find_run(run)
-    chosen = description.read(folder).seeds[0] if seed is None else seed
+    folder = folders.find_run(run)
+    chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
-    packed.pack(folder, Path(out), chosen)
+    folders.pack(folder, Path(out), chosen)
     print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {out}")
     return 0
 

@@ -90,9 +90,9 @@ def train(
     if resume == AUTO:
         resume = run_to_go_on_with(config, numbers, out)
     elif resume and (seeds, first_seed) == (1, 0):
-        from infogoal_jax.runs import description
+        from infogoal_jax.runs import configuration
 
-        numbers = description.read(Path(resume)).seeds
+        numbers = configuration.read(Path(resume)).seeds
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     if not several.is_writer():
         sweep = host.run(config, numbers, folder, bool(resume))
@@ -125,7 +125,7 @@ def draw_video(folder: Path, env: Any) -> Path | None:
     """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are no images."""
     from infogoal_jax.report.figures import read_subject
     from infogoal_jax.report.image_goals import policy_video
-    from infogoal_jax.train.settings import has_image_goals
+    from infogoal_jax.train.evaluation import has_image_goals
 
     subject, path = read_subject(folder, env), folder / "figures" / "episode.gif"
     if not has_image_goals(env) or subject.params is None or "test" not in env.goals.groups:

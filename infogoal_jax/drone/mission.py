@@ -23,8 +23,8 @@ from infogoal_jax.drone.vision import Detector, check_known, simulated_detector,
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.policy_file import ExportedPolicy
 from infogoal_jax.runs import disk
-from infogoal_jax.runs.decoding import Place, decode
-from infogoal_jax.runs.packed import find_run
+from infogoal_jax.runs.disk import Place, decode
+from infogoal_jax.runs.folder import find_run
 from infogoal_jax.stopping import temporary
 
 

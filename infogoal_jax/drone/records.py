@@ -18,7 +18,7 @@ from infogoal_jax.data.archives import regular
 from infogoal_jax.drone.envelope import STEP, Whereabouts
 from infogoal_jax.drone.vision import Picture
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.runs.decoding import Place, decode, parse_lines, read_bytes
+from infogoal_jax.runs.disk import Place, decode, parse_lines, read_bytes
 
 NAME = "flight.jsonl"
 COLUMNS = ("image", "trajectory", "time", "action", "state", "x", "y", "objects")

@@ -32,7 +32,7 @@ from infogoal_jax.report.canvas import (
     room_colour,
     save,
 )
-from infogoal_jax.report.goal_codes import representations
+from infogoal_jax.report.codes_and_walks import representations
 from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.image_goals import draw_image_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, write_room
-from infogoal_jax.report.walks import (
+from infogoal_jax.report.codes_and_walks import (
     Walk,
     from_farthest,
     one_goal_a_region,

@@ -17,13 +17,19 @@ from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_figure, save, share_limits
-from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
+from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, principal_components
 from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 from infogoal_jax.report.video import LAST_PICTURE, write_video
-from infogoal_jax.train.evaluation import EVALUATION_SEED, draw_starts, run_side_by_side
+from infogoal_jax.train.evaluation import (
+    EVALUATION_SEED,
+    corrupted_images,
+    corrupted_view,
+    draw_starts,
+    has_image_goals,
+    run_side_by_side,
+)
 from infogoal_jax.train.hierarchy import SubgoalState
 from infogoal_jax.train.rollout import Episodes, Policy
-from infogoal_jax.train.settings import corrupted_images, corrupted_view, has_image_goals
 
 PICTURES_A_FRAME = 8
 """How often each frame of a walk is shown: about three steps a second."""

@@ -11,14 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.errors import require
-from infogoal_jax.runs import checkpoint, description, tables
-from infogoal_jax.runs.description import Description
-from infogoal_jax.runs.packed import find_run
+from infogoal_jax.runs import checkpoint, configuration, tables
+from infogoal_jax.runs.configuration import Description
+from infogoal_jax.runs.folder import find_run
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import GoalView
+from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy
-from infogoal_jax.train.settings import corrupted_view, has_image_goals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +66,7 @@ def load_run(folder: str | Path) -> Run:
     Raises `UserError` if there is none, or its config.json cannot be read.
     """
     folder = find_run(folder)
-    return Run(**vars(description.read(folder)), folder=folder)
+    return Run(**vars(configuration.read(folder)), folder=folder)
 
 
 def read_params(run: Run, train: Train) -> dict[str, Any]:

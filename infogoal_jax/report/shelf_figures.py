@@ -17,12 +17,14 @@ from matplotlib.patheffects import withStroke
 
 from infogoal_jax.envs.embodied_qa import EmbodiedQA
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour, write_room
-from infogoal_jax.report.goal_codes import code_legend, draw_codes, principal_components
-from infogoal_jax.report.walks import (
+from infogoal_jax.report.codes_and_walks import (
     Walk,
+    code_legend,
+    draw_codes,
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
+    principal_components,
     reward_of_images,
     walks_of_policy,
 )

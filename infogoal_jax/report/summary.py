@@ -19,9 +19,8 @@ from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import jit
-from infogoal_jax.train.evaluation import near_and_far
+from infogoal_jax.train.evaluation import has_image_goals, near_and_far
 from infogoal_jax.train.program import make_train
-from infogoal_jax.train.settings import has_image_goals
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {

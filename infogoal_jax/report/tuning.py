@@ -13,7 +13,7 @@ from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.loading import train_flags
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Best, TrialLine, read_plan, read_trials, write_scores
 from infogoal_jax.train.listeners import progress_line
 from infogoal_jax.train.tune import Trial, TuneResult, Watch

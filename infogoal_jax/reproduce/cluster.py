@@ -18,9 +18,8 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import checkpoints, files, progress
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, programs_of
-from infogoal_jax.reproduce.processes import MEMORY, connected
-from infogoal_jax.reproduce.remote import Job, News, Worker, write
 from infogoal_jax.reproduce.work import BEGINNING, Outcome, Work, claim, report_failure, to_do
+from infogoal_jax.reproduce.workers import MEMORY, Job, News, Worker, connected, write
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 
 WAIT = 0.5

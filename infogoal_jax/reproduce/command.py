@@ -11,8 +11,8 @@ from infogoal_jax.reproduce.files import was_made_with
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.paper import TASKS
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
-from infogoal_jax.reproduce.processes import arguments_of, work_side_by_side
 from infogoal_jax.reproduce.work import Work, work_on
+from infogoal_jax.reproduce.workers import arguments_of, work_side_by_side
 from infogoal_jax.train.compilation import use_compilation_cache
 
 DONE, FAILED, MORE = 0, 1, 130

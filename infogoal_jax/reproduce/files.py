@@ -19,7 +19,7 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.reproduce import completion
+from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.manifest import Lane, Run, command_of
 from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
 from infogoal_jax.runs import disk
@@ -48,7 +48,7 @@ class Result:
 
     def missing(self) -> list[str]:
         """What is to be measured of the run and was not."""
-        return completion.missing(self.run, self.about["learner_share"], self.arrays)
+        return plan.missing(self.run, self.about["learner_share"], self.arrays)
 
 
 def path_of(folder: Path, run: Run, ending: str = "npz") -> Path:
@@ -130,7 +130,7 @@ def is_current(result: "Result", config: TrainConfig) -> bool:
     """Whether a run was made with this configuration and trained to its end: what was stopped at a ceiling that is
     higher today was not."""
     curve = result.evaluations["train_goal/success_rate"]
-    return was_made_with(result, config) and completion.is_trained(curve, result.run.task, result.run.toy)
+    return was_made_with(result, config) and plan.is_trained(curve, result.run.task, result.run.toy)
 
 
 def has_failed(folder: Path, run: Run) -> bool:

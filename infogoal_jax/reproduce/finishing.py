@@ -12,7 +12,7 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.reproduce import completion, files, lanes, measure
+from infogoal_jax.reproduce import files, lanes, measure, plan
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import Run, command_of
 from infogoal_jax.train.host import describe
@@ -35,10 +35,10 @@ def is_finished(training: lanes.Training) -> bool:
     """Whether every run of the batch has levelled off, or the ceiling is reached."""
     if not training.evaluations:
         return False
-    if training.evaluations >= completion.budget_of(training.batch.config.task, is_toy(training)).evaluations:
+    if training.evaluations >= plan.budget_of(training.batch.config.task, is_toy(training)).evaluations:
         return True
     curves = (curve_of(training, run, "train_goal/success_rate") for run in training.batch.runs.values())
-    return all(completion.levelled(curve) is not None for curve in curves)
+    return all(plan.levelled(curve) is not None for curve in curves)
 
 
 def is_toy(training: lanes.Training) -> bool:
@@ -57,7 +57,7 @@ class Extras(NamedTuple):
 
     def missing(self, run: Run) -> list[str]:
         """What is to be measured of the run and was not."""
-        return completion.missing(run, self.share, self.arrays)
+        return plan.missing(run, self.share, self.arrays)
 
 
 def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured: Extras) -> Result:
@@ -76,7 +76,7 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "diverged": [seed for seed, good in zip(run.seeds, training.finite[place, which], strict=True) if not good],
         "learner": training.train.parts.name,
         "learner_share": measured.share,
-        "measuring_failed": measured.error or (completion.NO_TIME if measured.missing(run) else ""),
+        "measuring_failed": measured.error or (plan.NO_TIME if measured.missing(run) else ""),
         "episode_length": env.episode_length,
         "program": cost_of(training),
         "measure_seconds": round(measured.seconds, 1),
@@ -143,7 +143,7 @@ def pictures_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extr
 
 
 MEASURES = {"share": share_of, "codes": codes_of, "pictures": pictures_of}
-"""How what `completion.missing` names is measured; the most wanted first."""
+"""How what `plan.missing` names is measured; the most wanted first."""
 
 
 def measured_also(

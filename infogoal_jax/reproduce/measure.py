@@ -16,16 +16,21 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.report.canvas import Subject
+from infogoal_jax.report.codes_and_walks import (
+    Walk,
+    from_farthest,
+    one_goal_a_region,
+    reward_of_images,
+    walks_of_policy,
+)
 from infogoal_jax.report.image_goals import is_fetch, policy_episodes, seen_images, spread_goals
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.report.trajectory_figures import angles_to_goals, drawing_of
-from infogoal_jax.report.walks import Walk, from_farthest, one_goal_a_region, reward_of_images, walks_of_policy
 from infogoal_jax.train.combinations import has_own_loss, has_reward
-from infogoal_jax.train.evaluation import EVALUATION_SEED
+from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.sampling import sample
-from infogoal_jax.train.settings import has_image_goals
 from infogoal_jax.train.update import update
 
 WEIGHTS = (0.1, 0.2, 0.4, 0.8)

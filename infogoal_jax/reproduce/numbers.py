@@ -16,7 +16,7 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.reproduce import completion, files
+from infogoal_jax.reproduce import files, plan
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import Run, home_of
 from infogoal_jax.runs import disk
@@ -40,7 +40,7 @@ def compact(result: Result) -> Result:
     arrays = dict(result.arrays)
     first = arrays["first_reached"]
     if first.ndim == 4:
-        last = completion.shown(result.evaluations["train_goal/success_rate"]).stop
+        last = plan.shown(result.evaluations["train_goal/success_rate"]).stop
         arrays["first_reached"] = first[:, last - 1]
     evaluations = {name: value for name, value in result.evaluations.items() if is_kept(name)}
     return dataclasses.replace(result, evaluations=evaluations, arrays=arrays)

@@ -11,9 +11,9 @@ import numpy as np
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.archives import has_no_locks, try_lock
-from infogoal_jax.reproduce import checkpoints, completion, files
-from infogoal_jax.reproduce.completion import budget_of
+from infogoal_jax.reproduce import checkpoints, files, plan
 from infogoal_jax.reproduce.manifest import Run
+from infogoal_jax.reproduce.plan import budget_of
 from infogoal_jax.runs import disk
 
 PAGE, TIMES = "progress.html", "times.jsonl"
@@ -98,7 +98,7 @@ def sound_state_of(folder: Path, run: Run, config_of: Callable[[Run], TrainConfi
         return state
     status, why = files.status_of(folder, run, config_of(run))
     if status == "not measured":
-        waits = why == completion.NO_TIME and checkpoints.has(folder, run)
+        waits = why == plan.NO_TIME and checkpoints.has(folder, run)
         return State("left", "is trained, and to be measured") if waits else State(status, why)
     return State("done") if status == "done" else State("left", why)
 

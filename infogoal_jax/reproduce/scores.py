@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from infogoal_jax.report.statistics import CONFIDENCE, mean_interval
-from infogoal_jax.reproduce import completion
+from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import LEARNERS, METHODS, PRESET, WITH_LOSS, parts_of
 from infogoal_jax.reproduce.numbers import Results
@@ -203,7 +203,7 @@ class Row(NamedTuple):
     def faults(self) -> list[str]:
         """What is wrong with the row, keys of `MARKS`; a row without any counts."""
         found = []
-        if any(completion.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
+        if any(plan.still_rises(result.evaluations["train_goal/success_rate"]) for result in self.results):
             found.append("rises")
         shares = [result.about["learner_share"] for result in self.results]
         measured = [share for share in shares if share is not None]
@@ -230,7 +230,7 @@ class Row(NamedTuple):
 def scores_of(result: Result, metric: str) -> np.ndarray:
     """A metric of a run, [seeds]: the mean over the evaluations that count, without the seeds that diverged."""
     kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
-    which = completion.shown(result.evaluations["train_goal/success_rate"])
+    which = plan.shown(result.evaluations["train_goal/success_rate"])
     return result.evaluations[metric][kept, which].mean(1)
 
 

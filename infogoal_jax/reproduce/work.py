@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from infogoal_jax.reproduce import checkpoints, completion, files, finishing, lanes, progress
+from infogoal_jax.reproduce import checkpoints, files, finishing, lanes, plan, progress
 from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, config_of, programs_of
@@ -81,7 +81,7 @@ def to_do(run: Run, work: Work) -> bool:
     if status in ("damaged", "other settings"):
         work.say(f"{run.name}: {status}, is made again ({why})")
     if status == "not measured":
-        return work.retry or (why == completion.NO_TIME and checkpoints.has(work.folder, run))
+        return work.retry or (why == plan.NO_TIME and checkpoints.has(work.folder, run))
     return status in ("left", "damaged", "other settings") or (status == "failed" and work.retry)
 
 

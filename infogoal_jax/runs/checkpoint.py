@@ -15,11 +15,9 @@ import flax.serialization
 import jax
 
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.runs import description, tables
-from infogoal_jax.runs.configuration import to_dict
-from infogoal_jax.runs.decoding import Place, decode, decode_value, parse, read_bytes
-from infogoal_jax.runs.description import Description
-from infogoal_jax.runs.disk import write_atomically
+from infogoal_jax.runs import configuration, tables
+from infogoal_jax.runs.configuration import Description, to_dict
+from infogoal_jax.runs.disk import Place, decode, decode_value, parse, read_bytes, write_atomically
 from infogoal_jax.runs.tables import Row
 from infogoal_jax.threefry import written_out
 
@@ -135,13 +133,13 @@ def last_point(folder: Path, now: Description, states_shape: Any) -> Point:
     states_shape: shapes of all seeds' states. Raises `UserError`, and changes nothing, for a folder without a run, a
     file that is not what was written, another configuration, or a table without all rows until the checkpoint.
     """
-    then, saved = description.read(folder), folder / "checkpoint"
-    check_same(folder / description.NAME, then, now)
+    then, saved = configuration.read(folder), folder / "checkpoint"
+    check_same(folder / configuration.NAME, then, now)
     if never_got_past_a_chunk(folder, now.config.epochs_per_evaluation):
         return BEGINNING
     header, payload = read_header(saved)
     epoch = checked_epoch(header, saved, now)
-    check_same(saved, description.from_values(header, Place(saved, remedy=REMEDY)), now)
+    check_same(saved, configuration.from_values(header, Place(saved, remedy=REMEDY)), now)
     states = arrays(saved, payload, states_shape)
     every = {"epochs": 1, "evaluations": now.config.epochs_per_evaluation}
     rows = {

@@ -1,4 +1,5 @@
-"""A configuration as JSON values, and back."""
+"""A configuration as JSON values, and back; and config.json, what a run is of: written at its start, read by everything
+that looks at the run."""
 
 import dataclasses
 import json
@@ -14,8 +15,11 @@ from infogoal_jax.field_types import hints_of
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
 from infogoal_jax.relabelling.ghrl import GHRLConfig
-from infogoal_jax.runs.decoding import Place, Record, built, decode, decode_value
+from infogoal_jax.runs import disk
+from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
 
+NAME = "config.json"
+MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
 ADDED: dict[type, dict[str, Any]] = {
@@ -107,3 +111,56 @@ def hyper_of(values: Any, base: Hyperparameters, place: Place) -> Hyperparameter
     }
     own = decode_record(Hyperparameters, values | dict.fromkeys(inner), place)
     return own.replace(**inner)
+
+
+@dataclasses.dataclass(frozen=True)
+class Written:
+    """The fields of config.json."""
+
+    config: dict[str, Any]
+    seeds: list[int]
+    data: str
+    versions: dict[str, str]
+    device: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Description:
+    """What a run is of. data: what the dataset was, in words (a stand-in is called one); versions: of this package,
+    jax, numpy and Python; device: its kind."""
+
+    config: TrainConfig
+    seeds: list[int]
+    data: str
+    versions: dict[str, str]
+    device: str
+
+    def values(self) -> dict[str, Any]:
+        """The description as JSON values."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(Written)}
+        return fields | {"config": to_dict(self.config)}
+
+
+def write(folder: Path, description: Description, **more: Any) -> None:
+    """Write config.json, with more JSON values where a search has more to say."""
+    disk.write_json(folder / NAME, description.values() | more, indent=2)
+
+
+def read(folder: Path) -> Description:
+    """The description of the run in this folder. Raises `UserError` if there is none, or it is not one."""
+    place = Place(folder / NAME)
+    missing = f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`"
+    if folder.exists() and not folder.is_dir():
+        raise UserError(f"run = {str(folder)!r}: could not be read (Not a directory); give the folder of a run")
+    return from_values(parse(read_bytes(place, missing), place), place)
+
+
+def from_values(values: Any, place: Place) -> Description:
+    """The description that these values are of, in config.json or in the header of a checkpoint."""
+    written = decode(Written, values, place)
+    if not written.seeds or len(set(written.seeds)) < len(written.seeds):
+        raise place.wrong("seeds", written.seeds, "should be different numbers")
+    if min(written.seeds) < 0 or max(written.seeds) >= MOST_SEEDS:
+        raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {MOST_SEEDS}")
+    config = from_dict(written.config, place.within("config"))
+    return Description(config, written.seeds, written.data, written.versions, written.device)

@@ -1,15 +1,25 @@
-"""Files that survive a crash at any moment: written beside, synced and renamed."""
+"""Files that survive a crash at any moment: written beside, synced and renamed. And what a file holds as the record
+that it should be: JSON text to values, values to a dataclass by its declaration.
 
+Whatever is wrong with a file that is read is one `UserError` that names the file, the line, the field, its value and a
+remedy.
+"""
+
+import dataclasses
 import errno
 import json
 import os
-from collections.abc import Callable
+import reprlib
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
+from infogoal_jax.field_types import WrongTypeError, converted, hints_of
 
+Record = TypeVar("Record")
 REMEDIES = {
     errno.ENOSPC: "free some space",
     errno.EFBIG: "raise the limit on file sizes, or write elsewhere",
@@ -63,3 +73,103 @@ def disk_error(path: Path, error: OSError) -> UserError:
         f"{path}: could not be written ({error.strerror or error}): {REMEDIES.get(error.errno, 'look at the disk')}. "
         "What was there before is unchanged; a run with a checkpoint goes on with --resume"
     )
+
+
+class Place(NamedTuple):
+    """Where values were read. line: of a file of JSON lines; prefix: of the fields, such as `config.learner.`."""
+
+    path: Path
+    remedy: str = "bring back a copy of the file, or start a new run"
+    line: int | None = None
+    prefix: str = ""
+
+    def within(self, name: str) -> "Place":
+        """The place of the fields of this field."""
+        return self._replace(prefix=f"{self.prefix}{name}.")
+
+    def refusal(self, problem: str) -> UserError:
+        """The error for something that is wrong here."""
+        line = "" if self.line is None else f", line {self.line}"
+        return UserError(f"{self.path}{line}: is damaged or was not written by this version ({problem}); {self.remedy}")
+
+    def wrong(self, name: str, value: Any, problem: str) -> UserError:
+        """The error for the value of a field."""
+        return self.refusal(f"{self.prefix}{name} = {reprlib.repr(value)}: {problem}")
+
+
+def read_bytes(place: Place, missing: str) -> bytes:
+    """The content of a file. Raises `UserError` if it cannot be read; missing: what is said where nothing is there."""
+    try:
+        kind = place.path.stat().st_mode
+        if not stat.S_ISREG(kind):  # Reading a pipe would wait for ever.
+            raise place.refusal(f"it is {'a folder' if stat.S_ISDIR(kind) else 'no regular file'}")
+        return place.path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise UserError(f"{missing}") from error
+    except OSError as error:
+        raise UserError(
+            f"{place.path}: could not be read ({error.strerror or error}); give files that you may read"
+        ) from error
+
+
+def parse(content: bytes, place: Place) -> Any:
+    """The value of a JSON text. Raises `UserError` for anything else."""
+    try:
+        return json.loads(content.decode())
+    except UnicodeDecodeError as error:
+        raise place.refusal(f"byte {error.start + 1} is not UTF-8") from error
+    except json.JSONDecodeError as error:
+        at = f"column {error.colno}" if place.line else f"line {error.lineno}, column {error.colno}"
+        raise place.refusal(f"not JSON: {error.msg}, {at}") from error
+    except RecursionError as error:
+        raise place.refusal("it is nested thousands of levels deep") from error
+    except ValueError as error:  # A whole number of thousands of digits.
+        raise place.refusal(str(error)) from error
+
+
+def parse_lines(content: bytes, place: Place) -> Iterator[tuple[Place, Any]]:
+    """The value of each line of a file of JSON lines and its place, up to a last line that was cut short."""
+    *whole, _ = content.split(b"\n")
+    for number, line in enumerate(whole, 1):
+        yield place._replace(line=number), parse(line, place._replace(line=number))
+
+
+def decode(record: type[Record], values: Any, place: Place, all_fields: bool = False) -> Record:
+    """The record of these values, each checked against the type of its field.
+
+    all_fields: defaults do not stand in for missing fields, and unknown fields are refused; otherwise unknown ones are
+    left out. Raises `UserError` for a field that is missing or has a value of another type, and for what the record's
+    own checks refuse.
+    """
+    if not isinstance(values, dict):
+        raise place.refusal(f"{place.prefix.rstrip('.') or 'it'} should be an object, not {reprlib.repr(values)}")
+    hints = hints_of(record)
+    fields = {field.name: field for field in dataclasses.fields(record)}
+    unknown = sorted(values.keys() - fields.keys())
+    if all_fields and unknown:
+        raise place.wrong(unknown[0], values[unknown[0]], f"no such field. Known: {', '.join(fields)}")
+    found = {}
+    for name, field in fields.items():
+        if name in values:
+            found[name] = decode_value(hints[name], values[name], name, place, all_fields)
+        elif all_fields or (field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING):
+            raise place.refusal(f"{place.prefix}{name} is missing")
+    return built(place, lambda: record(**found))
+
+
+def built(place: Place, make: Callable[[], Record]) -> Record:
+    """What `make` returns; what it refuses is said with the place."""
+    try:
+        return make()
+    except UserError as error:
+        raise place.refusal(str(error)) from error
+
+
+def decode_value(hint: Any, value: Any, name: str, place: Place, all_fields: bool = False) -> Any:
+    """A value of this type. Raises `UserError` if it is of another."""
+    if dataclasses.is_dataclass(hint):
+        return decode(hint, value, place.within(name), all_fields)
+    try:
+        return converted(value, hint)
+    except WrongTypeError as error:
+        raise place.wrong(name, value, str(error)) from error

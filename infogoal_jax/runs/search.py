@@ -14,9 +14,9 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.runs import description, disk
-from infogoal_jax.runs.decoding import Place, decode, parse, parse_lines, read_bytes
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs import configuration, disk
+from infogoal_jax.runs.configuration import Description
+from infogoal_jax.runs.disk import Place, decode, parse, parse_lines, read_bytes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,12 +128,12 @@ class Best:
 
 def write_plan(folder: Path, about: Description, plan: Plan) -> None:
     """Write config.json of a search."""
-    description.write(folder, about, **dataclasses.asdict(plan))
+    configuration.write(folder, about, **dataclasses.asdict(plan))
 
 
 def read_plan(folder: Path) -> tuple[Description, Plan]:
     """What a search is of and was to run. Raises `UserError` for a folder that holds none."""
-    about, place = description.read(folder), Place(folder / description.NAME)
+    about, place = configuration.read(folder), Place(folder / configuration.NAME)
     values = parse(read_bytes(place, f"{place.path}: not there"), place)
     if "drawn" not in values:
         raise UserError(
@@ -159,7 +159,7 @@ def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
         f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal "
         "tune`",
     )
-    about = description.read(folder)
+    about = configuration.read(folder)
     lines = [decode(TrialLine, values, at) for at, values in parse_lines(content, place)]
     numbers = [line.trial for line in lines]
     if not lines or numbers != list(range(len(lines))):

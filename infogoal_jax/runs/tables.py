@@ -14,8 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs.decoding import Place, decode, parse, parse_lines, read_bytes
-from infogoal_jax.runs.disk import disk_error, sync, write_json, write_text
+from infogoal_jax.runs.disk import (
+    Place,
+    decode,
+    disk_error,
+    parse,
+    parse_lines,
+    read_bytes,
+    sync,
+    write_json,
+    write_text,
+)
 
 TABLES = ("epochs", "evaluations")
 Row = dict[str, Any]

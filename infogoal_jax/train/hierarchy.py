@@ -115,12 +115,12 @@ def steer(env, config) -> SubgoalEnv:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
     used."""
     # With it comes MuJoCo, which takes half a second that no other task needs.
-    from infogoal_jax.train.low_level import file as low_level_file
+    from infogoal_jax.train.low_level.trainer import load_joint_level, load_with_header
 
     require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
     if isinstance(env.space, JointSpace):
-        header, low_level = low_level_file.load_joint_level(config.low_level, env.space.size, env.action_size)
+        header, low_level = load_joint_level(config.low_level, env.space.size, env.action_size)
     else:
-        header, low_level = low_level_file.load_with_header(config.low_level, env.space.task.name)
+        header, low_level = load_with_header(config.low_level, env.space.task.name)
     name = f"low level, content {header['sha256'][:8]}"
     return SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)

@@ -16,9 +16,9 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.runs import checkpoint, description, tables
+from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
-from infogoal_jax.runs.description import MOST_SEEDS, Description
+from infogoal_jax.runs.configuration import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
@@ -156,8 +156,8 @@ def run(
             if writes:
                 for table, rows in point.rows.items():
                     tables.replace_table(folder, table, rows)
-                if not resume or description.read(folder) != now:
-                    description.write(folder, now)
+                if not resume or configuration.read(folder) != now:
+                    configuration.write(folder, now)
             stop.advice = how_to_go_on(folder, point.epoch)
             distributed.check(stop)
             compiling()

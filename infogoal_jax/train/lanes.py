@@ -16,8 +16,8 @@ from infogoal_jax.config import Hyperparameters
 from infogoal_jax.hyperparameters import search_space, values_of, with_values
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.checkpoint import check_same
-from infogoal_jax.runs.decoding import Place, decode
-from infogoal_jax.runs.description import from_values
+from infogoal_jax.runs.configuration import from_values
+from infogoal_jax.runs.disk import Place, decode
 from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
 from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal

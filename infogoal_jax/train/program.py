@@ -24,6 +24,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.threefry import written_out
+from infogoal_jax.train.evaluation import evaluate_settings
 from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
 from infogoal_jax.train.parts import (
     INITIAL,
@@ -39,7 +40,6 @@ from infogoal_jax.train.parts import (
     numbered,
 )
 from infogoal_jax.train.rollout import Policy, rows_shape, trained_policy, training_policy
-from infogoal_jax.train.settings import evaluate_settings
 from infogoal_jax.train.update import updates
 
 

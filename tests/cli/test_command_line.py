@@ -14,9 +14,8 @@ import infogoal_jax
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
-from infogoal_jax.runs import description, tables
-from infogoal_jax.runs.configuration import from_dict, to_json
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs import configuration, tables
+from infogoal_jax.runs.configuration import Description, from_dict, to_json
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
 
@@ -135,7 +134,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     started = Description(load("object_search", num_epochs=200), [0, 1], "a house", {}, "cpu")
     assert main("train object_search --seeds 2 --resume auto".split()) == 2
     (tmp_path / "runs" / "first").mkdir(parents=True)
-    description.write(tmp_path / "runs" / "first", started)
+    configuration.write(tmp_path / "runs" / "first", started)
     assert main("train object_search --seeds 2 --resume auto".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --batch-size 32".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --out runs/mine".split()) == 2

@@ -21,13 +21,13 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.drone.records import NAME
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import (
+    codes_and_walks,
     figures,
     flight_figures,
     house_figures,
     image_goals,
     shelf_figures,
     trajectory_figures,
-    walks,
 )
 from infogoal_jax.report.summary import print_run
 from infogoal_jax.train import host
@@ -167,7 +167,7 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
     goal = int(env.goals.training_goals[0])
     reward, of_image = (
         shelf_figures.reward_of_places(shelf_subject, shelf, goal),
-        walks.reward_of_images(shelf_subject, goal),
+        codes_and_walks.reward_of_images(shelf_subject, goal),
     )
     np.testing.assert_allclose(reward[shelf.place], of_image)
     np.testing.assert_array_equal(np.isnan(of_image), (np.asarray(env.achieved_goals) < 0).all(1))
@@ -178,7 +178,7 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
 
 def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     """Goal by goal, though most of the goals of training are never evaluated."""
-    env, found = shelf_subject.train.env, walks.walks_of_policy(shelf_subject)
+    env, found = shelf_subject.train.env, codes_and_walks.walks_of_policy(shelf_subject)
     assert list(found) == np.asarray(env.goals.evaluated).tolist()
     steps = [
         [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
@@ -187,12 +187,16 @@ def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     np.testing.assert_array_equal(steps, shelf_subject.evaluations.last()["first_reached"][0])
     in_view = np.asarray(env.in_view)
     assert all(in_view[walk.nodes[-1], goal] == walk.success for goal, of_goal in found.items() for walk in of_goal)
-    assert all(walk.shortest <= walks.from_farthest(of_goal).shortest for of_goal in found.values() for walk in of_goal)
+    assert all(
+        walk.shortest <= codes_and_walks.from_farthest(of_goal).shortest
+        for of_goal in found.values()
+        for walk in of_goal
+    )
 
 
 def test_codes_beside_flights_leave_out_validation_questions(shelf_subject):
     """Names, training and test questions have a mark each: what the learner knows, and what is asked of it."""
-    shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), walks.walks_of_policy(shelf_subject)
+    shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), codes_and_walks.walks_of_policy(shelf_subject)
     figure = shelf_figures.codes_and_trajectories(shelf_subject, shelf, found)
     labels = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
     assert {

@@ -29,9 +29,8 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import episode_video, random_policy, write_video
 from infogoal_jax.train import host
-from infogoal_jax.train.evaluation import EVALUATION_SEED
+from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
 from infogoal_jax.train.program import make_train
-from infogoal_jax.train.settings import corrupted_view
 
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
 

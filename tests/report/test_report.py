@@ -19,13 +19,13 @@ from rich.console import Console
 from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
-from infogoal_jax.report import house_figures, walks
+from infogoal_jax.report import codes_and_walks, house_figures
+from infogoal_jax.report.codes_and_walks import principal_components, representations
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
-from infogoal_jax.report.goal_codes import principal_components, representations
 from infogoal_jax.report.runs import diverged_seeds, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
-from infogoal_jax.runs.packed import pack, shipped
+from infogoal_jax.runs.folder import pack, shipped
 from infogoal_jax.train import host
 from infogoal_jax.train.program import make_train
 
@@ -181,7 +181,7 @@ def test_plan_knows_places_and_the_length_of_a_move(env):
 
 def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env):
     subject = read_subject(sweep.folder, env)
-    reward, in_view = walks.reward_of_images(subject, 0), np.asarray(env.in_view)
+    reward, in_view = codes_and_walks.reward_of_images(subject, 0), np.asarray(env.in_view)
     np.testing.assert_array_equal(np.isnan(reward), ~in_view.any(1))
     assert np.nanmean(reward) == pytest.approx(-1)
     np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)
@@ -190,7 +190,7 @@ def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env
 def test_walks_are_those_of_the_last_evaluation(sweep, env):
     subject = read_subject(sweep.folder, env)
     first_reached = subject.evaluations.last()["first_reached"][0]
-    found = walks.walks_of_policy(subject)
+    found = codes_and_walks.walks_of_policy(subject)
     steps = [
         [len(walk.nodes) - 1 if walk.success else env.episode_length + 1 for walk in of_goal]
         for of_goal in found.values()

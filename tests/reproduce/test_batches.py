@@ -12,7 +12,7 @@ import pytest
 from killed_reproduction import config_of, reproduce, runs
 
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.reproduce import completion, files, lanes, measure, plan, progress, work
+from infogoal_jax.reproduce import files, lanes, measure, plan, progress, work
 from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
 from infogoal_jax.train.program import make_train
@@ -274,5 +274,5 @@ def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole,
 
 
 def test_what_is_measured_is_known_without_jax():
-    assert completion.missing(FIRST, None, ()) == ["codes", "pictures"]
-    assert completion.missing(FIRST, None, ("codes/closeness", "picture/code_mean")) == []
+    assert plan.missing(FIRST, None, ()) == ["codes", "pictures"]
+    assert plan.missing(FIRST, None, ("codes/closeness", "picture/code_mean")) == []

@@ -17,7 +17,7 @@ from killed_reproduction import LOG, log_of, reproduce, runs
 from places import ROOT
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.reproduce import files, remote
+from infogoal_jax.reproduce import files, workers
 from infogoal_jax.reproduce.cluster import work_on_cluster
 from infogoal_jax.reproduce.work import Work
 
@@ -60,21 +60,21 @@ def test_a_worker_sends_what_it_wrote_and_goes_on_with_what_it_is_sent(tmp_path)
     """Stopped after an evaluation, it sends a checkpoint; another one that is given it comes to the same numbers."""
     there, whole = tmp_path / "there", tmp_path / "whole"
     reproduce(whole, 1)
-    first = remote.Worker()
+    first = workers.Worker()
     with killed_reproduction.small_programs(tmp_path):
-        job = remote.Job(tuple(runs(1)))
+        job = workers.Job(tuple(runs(1)))
         with stopping_at_first_evaluation(first):
             news = first.train(job)
         assert any("a checkpoint is kept" in words for words in news.said)
         (checkpoint,) = (path for path in news.files if path.startswith("unfinished/"))
         assert not any(path.endswith(".npz") for path in news.files)
-        sent = remote.Worker().train(job._replace(files={checkpoint: news.files[checkpoint]}))
+        sent = workers.Worker().train(job._replace(files={checkpoint: news.files[checkpoint]}))
     assert any("goes on after evaluation 1" in words for words in sent.said)
     assert sent.files[checkpoint] is None and sent.times
     for path, content in sent.files.items():
-        remote.write(there, path, content)
+        workers.write(there, path, content)
     assert_same_numbers(there, whole, runs(1))
-    assert first.news() == remote.News([], {})
+    assert first.news() == workers.News([], {})
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ import pytest
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import command, files, numbers, processes
+from infogoal_jax.reproduce import command, files, numbers, workers
 from infogoal_jax.reproduce.command import DONE, MORE, Asked
 from infogoal_jax.reproduce.figures import FIGURES
 
@@ -93,18 +93,18 @@ def test_a_flag_of_an_earlier_version_is_refused_with_its_name_today(old, new, c
 
 def test_processes_are_spread_over_gpus(monkeypatch):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    found = [processes.environment(number, 5, 2) for number in range(5)]
+    found = [workers.environment(number, 5, 2) for number in range(5)]
     assert [each["CUDA_VISIBLE_DEVICES"] for each in found] == ["0", "1", "0", "1", "0"]
     assert {each["XLA_PYTHON_CLIENT_MEM_FRACTION"] for each in found} == {"0.300"}
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,7")
-    assert processes.environment(1, 2, 2)["CUDA_VISIBLE_DEVICES"] == "7"
-    assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in processes.environment(0, 2, 0)
+    assert workers.environment(1, 2, 2)["CUDA_VISIBLE_DEVICES"] == "7"
+    assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in workers.environment(0, 2, 0)
 
 
 def test_a_process_is_asked_for_the_same(capsys, tmp_path):
     """The arguments are those of the command line: the same runs are listed."""
     asked = Asked("fig15", ("fetch_push",), ("infogoal",), ("paper",), (0,), 3, tmp_path, quick=True, retry=True)
-    words = processes.arguments_of(asked, 9.0)
+    words = workers.arguments_of(asked, 9.0)
     assert {"--retry", "--quick", "--no-draw"} <= set(words) and words[words.index("--minutes") + 1] == "9.0"
     assert main([*words, "--list"]) == 0
     printed = capsys.readouterr().out

@@ -13,9 +13,9 @@ from killed_reproduction import runs
 
 import infogoal_jax
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import cluster, files, remote, work
-from infogoal_jax.reproduce.remote import News
+from infogoal_jax.reproduce import cluster, files, work, workers
 from infogoal_jax.reproduce.work import Outcome, Work
+from infogoal_jax.reproduce.workers import News
 
 
 class RayError(Exception):
@@ -159,7 +159,7 @@ def test_a_worker_is_hired_in_place_of_the_only_good_one(tmp_path, monkeypatch):
     """Also while no more are hired, as others could not start."""
     bad = [Scripted(starting=RayError("out of disk")) for _ in range(cluster.LOSSES)]
     lost = Scripted(after=None)
-    lost.news = lambda: Answer(RayError("its machine is gone") if lost.asked > 9 else remote.News([], {}))
+    lost.news = lambda: Answer(RayError("its machine is gone") if lost.asked > 9 else workers.News([], {}))
     lost.is_at_its_end = lambda: (setattr(lost, "asked", lost.asked + 1), False)[1]
     ray = FakeRay(2, [bad[0], lost, *bad[1:]], lambda: Scripted(files=finishing))
     outcome, _ = work_with(ray, monkeypatch, tmp_path, runs(1))
@@ -175,7 +175,7 @@ def test_an_error_in_the_news_is_the_loss_of_that_worker(tmp_path, monkeypatch):
 def test_after_an_error_busy_workers_bring_their_checkpoints(tmp_path, monkeypatch):
     """The folder refuses what one sends: the other one stops after its evaluation, and its checkpoint is kept."""
     refused, slow = Scripted(files=finishing), Scripted(after=None, files=lambda job: {"unfinished/abc": b"states"})
-    whole = remote.write
+    whole = workers.write
 
     def write(folder, path, content):
         if path.startswith("runs/"):

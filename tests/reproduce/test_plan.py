@@ -6,7 +6,7 @@ import pytest
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import completion, plan
+from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, command_of, home_of, runs_of
 from infogoal_jax.reproduce.paper import DESCRIPTIONS, TABLE, TASKS
 
@@ -132,30 +132,30 @@ def curve(*values: float) -> np.ndarray:
     ],
 )
 def test_a_curve_levels_off_where_its_last_window_is_no_higher(values, count):
-    assert completion.levelled(curve(*values)) == count
-    assert completion.still_rises(curve(*values)) == (count is None)
+    assert plan.levelled(curve(*values)) == count
+    assert plan.still_rises(curve(*values)) == (count is None)
 
 
 def test_what_comes_after_changes_nothing():
     """Lanes of one program that have levelled off go on with the others: their number stays."""
     early = curve(0, 0.5, 1, 1, 1, 1, 1, 1)
     late = np.concatenate([early, curve(0.2, 0.1, 0.9)], axis=1)
-    assert completion.levelled(early) == completion.levelled(late) and completion.shown(early) == completion.shown(late)
+    assert plan.levelled(early) == plan.levelled(late) and plan.shown(early) == plan.shown(late)
 
 
 def test_numbers_are_of_the_last_window():
-    assert completion.shown(curve(*np.linspace(0, 1, 15))) == slice(12, 15)
-    assert completion.shown(curve(1, 1, 1, 1, 1, 1, 0.5)) == slice(3, 6)
+    assert plan.shown(curve(*np.linspace(0, 1, 15))) == slice(12, 15)
+    assert plan.shown(curve(1, 1, 1, 1, 1, 1, 0.5)) == slice(3, 6)
 
 
 def test_a_run_is_trained_once_it_levelled_off_or_came_to_the_ceiling():
-    ceiling = completion.budget_of("object_search").evaluations
-    assert completion.is_trained(curve(1, 1, 1, 1, 1, 1), "object_search")
-    assert not completion.is_trained(curve(*np.linspace(0, 1, ceiling - 1)), "object_search")
-    assert completion.is_trained(curve(*np.linspace(0, 1, ceiling)), "object_search")
+    ceiling = plan.budget_of("object_search").evaluations
+    assert plan.is_trained(curve(1, 1, 1, 1, 1, 1), "object_search")
+    assert not plan.is_trained(curve(*np.linspace(0, 1, ceiling - 1)), "object_search")
+    assert plan.is_trained(curve(*np.linspace(0, 1, ceiling)), "object_search")
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_every_task_has_a_budget(task):
-    found = completion.budget_of(task)
-    assert found.chunk > 0 and found.evaluations == completion.MOST
+    found = plan.budget_of(task)
+    assert found.chunk > 0 and found.evaluations == plan.MOST

@@ -12,9 +12,8 @@ import pytest
 from places import FIXTURES
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs import checkpoint, description, tables
-from infogoal_jax.runs.configuration import ADDED, from_dict, to_dict
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs import checkpoint, configuration, tables
+from infogoal_jax.runs.configuration import ADDED, Description, from_dict, to_dict
 from infogoal_jax.runs.tables import Timing
 
 ROWS = [{"seed": seed, "epoch": epoch, "loss": 0.5, "steps": [1, 2]} for epoch in (1, 2) for seed in (0, 1)]
@@ -25,7 +24,7 @@ TREE = {"weight": np.arange(4.0)}
 def run(tmp_path) -> Path:
     """A folder with one file of each kind."""
     about = Description(hand_made.config(), [0, 1], "rooms", {"jax": "1"}, "cpu")
-    description.write(tmp_path, about)
+    configuration.write(tmp_path, about)
     tables.append_rows(tmp_path, "epochs", ROWS)
     tables.write_timing(tmp_path, Timing(1.0, 2.0, 3.0, 4.0))
     checkpoint.save(tmp_path / "checkpoint", {"epoch": 2, **about.values()}, TREE)
@@ -33,7 +32,7 @@ def run(tmp_path) -> Path:
 
 
 READERS = {
-    "config.json": description.read,
+    "config.json": configuration.read,
     "epochs.jsonl": lambda folder: tables.read_table(folder, "epochs"),
     "timing.json": tables.read_timing,
     "checkpoint": lambda folder: checkpoint.load(folder / "checkpoint", TREE),
@@ -174,7 +173,7 @@ def test_a_header_that_was_edited_does_not_have_its_checksum(change, run):
 
 
 def test_every_kind_of_file_comes_back_as_it_was_written(run):
-    about = description.read(run)
+    about = configuration.read(run)
     assert about == Description(hand_made.config(), [0, 1], "rooms", {"jax": "1"}, "cpu")
     assert tables.read_table(run, "epochs") == ROWS and tables.read_timing(run) == Timing(1.0, 2.0, 3.0, 4.0)
     header, tree = checkpoint.load(run / "checkpoint", TREE)

@@ -13,8 +13,8 @@ import pytest
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs import description, disk, folder
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs import configuration, disk, folder
+from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import LOW_LEVEL, RUN, SEARCH, check_new, newest_run, only_writer
 
 
@@ -116,7 +116,7 @@ def test_the_newest_run_of_a_configuration_is_found(tmp_path):
 
     def leave(name: str, seconds: int, config=config, seeds=(0, 1)) -> Path:
         (tmp_path / name).mkdir()
-        description.write(tmp_path / name, Description(config, list(seeds), "rooms", {}, "cpu"))
+        configuration.write(tmp_path / name, Description(config, list(seeds), "rooms", {}, "cpu"))
         os.utime(tmp_path / name / "config.json", (seconds, seconds))
         return tmp_path / name
 

@@ -25,9 +25,8 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import figures, runs, summary, tuning
 from infogoal_jax.reproduce import command, numbers
-from infogoal_jax.runs import checkpoint, description, search, tables
-from infogoal_jax.runs.configuration import from_dict, to_json
-from infogoal_jax.runs.description import Description
+from infogoal_jax.runs import checkpoint, configuration, search, tables
+from infogoal_jax.runs.configuration import Description, from_dict, to_json
 from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stand_ins import cube, photographs, shelf
@@ -111,11 +110,11 @@ def digest(folder: Path) -> str:
 
 def go_on(folder: Path) -> None:
     """Read all that a run goes on from."""
-    checkpoint.last_point(folder, description.read(folder), TREE)
+    checkpoint.last_point(folder, configuration.read(folder), TREE)
 
 
 READERS = (
-    description.read,
+    configuration.read,
     go_on,
     tuning.read,
     tuning.read_drawn,

@@ -15,7 +15,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.runs import checkpoint
-from infogoal_jax.train.low_level import file as low_level_file
+from infogoal_jax.train.low_level import trainer as low_level_file
 from infogoal_jax.train.low_level.fetch import PRESETS
 from infogoal_jax.train.low_level.host import make_agent, preset
 from infogoal_jax.train.low_level.trainer import make_trainer

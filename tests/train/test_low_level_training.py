@@ -14,8 +14,8 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import tables
-from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level import host, joints
+from infogoal_jax.train.low_level import trainer as low_level_file
 from infogoal_jax.train.low_level.host import make_agent, preset
 from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer
 from infogoal_jax.train.parts import numbered

@@ -10,8 +10,16 @@ import numpy as np
 import pytest
 
 from infogoal_jax import make_train
-from infogoal_jax.train.evaluation import GoalView, draw_starts, evaluate, flat, group_means, near_and_far
-from infogoal_jax.train.settings import clean_view, corrupted_view
+from infogoal_jax.train.evaluation import (
+    GoalView,
+    clean_view,
+    corrupted_view,
+    draw_starts,
+    evaluate,
+    flat,
+    group_means,
+    near_and_far,
+)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
-from infogoal_jax.report.goal_codes import draw_codes, principal_components
+from infogoal_jax.report.codes_and_walks import draw_codes, principal_components
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import DRAWN, EXTERNAL, METHODS, PRESET, fixed
 from infogoal_jax.reproduce.measure import WEIGHTS

@@ -32,10 +32,17 @@ from infogoal_jax.train.compilation import jit, without_garbage_collection
 from infogoal_jax.train.host import check_seeds
 from infogoal_jax.train.listeners import ProgressLine, progress_line
 from infogoal_jax.train.low_level import fetch, joints
-from infogoal_jax.train.low_level import file as low_level_file
 from infogoal_jax.train.low_level.fetch import FetchPretrainConfig
 from infogoal_jax.train.low_level.joints import JointPretrainConfig
-from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, Trainer, make_trainer
+from infogoal_jax.train.low_level.trainer import (
+    COLLECT,
+    EVALUATE,
+    PretrainConfig,
+    TargetAgent,
+    Trainer,
+    make_trainer,
+    save,
+)
 
 TASKS = (*fetch.PRESETS, JointPretrainConfig.task)
 
@@ -233,7 +240,7 @@ def pretrain_in(
         "date": datetime.date.today().isoformat(),
         **agent.header,
     }
-    low_level_file.save(folder / "low_level", header, jax.device_get(jax.tree.map(lambda leaf: leaf[best], low_levels)))
+    save(folder / "low_level", header, jax.device_get(jax.tree.map(lambda leaf: leaf[best], low_levels)))
     stop.finishing = ""
     return Pretrained(agent, folder, reports, reports[best], stopped, compile_seconds, run_seconds)
 

@@ -1,0 +1,190 @@
+"""What figures of several tasks share (paper, Figs. 9 to 12). Goal codes as points of a plane: means of the Gaussians,
+and samples of them, on the principal axes of the means. Episodes of the trained policy on a graph of images, and the
+intrinsic reward of every image."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.learners.learner import GoalCode, GoalEncoding, InputSpec, Visited
+from infogoal_jax.report.canvas import USE_MARKERS, USE_TITLES, Subject, in_words, new_figure, room_colour
+from infogoal_jax.train.evaluation import EVALUATION_SEED, clean_view, draw_starts, run_side_by_side
+
+CODE_SAMPLES = 60  # Drawn from the Gaussian of each goal.
+
+
+def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre [d], the first two principal axes [2, d] and their shares of the variance [2] of points [n, d]."""
+    centre = points.mean(0)
+    _, scales, axes = np.linalg.svd(points - centre, full_matrices=False)
+    shares = scales**2 / max((scales**2).sum(), np.finfo(float).tiny)
+    return centre, axes[:2], shares[:2]
+
+
+def draw_codes(
+    axes: Axes,
+    code: GoalCode,
+    goals: GoalSet,
+    which: np.ndarray,
+    centre: np.ndarray,
+    directions: np.ndarray,
+    size: float = 1.0,
+) -> None:
+    """Codes [n, d] of the goals `which` [n], coloured by region: faded samples, means over them. size: of the
+    markers."""
+    regions = np.asarray(goals.regions)[which]
+    if code.std is not None:
+        noise = np.random.default_rng(0).normal(size=(CODE_SAMPLES, *code.mean.shape))
+        samples = (code.mean + code.std * noise - centre) @ directions.T
+        for goal, region in enumerate(regions):
+            axes.scatter(
+                *samples[:, goal].T, s=5 * size, color=room_colour(region), alpha=0.18, linewidths=0, rasterized=True
+            )
+    means = (code.mean - centre) @ directions.T
+    masks = {group: np.asarray(getattr(goals, f"{group}_mask"))[which] for group in goals.groups}
+    masks["other"] = ~np.any(list(masks.values()), axis=0)
+    for group, mask in masks.items():
+        marker, area = USE_MARKERS[group]
+        colours = [room_colour(region) for region in regions[mask]]
+        axes.scatter(
+            *means[mask].T,
+            marker=marker,
+            s=area * size,
+            c=colours,
+            edgecolors="black",
+            linewidths=0.8 * size**0.5,
+            zorder=3,
+        )
+    axes.grid()
+
+
+def code_legend(
+    goals: GoalSet, groups: tuple[str, ...], random_code: bool, titles: dict[str, str] | None = None
+) -> list[Line2D]:
+    """What the marks of `draw_codes` mean. random_code: whether there are samples. titles: of a goal of each group, or
+    those of the canvas."""
+    titles = titles or {group: title.removesuffix("s") for group, title in USE_TITLES.items()}
+    entries = [
+        Line2D([], [], linestyle="", marker="s", color=room_colour(index), label=name)
+        for index, name in enumerate(goals.region_names)
+    ]
+    for group in groups:
+        marker, area = USE_MARKERS[group]
+        outline = {"linestyle": "", "markersize": area**0.5, "markerfacecolor": "white", "markeredgecolor": "black"}
+        entries.append(Line2D([], [], marker=marker, label=f"mean, {titles[group]}", **outline))
+    if random_code:
+        entries.append(Line2D([], [], linestyle="", marker=".", color="#888888", label="samples of a code"))
+    return entries
+
+
+def representations(subject: Subject) -> Figure | None:
+    """Codes of the evaluated goals of one seed on the principal axes of their means, coloured by room or region (paper,
+    Fig. 10)."""
+    goals = subject.train.env.goals
+    which = np.asarray(goals.evaluated)
+    if subject.params is None or len(which) < 3:
+        return None
+    code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs_of(which)))
+    centre, directions, shares = principal_components(code.mean)
+    figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
+    axes = figure.subplots()
+    draw_codes(axes, code, goals, which, centre, directions)
+    axes.legend(
+        handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5)
+    )
+    # One unit is as long on both axes: an axis of little variance shall look like one.
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
+    axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
+    return figure
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """One episode of the policy. nodes: int [steps + 1] images that it went through; shortest: steps of a shortest
+    path."""
+
+    goal: int
+    nodes: np.ndarray
+    success: bool
+    shortest: int
+
+
+def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
+    """The episodes of the last evaluation of one seed: for each evaluated goal, one walk from each start."""
+    env, run = subject.train.env, subject.run
+    num_starts = run.config.evaluation_starts
+
+    @jax.jit
+    def episodes(params, env):
+        view = clean_view(subject.train.parts, params, env, env.goals.evaluated)
+        policy = subject.train.policy(params, run.config.hyper, env)
+        starts, key = draw_starts(env, env.goals.evaluated, num_starts), jax.random.key(EVALUATION_SEED + 1)
+        found = run_side_by_side(env, policy, [view], starts, key)
+        return jax.tree.map(lambda leaf: leaf[0], found), jax.vmap(jax.vmap(env.shortest_path))(starts)
+
+    found, shortest = jax.device_get(episodes(subject.params, env))
+    return {
+        goal: [
+            Walk(
+                goal,
+                found.observations[row, start, : steps + 1],
+                bool(found.success[row, start]),
+                int(shortest[row, start]),
+            )
+            for start, steps in enumerate(found.steps[row])
+        ]
+        for row, goal in enumerate(np.asarray(env.goals.evaluated).tolist())
+    }
+
+
+def from_farthest(walks: list[Walk]) -> Walk:
+    """The walk whose start lies farthest from the goal."""
+    return max(walks, key=lambda walk: walk.shortest)
+
+
+def one_goal_a_region(env, mask) -> list[int]:
+    """The first goal of each room or region among those of the mask: a rule that looks at no result."""
+    regions, mask = np.asarray(env.goals.regions), np.asarray(mask)
+    return [int(np.flatnonzero(mask & (regions == region))[0]) for region in np.unique(regions[mask])]
+
+
+def outcome_in_words(env, walk: Walk, longest: int = 44) -> str:
+    """A title: goal (cut where its name has more than so many letters), its region, and in how many steps it was
+    reached."""
+    outcome = (
+        f"{'reached' if walk.success else 'not reached'} in {len(walk.nodes) - 1} steps, shortest path {walk.shortest}"
+    )
+    return (
+        f"{in_words(env.goals.names[walk.goal], longest)} "
+        f"({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}"
+    )
+
+
+def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
+    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN
+    where no goal is in view.
+
+    The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view
+    takes its place.
+    """
+    env, learner = subject.train.env, subject.train.parts.learner
+    example = InputSpec(
+        env.goals.inputs_of(env.goals.training_goals),
+        jnp.zeros(subject.run.config.state_encoder.features),
+        env.num_cells,
+    )
+    state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
+    encode = GoalEncoding(learner, subject.params["goal"], env.goals, subject.train.config.batch_size).of_any()
+    achieved = env.goals_of(jnp.arange(env.num_observations))
+    every = jnp.arange(env.num_observations)[None]
+    visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), jnp.ones(every.shape))
+    reward = np.asarray(learner.intrinsic_reward(state, encode, visited)[0][0], float)
+    reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
+    return reward / max(np.abs(np.nanmean(reward)), 1e-12)
