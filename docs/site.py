@@ -29,6 +29,44 @@ math[display="block"] { margin: 1em 0; font-size: 1.1em; }
 .equation { overflow-x: auto; }
 """
 """Room for lines of 120 letters, and for equations that are wider than a telephone."""
+SEARCH_WITHOUT_SERVER = """if (location.protocol === "file:") {
+  window.IFrameWorker = class extends EventTarget {
+    constructor(url) {
+      super();
+      this.frame = document.createElement("iframe");
+      this.frame.hidden = true;
+      document.body.appendChild(this.frame);
+      const inside = this.frame.contentDocument;
+      inside.open();
+      inside.write(`<html><body><script>
+        postMessage = (data) => parent.postMessage(data, "*");
+        importScripts = (...urls) => urls.reduce((before, url) => before.then(() => new Promise((done, failed) => {
+          const script = document.createElement("script");
+          Object.assign(script, { src: url, onload: done, onerror: failed });
+          document.body.appendChild(script);
+        })), Promise.resolve());
+        </${"script"}><script src="${url}"></${"script"}></body></html>`);
+      inside.close();
+      window.addEventListener("message", (event) => {
+        if (event.source !== this.frame.contentWindow) return;
+        const answer = new MessageEvent("message", { data: event.data });
+        this.dispatchEvent(answer);
+        if (this.onmessage) this.onmessage(answer);
+      });
+    }
+    postMessage(data) {
+      const send = () => this.frame.contentWindow.dispatchEvent(new MessageEvent("message", { data }));
+      if (this.frame.contentDocument.readyState === "complete") send();
+      else this.frame.contentWindow.addEventListener("load", send, { once: true });
+    }
+    terminate() { this.frame.remove(); }
+  };
+  window.Worker = window.IFrameWorker;
+}
+"""
+"""The search runs in a worker, which browsers refuse to a page that was opened from a folder. There, and only there,
+this runs it in a hidden frame that answers in the same way. The worker looks for the name IFrameWorker to find its
+files."""
 LANGUAGES = {".py": "python", ".json": "json", ".md": "markdown", ".yml": "yaml", ".toml": "toml", ".xml": "xml"}
 
 
@@ -97,6 +135,7 @@ def on_files(files, config):
         for name, content in pictures.items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))
     files.append(File.generated(config, "site.css", content=STYLE))
+    files.append(File.generated(config, "search_without_server.js", content=SEARCH_WITHOUT_SERVER))
     pages = [ROOT / name for name in PAGES] + sorted((ROOT / "docs").glob("**/*.md"))
     for path in sorted(set().union(*map(linked_files, pages))):
         page = place_on_site(path)
@@ -191,7 +230,11 @@ def on_post_build(config) -> None:
     pages = {path: Links(path.read_text()) for path in site.glob("**/*.html") if path.name != "404.html"}
     broken = []
     for path, page in pages.items():
-        broken += [f"{path.relative_to(site)} loads {source}" for source in page.loaded if "//" in source]
+        broken += [
+            f"{path.relative_to(site)} loads {source}"
+            for source in page.loaded
+            if "//" in source and not source.startswith("data:")
+        ]
         for target in page.targets:
             if re.match(r"[a-z]+:|//", target):
                 continue

@@ -19,7 +19,7 @@ from infogoal_jax.data.goal_images import grid_positions
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.fetch.image_goals import ImageGoals, lay_out
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.train.hierarchy import SubgoalEnv
+from infogoal_jax.envs.target_states import SubgoalEnv
 from infogoal_jax.train.program import Train
 
 SPEED = 0.05

@@ -125,7 +125,7 @@ def traits(config: HRACConfig) -> AgentTraits:
 
 
 def make(config: HRACConfig, env) -> Agent:
-    """HRAC's high level over the target states of this environment (`train.hierarchy.SubgoalEnv`)."""
+    """HRAC's high level over the target states of this environment (`envs.target_states.SubgoalEnv`)."""
     space = env.space
     actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
     product = td3.TwinProductCritic(config.hidden, config.critic_size, config.bounded)

@@ -16,11 +16,11 @@ from jax.extend.core import Literal
 
 from infogoal_jax import policy_file, presets
 from infogoal_jax.agents.agent import Exploration
+from infogoal_jax.envs.target_states import SubgoalEnv
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run
 from infogoal_jax.runs import disk
-from infogoal_jax.train.hierarchy import SubgoalEnv
 from infogoal_jax.train.program import Train
 
 FORMAT_VERSION = 1

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from infogoal_jax.envs.fetch.image_goals import ImageGoals
 from infogoal_jax.envs.fetch.scene import draw_fetch
+from infogoal_jax.envs.target_states import SubgoalState
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_figure, save, share_limits
@@ -28,7 +29,6 @@ from infogoal_jax.train.evaluation import (
     has_image_goals,
     run_side_by_side,
 )
-from infogoal_jax.train.hierarchy import SubgoalState
 from infogoal_jax.train.rollout import Episodes, Policy
 
 PICTURES_A_FRAME = 8

@@ -12,6 +12,7 @@ import optax
 from infogoal_jax import agents, envs, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.envs import target_states
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
@@ -20,7 +21,6 @@ from infogoal_jax.learners.learner import Learner, View
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.threefry import written_out
-from infogoal_jax.train import hierarchy
 from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
 
 
@@ -90,8 +90,8 @@ def load_environment(config: TrainConfig, env: Any = None):
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
-    if steers(config.agent) and not isinstance(env, hierarchy.SubgoalEnv):
-        return hierarchy.steer(env, config.agent)
+    if steers(config.agent) and not isinstance(env, target_states.SubgoalEnv):
+        return steer(env, config.agent)
     return env
 
 
@@ -188,3 +188,18 @@ class TrainResult:
     epochs: dict[str, jax.Array]
     params: dict
     state: TrainState
+
+
+def steer(env, config) -> target_states.SubgoalEnv:
+    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
+    used."""
+    # With it comes MuJoCo, which takes half a second that no other task needs.
+    from infogoal_jax.train.low_level.trainer import load_joint_level, load_with_header
+
+    require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
+    if isinstance(env.space, target_states.JointSpace):
+        header, low_level = load_joint_level(config.low_level, env.space.size, env.action_size)
+    else:
+        header, low_level = load_with_header(config.low_level, env.space.task.name)
+    name = f"low level, content {header['sha256'][:8]}"
+    return target_states.SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)

@@ -112,7 +112,7 @@ assert not {"jax", "flax", "numpy", "scipy"} & {*sys.modules}
 
 IMPORTING = """
 import sys
-from infogoal_jax.cli import entry
+from infogoal_jax import __main__ as entry
 from infogoal_jax import stopping
 real = stopping.stop_on_signal
 print("ready", flush=True)
@@ -122,7 +122,7 @@ sys.exit(entry.main())
 COMMAND = """
 import sys, threading, time, types
 from infogoal_jax import stopping
-from infogoal_jax.cli import entry
+from infogoal_jax import __main__ as entry
 
 def command():
     with stopping.stop_on_signal() as stop:

@@ -19,7 +19,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import export, runs
-from infogoal_jax.train import hierarchy
+from infogoal_jax.train.parts import steer
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
@@ -124,7 +124,7 @@ def test_another_shape_is_refused(exported):
 
 def reach() -> Case:
     """FetchReach with image goals under HRAC and the low level that is shipped."""
-    env = hierarchy.steer(envs.load("fetch_reach", FetchConfig(goals="images")), HRACConfig())
+    env = steer(envs.load("fetch_reach", FetchConfig(goals="images")), HRACConfig())
     return case_of(hand_made_points.config("infogoal", **SHORT), env)
 
 
@@ -132,7 +132,7 @@ def cube() -> Case:
     """The cube under HRAC: image observations, angles of joints, a low level with discrete moves."""
     agent = presets.load("object_manipulation").agent
     config = hand_made_frames.manipulation_config("infogoal", agent=agent, **SHORT)
-    return case_of(config, hierarchy.steer(hand_made_frames.manipulation(), config.agent))
+    return case_of(config, steer(hand_made_frames.manipulation(), config.agent))
 
 
 @pytest.mark.parametrize("make", [reach, cube])
