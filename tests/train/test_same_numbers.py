@@ -93,7 +93,7 @@ def test_nothing_is_learned_differently(name):
     """To what rounding on another machine leaves of the first epoch; `compare` is exact, on the machine that recorded.
 
     In the second epoch a bit can have become another action, or another goal of CHER's: 3 % of the loss between two
-    machines on which the first epoch differs by a ten millionth. Where a robot touches things, contacts make up to 4 %
+    machines on which the first epoch differs by a ten millionth. Where a robot touches things, contacts make up to 8 %
     of that within the first epoch.
     """
     task, method = name.split("/")
