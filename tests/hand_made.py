@@ -27,6 +27,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Visited
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.evaluation import Scores, evaluate, random_policy
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -228,3 +229,19 @@ def later_goals(rows: Trajectories, row: int, step: int) -> set[int]:
         step += 1
         found |= set(rows.record[row, step].tolist())
     return found - {-1}
+
+
+def shortest_path_policy(env):
+    """A shortest path to the goal, known only to the simulator."""
+    return lambda observation, goal, key: (
+        env.distance[env.place[goal][:, None], env.next_node[env.node_of(observation)]].argmin(-1).astype(jnp.int32)
+    )
+
+
+def shortest_and_random(env, num_starts: int) -> list[Scores]:
+    """How the oracle of `shortest_path_policy` and a random policy do on all test goals, from so many starts each."""
+    goals = jnp.flatnonzero(env.goals.test_mask)
+    return [
+        jax.jit(lambda env, policy=policy: evaluate(policy(env), env, goals, num_starts))(env)
+        for policy in (shortest_path_policy, random_policy)
+    ]

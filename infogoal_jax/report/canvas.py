@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
@@ -144,6 +145,13 @@ def save(figure: Figure, path: Path, captions: bool = False) -> None:
         for text in (figure.suptitle(""), figure.supxlabel("")):
             text.set_in_layout(False)
     disk.write_atomically(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
+
+
+def white_mark(marker: str, label: str, size: float | None = None) -> Line2D:
+    """What stands in a legend for a white mark with a black edge, such as a start. size: in points; None: as in the
+    style."""
+    edge = {"markerfacecolor": "white", "markeredgecolor": "black"}
+    return Line2D([], [], linestyle="", marker=marker, markersize=size, label=label, **edge)
 
 
 def draw_curve(

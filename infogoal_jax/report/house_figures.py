@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, write_room
+from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, white_mark, write_room
 from infogoal_jax.report.codes_and_walks import (
     Walk,
     from_farthest,
@@ -145,16 +145,7 @@ def legend_entries(*more) -> list:
     """Legend of a walk, and more."""
     arrows = ((SUCCESS, "goal reached"), (FAILURE, "time is up"))
     return [
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="o",
-            markersize=9,
-            markerfacecolor="white",
-            markeredgecolor="black",
-            label="start",
-        ),
+        white_mark("o", "start", 9),
         Line2D([], [], color=PATH, label="path"),
         *(
             Line2D([], [], linestyle="", marker=r"$\rightarrow$", markersize=13, color=colour, label=label)

@@ -16,7 +16,16 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from infogoal_jax.envs.embodied_qa import EmbodiedQA
-from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, room_colour, write_room
+from infogoal_jax.report.canvas import (
+    FAILURE,
+    NOTHING,
+    SUCCESS,
+    Subject,
+    new_figure,
+    room_colour,
+    white_mark,
+    write_room,
+)
 from infogoal_jax.report.codes_and_walks import (
     Walk,
     code_legend,
@@ -141,16 +150,7 @@ def legend_entries(*more) -> list:
     ends = ((SUCCESS, "goal reached"), (FAILURE, "time is up"))
     cross = {"linestyle": "", "marker": "X", "markersize": 10, "markeredgecolor": "white"}
     return [
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="o",
-            markersize=8,
-            markerfacecolor="white",
-            markeredgecolor="black",
-            label="start",
-        ),
+        white_mark("o", "start", 8),
         Line2D([], [], color=PATH, label="path"),
         *(Line2D([], [], color=colour, label=label, **cross) for colour, label in ends),
         *more,

@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.object_manipulation import REACHED, ObjectManipulation
-from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour
+from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour, white_mark
 from infogoal_jax.train.rollout import Episodes
 
 IMAGES = 7
@@ -87,26 +87,9 @@ def legend_from_above(env: Any, chosen: np.ndarray) -> list[Line2D]:
     mover = "gripper" if env.unwrapped.robot.task.object_height is None else "object"
     round_mark = {"linestyle": "", "marker": "o", "markersize": 13, "markerfacecolor": "none", "markeredgewidth": 1.6}
     return [
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="o",
-            markerfacecolor="white",
-            markeredgecolor="black",
-            label=f"start of the {mover}",
-        ),
+        white_mark("o", f"start of the {mover}"),
         Line2D([], [], color="#888888", marker=".", markersize=3, label=f"path of the {mover}, a dot a step"),
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="*",
-            markersize=11,
-            markerfacecolor="white",
-            markeredgecolor="black",
-            label="test goal",
-        ),
+        white_mark("*", "test goal", 11),
         *(
             Line2D([], [], markeredgecolor=colour, label=label, **round_mark)
             for colour, label in ((SUCCESS, "reached"), (FAILURE, "not reached"))

@@ -2,7 +2,6 @@
 that looks at the run."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +31,6 @@ ADDED: dict[type, dict[str, Any]] = {
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
 NOT_READ = Place(Path("a configuration"))
-
-
-def to_json(config: TrainConfig) -> str:
-    """The resolved configuration as indented JSON; each part with its name."""
-    return json.dumps(to_dict(config), indent=2, sort_keys=True)
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:

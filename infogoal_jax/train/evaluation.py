@@ -150,13 +150,6 @@ def random_policy(env) -> Policy:
     return act
 
 
-def shortest_path_policy(env) -> Policy:
-    """A shortest path to the goal, known only to the simulator."""
-    return lambda observation, goal, key: (
-        env.distance[env.place[goal][:, None], env.next_node[env.node_of(observation)]].argmin(-1).astype(jnp.int32)
-    )
-
-
 def has_image_goals(env) -> bool:
     """Whether goals of this environment are images that can be corrupted."""
     return env.test_backgrounds is not None and not env.goals.by_index

@@ -15,7 +15,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
 from infogoal_jax.runs import configuration, tables
-from infogoal_jax.runs.configuration import Description, from_dict, to_json
+from infogoal_jax.runs.configuration import Description, from_dict, to_dict
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_jax.train import host
 
@@ -205,7 +205,7 @@ def test_names_of_the_package_are_imported_when_they_are_asked_for():
 def test_a_configuration_comes_back_from_its_json():
     for method in ("infogoal", "none"):
         config = load("object_search", method, num_envs=7)
-        assert from_dict(json.loads(to_json(config))) == config
+        assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
 
 
 TINY = (

@@ -23,7 +23,7 @@ from infogoal_jax.learners import none
 from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
-from infogoal_jax.runs.configuration import from_dict, to_json
+from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.train.combinations import (
     check_combination,
     has_own_loss,
@@ -231,7 +231,7 @@ def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     monkeypatch.setitem(learners.registry, "mine", Entry(MineConfig, none.make))
     config = presets.load("object_search", "mine")
     assert presets.names_of(config)["learner"] == presets.name_of(config) == "mine"
-    assert from_dict(json.loads(to_json(config))) == config
+    assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
     assert "mine" in train_flags(config)
 
 

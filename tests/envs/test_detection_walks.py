@@ -17,7 +17,7 @@ from infogoal_jax.data import splits
 from infogoal_jax.envs import object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy, shortest_path_policy
+from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
 from infogoal_jax.train.sampling import sample
 
 
@@ -70,7 +70,9 @@ def test_achieved_goals_agree_with_what_is_reached(house):
 
 def test_oracle_takes_shortest_paths_and_random_does_not(house):
     goals = house.goals.evaluated
-    shortest, drawn = (evaluate(policy(house), house, goals) for policy in (shortest_path_policy, random_policy))
+    shortest, drawn = (
+        evaluate(policy(house), house, goals) for policy in (hand_made.shortest_path_policy, random_policy)
+    )
     assert shortest.success.shape == (len(goals), 10) and shortest.success.all() and (shortest.spl == 1).all()
     assert set(group_means(drawn, house.goals)) == {"train", "test"}
     assert all(means["spl"] < 0.7 for means in group_means(drawn, house.goals).values())
@@ -155,11 +157,7 @@ def test_flights_of_different_lengths():
 
 def test_random_policy_and_shortest_path(env):
     """The oracle answers every question on a shortest path."""
-    goals = jnp.flatnonzero(env.goals.test_mask)
-    shortest, drawn = (
-        jax.jit(lambda env, policy=policy: evaluate(policy(env), env, goals, 10))(env)
-        for policy in (shortest_path_policy, random_policy)
-    )
+    shortest, drawn = hand_made.shortest_and_random(env, 10)
     assert shortest.success.all() and (shortest.spl == 1.0).all()
     assert drawn.success.mean() < 1.0
 

@@ -3,6 +3,7 @@ states."""
 
 import dataclasses
 
+import hand_made
 import hand_made_frames
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,6 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_
 from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.evaluation import evaluate, random_policy, shortest_path_policy
 from infogoal_jax.train.update import agent_batch
 
 
@@ -88,11 +88,7 @@ def test_moves_turn_one_joint(env, data):
 
 def test_random_policy_and_shortest_path(env):
     """The oracle reaches every goal on a shortest path."""
-    goals = jnp.flatnonzero(env.goals.test_mask)
-    shortest, drawn = (
-        jax.jit(lambda env, policy=policy: evaluate(policy(env), env, goals, 20))(env)
-        for policy in (shortest_path_policy, random_policy)
-    )
+    shortest, drawn = hand_made.shortest_and_random(env, 20)
     assert shortest.success.all() and (shortest.spl == 1.0).all()
     assert drawn.success.mean() < 1.0
 

@@ -26,7 +26,7 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import figures, runs, summary, tuning
 from infogoal_jax.reproduce import command, numbers
 from infogoal_jax.runs import checkpoint, configuration, search, tables
-from infogoal_jax.runs.configuration import Description, from_dict, to_json
+from infogoal_jax.runs.configuration import Description, from_dict, to_dict
 from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stand_ins import cube, photographs, shelf
@@ -65,7 +65,7 @@ def test_a_configuration_is_one_or_is_refused(count):
             return
         arrays = any(isinstance(value, np.ndarray) for value in values_of(config.hyper).values())
         if config.task in presets.TASKS and not arrays:  # Such runs can be kept.
-            assert from_dict(json.loads(to_json(config))) == config
+            assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
 
     check()
 

@@ -15,7 +15,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.runs import checkpoint
-from infogoal_jax.train.low_level import trainer as low_level_file
+from infogoal_jax.train.low_level import trainer as low_levels
 from infogoal_jax.train.low_level.fetch import PRESETS
 from infogoal_jax.train.low_level.host import make_agent, preset
 from infogoal_jax.train.low_level.trainer import make_trainer
@@ -134,7 +134,7 @@ def test_a_target_is_reached_within_the_tolerance_of_each_component():
 @pytest.mark.long
 def test_shipped_reach_policy_reaches_and_follows(reaching):
     trainer, run = reaching
-    rows, metrics = run(low_level_file.load("", "fetch_reach"), jax.random.key(7), False, trainer.agent.config.hyper)
+    rows, metrics = run(low_levels.load("", "fetch_reach"), jax.random.key(7), False, trainer.agent.config.hyper)
     assert metrics["success_rate"] >= 0.95
     assert metrics["following_rate"] >= 0.95
     assert (jnp.abs(rows.action) <= 1.0).all() and rows.valid.all()
@@ -145,7 +145,7 @@ def test_shipped_reach_policy_reaches_and_follows(reaching):
 def moving_targets():
     """Episodes of the shipped low level while its target moves, of half as many environments: (seed) -> rows."""
     trainer = make_trainer(make_agent(preset("fetch_reach", num_envs=64)))
-    policy, run = low_level_file.load("", "fetch_reach"), jax.jit(trainer.agent.run)
+    policy, run = low_levels.load("", "fetch_reach"), jax.jit(trainer.agent.run)
     return lambda seed: run(policy, jax.random.key(seed), True, trainer.agent.config.hyper)[0]
 
 
@@ -170,50 +170,50 @@ def test_same_key_gives_the_same_bits(moving_targets):
 
 @each_task
 def test_shipped_files_say_what_made_them(task):
-    header, policy = low_level_file.load_with_header("", task)
+    header, policy = low_levels.load_with_header("", task)
     assert header["command"].startswith(f"infogoal pretrain {task}")
     assert header["config"]["hyper"] == dataclasses.asdict(preset(task).hyper)
-    with open(low_level_file.SHIPPED / "curves.csv", newline="") as file:
+    with open(low_levels.SHIPPED / "curves.csv", newline="") as file:
         curve = [row for row in csv.DictReader(file) if row["task"] == task]
     assert {int(row["seed"]) for row in curve} == {report["seed"] for report in header["seeds"]}
     assert max(int(row["epoch"]) for row in curve) == header["epochs"]
-    assert low_level_file.shipped(task).stat().st_size < 700_000
+    assert low_levels.shipped(task).stat().st_size < 700_000
     observation = jnp.zeros((5, len(policy.mean)))
     assert policy.act(observation, jnp.zeros((5, TargetSpace(TASKS[task]).size))).shape == (5, 4)
 
 
 def test_a_low_level_that_cannot_be_used_is_refused(tmp_path):
-    shipped = low_level_file.shipped("fetch_push")
+    shipped = low_levels.shipped("fetch_push")
     with pytest.raises(UserError, match="of the task 'fetch_push', not 'fetch_reach'"):
-        low_level_file.load(str(shipped), "fetch_reach")
+        low_levels.load(str(shipped), "fetch_reach")
     with pytest.raises(UserError, match="no such file; give one that `infogoal pretrain fetch_push`"):
-        low_level_file.load(str(tmp_path / "nothing"), "fetch_push")
+        low_levels.load(str(tmp_path / "nothing"), "fetch_push")
     with pytest.raises(
         UserError, match="no low level is shipped for fetch_slide.*fetch_pick_and_place, fetch_push, fetch_reach$"
     ):
-        low_level_file.load("", "fetch_slide")
+        low_levels.load("", "fetch_slide")
     damaged = tmp_path / "damaged"
     damaged.write_bytes(shipped.read_bytes()[:-1])
     with pytest.raises(UserError, match="damaged"):
-        low_level_file.load(str(damaged), "fetch_push")
+        low_levels.load(str(damaged), "fetch_push")
     checkpoint.save(tmp_path / "other", {"epoch": 3}, {"weights": jnp.zeros(3)})
     with pytest.raises(UserError, match="something else"):
-        low_level_file.load(str(tmp_path / "other"), "fetch_push")
-    low_level_file.save(tmp_path / "shapes", {"task": "fetch_push"}, low_level_file.load("", "fetch_reach"))
+        low_levels.load(str(tmp_path / "other"), "fetch_push")
+    low_levels.save(tmp_path / "shapes", {"task": "fetch_push"}, low_levels.load("", "fetch_reach"))
     with pytest.raises(UserError, match="other shapes"):
-        low_level_file.load(str(tmp_path / "shapes"), "fetch_push")
+        low_levels.load(str(tmp_path / "shapes"), "fetch_push")
 
 
 def test_a_low_level_survives_its_file(tmp_path):
-    policy = low_level_file.load("", "fetch_reach")
-    low_level_file.save(tmp_path / "low_level", {"task": "fetch_reach"}, policy)
-    jax.tree.map(np.testing.assert_array_equal, low_level_file.load(str(tmp_path), "fetch_reach"), policy)
+    policy = low_levels.load("", "fetch_reach")
+    low_levels.save(tmp_path / "low_level", {"task": "fetch_reach"}, policy)
+    jax.tree.map(np.testing.assert_array_equal, low_levels.load(str(tmp_path), "fetch_reach"), policy)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", ["fetch_push", "fetch_pick_and_place"])
 def test_shipped_policies_move_the_object(task):
     agent = make_agent(preset(task, num_envs=256))
-    metrics = jax.jit(agent.run)(low_level_file.load("", task), jax.random.key(3), False, agent.config.hyper)[1]
+    metrics = jax.jit(agent.run)(low_levels.load("", task), jax.random.key(3), False, agent.config.hyper)[1]
     assert metrics["success_rate"] >= 0.95
     assert metrics["following_rate"] >= 0.95

@@ -15,7 +15,7 @@ from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import tables
 from infogoal_jax.train.low_level import host, joints
-from infogoal_jax.train.low_level import trainer as low_level_file
+from infogoal_jax.train.low_level import trainer as low_levels
 from infogoal_jax.train.low_level.host import make_agent, preset
 from infogoal_jax.train.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer
 from infogoal_jax.train.parts import numbered
@@ -49,7 +49,7 @@ def test_the_low_level_of_the_joints_is_trained_and_written_as_any_other(tmp_pat
     assert [(line["seed"], line["epoch"]) for line in lines] == [
         (seed, epoch) for epoch in range(1, 5) for seed in (0, 1)
     ]
-    header, policy = low_level_file.load_joint_level(str(tmp_path), 3, 6)
+    header, policy = low_levels.load_joint_level(str(tmp_path), 3, 6)
     assert header["seeds"] == result.seeds and header["evaluation_episodes"] == 400 and policy.hidden == (32, 32)
     assert (
         header["kept"] == max(result.seeds, key=lambda report: report["success_rate"])["seed"] and not header["stopped"]
@@ -111,5 +111,5 @@ def test_a_stopped_training_leaves_its_curve_and_what_was_learned(tmp_path, monk
     assert result.stopped
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [(line["seed"], line["epoch"], line["env_steps"]) for line in lines] == [(5, 1, 800), (6, 1, 800)]
-    header, policy = low_level_file.load_with_header(str(tmp_path), "fetch_reach")
+    header, policy = low_levels.load_with_header(str(tmp_path), "fetch_reach")
     assert header["stopped"] and header["epochs"] == 1 and header["kept"] in (5, 6) and len(policy.mean) == 10
