@@ -1,6 +1,5 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
-import gc
 import signal
 import sys
 
@@ -45,10 +44,6 @@ BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.p
 """Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where
 one of these is called."""
 
-GARBAGE = 50_000, 20, 50
-"""Python looks for cycles after so many new objects, not after 700: imports and tracing make millions that stay, which
-costs a tenth of the time."""
-
 
 def run(arguments: list[str]) -> int:
     """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for a
@@ -79,7 +74,6 @@ def run(arguments: list[str]) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. A `UserError` is printed without a traceback; the exit status is then 2."""
-    gc.set_threshold(*GARBAGE)
     try:
         return run(sys.argv[1:] if arguments is None else arguments)
     except UserError as error:
