@@ -62,6 +62,11 @@ def chunk_config(**changes):
     return hand_made.config(**({"num_epochs": 12, "epochs_per_evaluation": 2, "updates_per_epoch": 5} | changes))
 
 
+def brief_config(**changes):
+    """A run of the small program: so many chunks that a signal meets it on the way."""
+    return chunk_config(**({"num_epochs": 24} | changes))
+
+
 def search_config():
     """A method without many hyperparameters, in fifteen chunks."""
     return hand_made.config("none", num_epochs=30, epochs_per_evaluation=2, updates_per_epoch=5)
@@ -106,21 +111,15 @@ def small_train(config, env=None):
 
 def train(folder: Path) -> bool:
     """A run of two seeds, with a figure. Returns whether it finished."""
-    sweep = host.run(
-        chunk_config(num_epochs=60),
-        [0, 1],
-        folder,
-        resume=(folder / "config.json").exists(),
-        env=hand_made.environment(),
-    )
-    if not sweep.stopped:
+    finished = run_of(chunk_config(num_epochs=60), folder)
+    if finished:
         remove_abandoned(folder)
         with doing(DRAWING):
             for number in range(3):
                 figure = empty_figure("a figure", (), (6, 4))
                 figure.add_subplot().plot(range(number + 2))
                 save(figure, folder / "figures" / f"{number}.png")
-    return not sweep.stopped
+    return finished
 
 
 def tune(folder: Path) -> bool:
@@ -150,18 +149,29 @@ def short(folder: Path) -> bool:
     return not host.run(config, [0], folder, env=hand_made.environment()).stopped
 
 
+def brief(folder: Path) -> bool:
+    """A run of two seeds, without a figure."""
+    return run_of(brief_config(), folder)
+
+
 def real(folder: Path) -> bool:
     """A run of two seeds with InfoGoal's own program."""
+    return run_of(chunk_config(), folder)
+
+
+def run_of(config, folder: Path) -> bool:
+    """A run of two seeds, or what is left of it. Returns whether it finished."""
     resume = (folder / "config.json").exists()
-    return not host.run(chunk_config(), [0, 1], folder, resume, env=hand_made.environment()).stopped
+    return not host.run(config, [0, 1], folder, resume, env=hand_made.environment()).stopped
 
 
 def child(kind: str, folder: str, shared) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
     global moment
     moment = shared
-    if kind != "real":
+    if kind not in ("brief", "real"):
         jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
+    if kind != "real":
         host.make_train = search.make_train = small_train
     watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
     watched(tables, "append_rows", WRITING)
@@ -177,8 +187,8 @@ def child(kind: str, folder: str, shared) -> None:
 
 
 def start(kind: str, folder: Path) -> tuple[multiprocessing.Process, Callable[[], str]]:
-    """A process that runs `train`, `tune`, `final`, `short` or `real` in this folder, and what tells which of `MOMENTS`
-    it is at; one that has everything imported forks it, which saves seconds."""
+    """A process that runs `train`, `tune`, `final`, `short`, `brief` or `real` in this folder, and what tells which of
+    `MOMENTS` it is at; one that has everything imported forks it, which saves seconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["killed_run"])
     shared = context.Value("i", 0, lock=False)

@@ -51,13 +51,13 @@ def fixed(beta: float) -> tuple[str, tuple]:
 
 QUICK = {
     "object_search": ("infogoal", "infobot", "gcb", "none", "her"),
-    "object_manipulation": ("infogoal", "infobot", "gcb", "none", "her"),
+    "object_manipulation": ("infogoal", "infobot", "gcb", "none"),
     "fetch_reach": ("infogoal",),
     "fetch_push": ("infogoal",),
-    "fetch_pick_and_place": ("infogoal", "infobot", "gcb", "none"),
+    "fetch_pick_and_place": ("infogoal", "none"),
     "embodied_qa": ("infogoal", "infobot", "gcb", "none", "her"),
 }
-"""Methods of each task at toy size: those that figures show, and a relabelling."""
+"""Methods of each task at toy size: those that figures show, and a relabelling. Robots compile for minutes."""
 QUICK_SEEDS = 2
 
 

@@ -28,13 +28,15 @@ from infogoal_jax.envs.graph import UNREACHABLE, DetectionWalk, GraphWalk
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.reproduce.manifest import DRAWN, FETCH, METHODS, PRESET, WITH_LOSS, Run
+from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.runs.configuration import to_dict
 
 GOAL_SET_FIELDS = ("dataset", "generator_seed", "goal_seed", "goal_images")
 """Fields of an environment's configuration that say which goal set it has."""
 TOY = {"num_envs": 8, "rollout_steps": 12, "updates_per_epoch": 2, "batch_size": 16, "evaluation_starts": 1}
 """A size at which nothing is learned."""
-TOY_FETCH_STEPS = 12
+TOY_STEPS = 12
+"""Of an episode of an arm."""
 EVALUATIONS = 10
 """Within the budget of a task."""
 FIRST, MOST = 6, 30
@@ -82,7 +84,7 @@ def config_of(run: Run, goal_images: Path | None = None) -> TrainConfig:
     sizes = {"num_epochs": budget.chunk * budget.evaluations, "epochs_per_evaluation": budget.chunk}
     if run.toy:
         sizes |= TOY | {"buffer_steps": 10 * TOY["num_envs"] * TOY["rollout_steps"]}
-        env = dataclasses.replace(env, episode_length=TOY_FETCH_STEPS) if run.task in FETCH else env
+        env = dataclasses.replace(env, episode_length=TOY_STEPS) if run.task in IMAGE_TASKS else env
     return dataclasses.replace(config, env=env, hyper=with_values(config.hyper, dict(run.lane.values)), **sizes)
 
 

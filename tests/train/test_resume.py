@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import killed_run
 import numpy as np
 import pytest
-from killed_run import chunk_config
+from killed_run import brief_config
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, tables
@@ -34,26 +34,31 @@ def env():
     return hand_made.environment()
 
 
-def start(folder: Path) -> multiprocessing.Process:
-    """The run in a process of its own; compiled programs are shared (conftest.py), so that kills hit the run and not
-    the compiler."""
-    process, _ = killed_run.start("real", folder)
+@pytest.fixture(autouse=True)
+def small_program(monkeypatch):
+    """The small program in place of InfoGoal's own, in this process as in those of `brief` runs."""
+    monkeypatch.setattr(host, "make_train", killed_run.small_train)
+
+
+def start(folder: Path, kind: str = "brief") -> multiprocessing.Process:
+    """The run in a process of its own. brief: of the small program; real: of InfoGoal's own, which is compiled once and
+    shared (conftest.py), so that kills hit the run and not the compiler."""
+    process, _ = killed_run.start(kind, folder)
     return process
 
 
-def finish(folder: Path) -> None:
-    """Run to the end."""
-    process = start(folder)
+def finish(folder: Path, kind: str = "brief") -> Path:
+    """Run to the end. Returns the folder."""
+    process = start(folder, kind)
     process.join()
     assert process.exitcode == 0
+    return folder
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
     """A run that was never killed."""
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    finish(folder)
-    return folder
+    return finish(tmp_path_factory.mktemp("whole") / "run")
 
 
 def same_run(first: Path, second: Path) -> bool:
@@ -66,7 +71,7 @@ def kill_and_resume(folder: Path, whole: Path, seconds: float, kills: int) -> No
     `kills` were killed. seconds: that a run takes with everything compiled."""
     killed, runs, process = 0, 0, None
     while killed < kills or process.exitcode != 0:
-        process, started = start(folder / str(runs)), time.perf_counter()
+        process, started = start(folder / str(runs), "real"), time.perf_counter()
         process.join(random.uniform(0.4, 1.0) * seconds if killed < kills else None)
         if process.is_alive():
             process.kill()
@@ -80,12 +85,11 @@ def kill_and_resume(folder: Path, whole: Path, seconds: float, kills: int) -> No
 
 
 @pytest.mark.long
-def test_killed_at_a_random_moment_it_ends_with_the_same_bits(uninterrupted, tmp_path):
+def test_killed_at_a_random_moment_it_ends_with_the_same_bits(tmp_path):
+    first = finish(tmp_path / "first", "real")
     started = time.monotonic()
-    finish(tmp_path / "second")
-    seconds = time.monotonic() - started
-    assert same_run(tmp_path / "second", uninterrupted)
-    kill_and_resume(tmp_path, uninterrupted, seconds, kills=1)
+    assert same_run(finish(tmp_path / "second", "real"), first)
+    kill_and_resume(tmp_path, first, time.monotonic() - started, kills=1)
 
 
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
@@ -125,7 +129,7 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
     )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
     with pytest.raises(UserError, match="damaged|no checkpoint|cannot be resumed"):
-        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
     assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
 
 
@@ -145,10 +149,10 @@ TABLE_DAMAGES = {
 }
 
 
-@pytest.mark.parametrize("num_epochs", [12, 14], ids=["finished", "longer"])
+@pytest.mark.parametrize("num_epochs", [24, 26], ids=["finished", "longer"])
 @pytest.mark.parametrize("damage", TABLE_DAMAGES)
 def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, env, damage, num_epochs):
-    table = copy_of_whole / ("epochs.jsonl" if num_epochs == 12 else "evaluations.jsonl")
+    table = copy_of_whole / ("epochs.jsonl" if num_epochs == 24 else "evaluations.jsonl")
     spoiled = TABLE_DAMAGES[damage](table.read_bytes())
     table.unlink()
     if spoiled == "folder":
@@ -156,7 +160,7 @@ def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, en
     elif spoiled is not None:
         table.write_bytes(spoiled)
     before = {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
-    longer = dataclasses.replace(chunk_config(), num_epochs=num_epochs)
+    longer = dataclasses.replace(brief_config(), num_epochs=num_epochs)
     with pytest.raises(UserError, match=f"{table.name}.*(; bring back a copy|not there)"):
         last_point(copy_of_whole, host.describe(longer, env, [0, 1]), states_shape(env))
     assert before == {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
@@ -164,7 +168,7 @@ def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, en
 
 def states_shape(env):
     """Shapes of the states of two seeds."""
-    train = host.make_train(chunk_config(), env)
+    train = host.make_train(brief_config(), env)
     keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
     return jax.eval_shape(jax.vmap(lambda key: train.initial(key, train.config.hyper, env)), keys)
 
@@ -174,7 +178,7 @@ def test_a_checkpoint_of_an_epoch_that_is_none_is_refused(copy_of_whole, env, ep
     header, _ = checkpoint.read_header(copy_of_whole / "checkpoint")
     checkpoint.save(copy_of_whole / "checkpoint", header | {"epoch": epoch}, {})
     with pytest.raises(UserError, match="checkpoint.*epoch = "):
-        last_point(copy_of_whole, host.describe(chunk_config(), env, [0, 1]), None)
+        last_point(copy_of_whole, host.describe(brief_config(), env, [0, 1]), None)
 
 
 def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninterrupted, copy_of_whole, env):
@@ -184,7 +188,7 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines[:3]) + b'{"seed": 0, "epo')
     (copy_of_whole / "evaluations.jsonl").unlink()
     (copy_of_whole / "evaluations.csv").unlink()
-    now = host.describe(chunk_config(), env, [0, 1])
+    now = host.describe(brief_config(), env, [0, 1])
     assert last_point(copy_of_whole, now, None) == BEGINNING
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines))  # Later rows: a checkpoint was lost.
     with pytest.raises(UserError, match="there is no checkpoint"):
@@ -192,26 +196,25 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
 
 
 def test_a_checkpoint_of_another_configuration_names_the_fields(copy_of_whole, env):
-    other = hand_made.config(num_epochs=12, epochs_per_evaluation=2, updates_per_epoch=5, batch_size=64)
+    other = brief_config(batch_size=64)
     with pytest.raises(UserError, match="batch_size was 32, now 64"):
         host.run(other, [0, 1], copy_of_whole, resume=True, env=env)
     with pytest.raises(UserError, match=r"seeds was \[0, 1\], now \[0, 1, 2\]"):
-        host.run(chunk_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
+        host.run(brief_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
     before = {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
     with pytest.raises(UserError, match="holds a run already"):
-        host.run(chunk_config(), [0, 1], copy_of_whole, env=env)
+        host.run(brief_config(), [0, 1], copy_of_whole, env=env)
     assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
-def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_path, monkeypatch):
+def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_path):
     """Poison one seed's parameters in a checkpoint of the small program, go on for a chunk, and compare with going on
     from the sound checkpoint. `test_training.py` poisons a seed of the real one."""
-    monkeypatch.setattr(host, "make_train", killed_run.small_train)
-    folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(chunk_config(), num_epochs=14)
-    host.run(chunk_config(), [0, 1], folder, env=env)
+    folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(brief_config(), num_epochs=26)
+    host.run(brief_config(), [0, 1], folder, env=env)
     shutil.copytree(folder, sound)
     header, states = checkpoint.load(folder / "checkpoint", states_shape(env))
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
@@ -220,7 +223,7 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_p
     checkpoint.save(folder / "checkpoint", header, states.replace(params=params))
     poisoned = host.run(longer, [0, 1], folder, resume=True, env=env)
     healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
-    assert poisoned.diverged == {1: 13} and healthy.diverged == {}
+    assert poisoned.diverged == {1: 25} and healthy.diverged == {}
     first, second = (jax.tree.map(lambda leaf: leaf[0], sweep.params) for sweep in (poisoned, healthy))
     jax.tree.map(np.testing.assert_array_equal, first, second)
 
@@ -233,7 +236,7 @@ def test_ctrl_c_stops_with_a_checkpoint_that_goes_on(uninterrupted, tmp_path):
     os.kill(process.pid, signal.SIGINT)
     process.join()
     reached = json.loads((tmp_path / "run" / "checkpoint").read_bytes().partition(b"\n")[0])["epoch"]
-    assert 2 <= reached <= 12 and process.exitcode == (0 if reached == 12 else killed_run.STOPPED)
+    assert 2 <= reached <= 24 and process.exitcode == (0 if reached == 24 else killed_run.STOPPED)
     finish(tmp_path / "run")
     assert same_run(tmp_path / "run", uninterrupted)
 
@@ -266,9 +269,9 @@ def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
     path = copy_of_whole / "checkpoint"
     path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
     with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
-        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
     about = json.loads((copy_of_whole / "config.json").read_text())
     del about["config"]["format"]
     (copy_of_whole / "config.json").write_text(json.dumps(about))
     with pytest.raises(UserError, match="config.format = 1.*use the version that wrote the run"):
-        host.run(chunk_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
