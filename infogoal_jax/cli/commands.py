@@ -47,16 +47,17 @@ def first_word(arguments: list[str]) -> str:
 
 
 def check_names(group: Group, arguments: list[str], path: str = "") -> None:
-    """Raise `UserError`, with the nearest name, if the words in front lead to no command. Flags are left to tyro."""
+    """Raise `UserError`, with the nearest name, if the words in front lead to no command. A help is left to tyro."""
     known, name = list(group.commands), first_word(arguments)
-    if arguments and not name:
+    if arguments and (arguments[0] in ("-h", "--help") or arguments[0].startswith("--tyro-")):
         return
     if name not in known:
-        wrong = (
-            f"{path}{name!r}: no such command.{nearest(name, known)}"
-            if name
-            else f"{path.strip()}: name what is meant."
-        )
+        if name:
+            wrong = f"{path}{name!r}: no such command.{nearest(name, known)}"
+        elif arguments:
+            wrong = f"{path}{arguments[0]!r}: flags come after the command; name it first."
+        else:
+            wrong = f"{path.strip()}: name what is meant."
         raise UserError(f"{wrong} Known: {', '.join(known)}")
     command = group.commands[name]
     if isinstance(command, Group):
