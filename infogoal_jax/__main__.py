@@ -32,7 +32,7 @@ def main() -> int:
 
         try:
             status.append(main())
-        except SystemExit as stopped:  # After a help, and for a flag that is none.
+        except SystemExit as stopped:  # After a help, and for an unknown flag.
             status.append(stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None))
         except stopping.Stopped as stopped:  # Another process of the run was asked to stop, or this one a while ago.
             stopping.say(f"infogoal: stopped; {stopped}")

@@ -97,22 +97,23 @@ def empty_folder(path: str | Path, flag: str) -> Path:
 
 
 def check_resumed_in_place(resume: str, out: str) -> None:
-    """Raise `UserError` if what is gone on with was to be written somewhere else."""
+    """Raise `UserError` if a resumed run or search was to be written somewhere else."""
     require(
         not (resume and out) or Path(resume).resolve() == Path(out).resolve(),
         "out",
         out,
-        f"what is gone on with stays in its folder, {resume}; leave the flag out, or copy the folder first",
+        f"what is resumed stays in its folder, {resume}; leave the flag out, or copy the folder first",
     )
 
 
 def check_seed(seed: int, flag: str = "seed") -> None:
-    """Raise `UserError`, naming the flag, for what is no seed."""
+    """Raise `UserError`, naming the flag, for a number that is not a seed."""
     require(0 <= seed < 2**32, flag, seed, "give a seed from 0 to below 2^32")
 
 
 def seeds_from(first: int, count: int) -> range:
-    """`count` seeds from the first on. Raises `UserError` for none, or seeds that are no seeds."""
+    """`count` seeds from the first on. Raises `UserError` for a count below 1, or for numbers that are not
+    seeds."""
     require(count > 0, "seeds", count, "give at least 1")
     require(
         first >= 0 and first + count <= 2**32,

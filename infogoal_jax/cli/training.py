@@ -122,7 +122,7 @@ def train(
 
 
 def draw_video(folder: Path, env: Any) -> Path | None:
-    """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are no images."""
+    """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are not images."""
     from infogoal_jax.report.figures import read_subject
     from infogoal_jax.report.image_goals import policy_video
     from infogoal_jax.train.evaluation import has_image_goals

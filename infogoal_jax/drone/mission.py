@@ -126,8 +126,8 @@ def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
     """The exported policy at this path, or that of a run's folder, which is exported now; and the file's content, where
     it is new and to be kept.
 
-    Raises `UserError` for a file that is none, and for a policy that does not move left, right, up and down by what a
-    camera sees.
+    Raises `UserError` for a file that holds no policy, and for a policy that does not move left, right, up and down by
+    what a camera sees.
     """
     found = find_run(path)
     if not found.is_dir():

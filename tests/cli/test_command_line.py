@@ -144,7 +144,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     assert main("train object_search --seeds 2 --resume auto --out runs/mine".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --out runs/first".split()) == 2
     assert main("train --resume runs/first --out runs/mine".split()) == 2
-    assert "out = 'runs/mine': what is gone on with stays in its folder, runs/first" in capsys.readouterr().err
+    assert "out = 'runs/mine': what is resumed stays in its folder, runs/first" in capsys.readouterr().err
     assert not (tmp_path / "runs" / "mine").exists()
     new, continued, other, mine, first = asked
     assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
@@ -220,7 +220,7 @@ TINY = (
 
 
 def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
-    """A small house, two seeds: everything a run promises is there, and the run can be gone on with."""
+    """A small house, two seeds: everything a run promises is there, and the run can be resumed."""
     build_house(tmp_path / "house", **TINY_HOUSE)
     flags = f"--method none --env.dataset house {TINY}"
     assert main(f"train object_search --seeds 2 --out run --tensorboard {flags}".split()) == 0
