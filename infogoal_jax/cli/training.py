@@ -182,6 +182,8 @@ def methods(
     parts = Parts(None, learner, agent, relabelling, explorer).names()
     if method:
         return 0 if table.print_combination(task, method, **parts) else 1
+    if task in presets.METHODS:
+        raise UserError(f"task = {task!r}: is a method; name a task before it: infogoal methods TASK {task}")
     if parts:
         raise UserError(f"method = {method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
     if task:

@@ -88,6 +88,7 @@ MISTAKES = [
     ("video fetch_reach --out a.mp4 --corruption 0.4", ["corruption = 0.4", "random policy"]),
     ("video runs/not_there --out a.mp4", ["run = 'runs/not_there'", "config.json"]),
     ("train fetch_slide", ["fetch_slide", "no preset", "fetch_push"]),
+    ("methods her", ["task = 'her': is a method", "infogoal methods TASK her"]),
     ("record somewhere --simulate --size 0 0", ["size = (0, 0)", "such as 48 64"]),
     ("reproduce table1 --list --out a_file/x", ["out = 'a_file/x'", "a_file is a file"]),
     ("data build castle somewhere", ["castle", "Known: house"]),
