@@ -81,6 +81,12 @@ def test_the_help_of_all_flags_has_every_field_and_the_interval_of_every_number(
         assert f"(in {number.interval}, default: {value})" in text
 
 
+def test_a_short_help_has_whole_sentences_and_methods_that_can_be_asked_for(help_of):
+    text = " ".join(help_of("train object_search --help").replace("│", " ").split())
+    assert "representation learning. (train | held_out | visited | all, default: visited)" in text
+    assert f"Table I: {', '.join(presets.METHODS)}." in text
+
+
 def test_a_task_that_is_registered_later_is_a_subcommand(monkeypatch, help_of):
     monkeypatch.setitem(envs.registry, "mine", envs.registry["object_search"])
     monkeypatch.setitem(
