@@ -205,8 +205,9 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
 
 @functools.cache
 def docstrings_of(record: type) -> dict[str, str]:
-    """What the docstrings of a record's fields say, in one line each."""
-    found = docstring_parser.parse_from_object(record).params
+    """What the docstrings of a record's fields say, in one line each; of inherited fields, what its bases say."""
+    bases = [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
+    found = [field for base in bases for field in docstring_parser.parse_from_object(base).params]
     return {field.arg_name: " ".join((field.description or "").split()) for field in found}
 
 

@@ -57,7 +57,7 @@ def help_of(capsys, monkeypatch):
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
         ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
         ("evaluate", ["RUN", "--starts", "default: 50"]),
-        ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount"]),
+        ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount", "Transitions in an update"]),
     ],
 )
 def test_help_fits_a_screen_and_names_what_there_is(arguments, expected, help_of):
