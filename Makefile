@@ -1,11 +1,13 @@
 # `make train` and `make test` do all the set-up. PYTHON names the interpreter that the environment is made from.
 PYTHON ?= python3
 SEEDS ?= 2
-# Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into compiling, which uses one core.
+# Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into
+# compiling, which uses one core.
 PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 20
-# Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not optimise. Half of that is the second
-# option, which jax 0.10 knows (constraints.txt) and jax 0.12 refuses. The long tests, which
-# `make test-long` runs after it, train for minutes: their programs are compiled as the command line does it (infogoal_jax/train/compilation.py).
+# Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not
+# optimise. Half of that is the second option, which jax 0.10 knows (constraints.txt) and jax 0.12 refuses. The long
+# tests, which `make test-long` runs after it, train for minutes: their programs are compiled as the command line does it
+# (infogoal_jax/train/compilation.py).
 COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv

@@ -32,7 +32,7 @@ def main() -> int:
 
         try:
             status.append(main())
-        except SystemExit as stopped:  # After a help, and for a flag that is none.
+        except SystemExit as stopped:  # After a help, and for an unknown flag.
             status.append(stopped.code if isinstance(stopped.code, int) else int(stopped.code is not None))
         except stopping.Stopped as stopped:  # Another process of the run was asked to stop, or this one a while ago.
             stopping.say(f"infogoal: stopped; {stopped}")
@@ -45,7 +45,7 @@ def main() -> int:
         while thread.is_alive():  # A signal just before an endless wait begins would not be heard until it ends.
             thread.join(LISTENING_SECONDS)
         flush()
-    gc.freeze()  # Or Python would look for cycles once more as it ends, among all that was imported: a tenth of a second.
+    gc.freeze()  # Or Python would look for cycles once more as it ends, among all that was imported, for 0.1 s.
     return status[0] if status else 1  # Its traceback was printed.
 
 

@@ -52,7 +52,7 @@ of the authors."""
 
 EPOCHS = {"object_search": 100, "fetch_reach": 60}
 """Epochs of every trial; of another task those of the bare agent's preset."""
-FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "fixed_beta"]}
+FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
 """What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
 one number."""
 

@@ -33,7 +33,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import compiled, envs, make_train, presets
-from infogoal_jax.config import StateEncoderConfig
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.registry import Entry
@@ -198,8 +197,8 @@ def run_ours(walls: np.ndarray, total_steps: int, hidden: tuple[int, ...], point
             "num_epochs": epochs // points * points,
             "epochs_per_evaluation": epochs // points,
             "evaluation_starts": 1,
-            "state_encoder": StateEncoderConfig(features=hidden[0]),
         },
+        state_encoder={"features": hidden[0]},
         hyper={"discount": 0.99, "epsilon": 0.1},
         methods={},
     )

@@ -72,9 +72,10 @@ def peer_arrays(train) -> dict[str, np.ndarray]:
     known = usable & (np.asarray(seen) | (config.known_goals == "all"))
     images = jnp.arange(env.num_observations)
     achieved = np.asarray(env.goals_of(images))
-    hyper = ("learning_rate", "discount", "target_rate", "conservative_weight", "max_gradient_norm")
+    hyper = ("learning_rate", "discount", "target_rate", "max_gradient_norm")
     settings = {
         **{name: getattr(config.hyper, name) for name in hyper},
+        "conservative_weight": config.hyper.agent.conservative_weight,
         "patch": config.state_encoder.patch,
         "channels": config.state_encoder.channels,
         "features": config.state_encoder.features,

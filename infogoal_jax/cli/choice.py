@@ -31,7 +31,7 @@ class Parts:
     """Parts that are chosen by name. None: the task's or the method's own."""
 
     method: Name = None
-    """A row of the paper's Table I."""
+    """Method, most of them a row of the paper's Table I."""
     learner: Name = None
     """Goal-representation learner."""
     agent: Name = None
@@ -121,7 +121,8 @@ def known_names() -> dict[str, list[str]]:
     from infogoal_jax import presets
 
     names = {kind: list(registry) for kind, registry in presets.REGISTRIES.items()}
-    return {"method": list(dict.fromkeys([*presets.METHODS, *names["learner"]])), **names}
+    alone = [name for name in names["learner"] if name != presets.METHODS["leo"].learner]  # That goes with all goals.
+    return {"method": list(dict.fromkeys([*presets.METHODS, *alone])), **names}
 
 
 def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice) -> TaskCommands:
@@ -177,10 +178,7 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
                 name: f"{words.removesuffix('.')}: {', '.join(known_names()[name])}." for name, words in helps.items()
             }
         if of_command and brief:
-            helps = {
-                name: words.partition(";")[0].partition(". ")[0].removesuffix(".") + "."
-                for name, words in helps.items()
-            }
+            helps = {name: first_sentence(words, hints[name]) for name, words in helps.items()}
         fields = []
         for name in (field.name for field in dataclasses.fields(record)):
             value, number = getattr(default, name), numbers_of(record).get(name)
@@ -207,9 +205,16 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
 
 @functools.cache
 def docstrings_of(record: type) -> dict[str, str]:
-    """What the docstrings of a record's fields say, in one line each."""
-    found = docstring_parser.parse_from_object(record).params
+    """What the docstrings of a record's fields say, in one line each; of inherited fields, what its bases say."""
+    bases = [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
+    found = [field for base in bases for field in docstring_parser.parse_from_object(base).params]
     return {field.arg_name: " ".join((field.description or "").split()) for field in found}
+
+
+def first_sentence(words: str, hint: Any) -> str:
+    """The first sentence of a field's docstring, up to a semicolon; of a choice, what stands before its list."""
+    sentence = words.partition(";")[0].partition(". ")[0].removesuffix(".")
+    return (sentence.partition(":")[0] if typing.get_origin(hint) is typing.Literal else sentence) + "."
 
 
 def short(hint: Any) -> Any:

@@ -47,16 +47,17 @@ def first_word(arguments: list[str]) -> str:
 
 
 def check_names(group: Group, arguments: list[str], path: str = "") -> None:
-    """Raise `UserError`, with the nearest name, if the words in front lead to no command. Flags are left to tyro."""
+    """Raise `UserError`, with the nearest name, if the words in front lead to no command. A help is left to tyro."""
     known, name = list(group.commands), first_word(arguments)
-    if arguments and not name:
+    if arguments and (arguments[0] in ("-h", "--help") or arguments[0].startswith("--tyro-")):
         return
     if name not in known:
-        wrong = (
-            f"{path}{name!r}: no such command.{nearest(name, known)}"
-            if name
-            else f"{path.strip()}: name what is meant."
-        )
+        if name:
+            wrong = f"{path}{name!r}: no such command.{nearest(name, known)}"
+        elif arguments:
+            wrong = f"{path}{arguments[0]!r}: flags come after the command; name it first."
+        else:
+            wrong = f"{path.strip()}: name what is meant."
         raise UserError(f"{wrong} Known: {', '.join(known)}")
     command = group.commands[name]
     if isinstance(command, Group):
@@ -96,22 +97,23 @@ def empty_folder(path: str | Path, flag: str) -> Path:
 
 
 def check_resumed_in_place(resume: str, out: str) -> None:
-    """Raise `UserError` if what is gone on with was to be written somewhere else."""
+    """Raise `UserError` if a resumed run or search was to be written somewhere else."""
     require(
         not (resume and out) or Path(resume).resolve() == Path(out).resolve(),
         "out",
         out,
-        f"what is gone on with stays in its folder, {resume}; leave the flag out, or copy the folder first",
+        f"what is resumed stays in its folder, {resume}; leave the flag out, or copy the folder first",
     )
 
 
 def check_seed(seed: int, flag: str = "seed") -> None:
-    """Raise `UserError`, naming the flag, for what is no seed."""
+    """Raise `UserError`, naming the flag, for a number that is not a seed."""
     require(0 <= seed < 2**32, flag, seed, "give a seed from 0 to below 2^32")
 
 
 def seeds_from(first: int, count: int) -> range:
-    """`count` seeds from the first on. Raises `UserError` for none, or seeds that are no seeds."""
+    """`count` seeds from the first on. Raises `UserError` for a count below 1, or for numbers that are not
+    seeds."""
     require(count > 0, "seeds", count, "give at least 1")
     require(
         first >= 0 and first + count <= 2**32,

@@ -124,12 +124,13 @@ def write_frames(path: str, words: str, build: Callable) -> int:
     return 0
 
 
-def new_file(path: str) -> None:
-    """Raise `UserError` if the path of an image dataset does not end in .npz, or leads to what is there already."""
+def new_file(path: str, flag: str = "path") -> None:
+    """Raise `UserError`, naming the flag, if the path of an image dataset does not end in .npz, or leads to what is
+    there already."""
     if Path(path).suffix != ".npz":
-        raise UserError(f"path = {path!r}: is the file of an image dataset; let it end in .npz")
+        raise UserError(f"{flag} = {path!r}: is the file of an image dataset; let it end in .npz")
     if Path(path).exists():
-        raise UserError(f"path = {path!r}: is there already; give a new file")
+        raise UserError(f"{flag} = {path!r}: is there already; give a new file")
 
 
 def print_size(path: str, dataset) -> None:
@@ -209,7 +210,7 @@ def import_images(
     """
     from infogoal_jax.data.frames_import import import_folder
 
-    new_file(out)
+    new_file(out, "out")
     with progress_bar("reading the images") as bar:
         dataset = import_folder(images, table, out, size, wrap, name, bar)
     print_size(out, dataset)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
-from infogoal_jax.cli.commands import empty_folder, new_folder
+from infogoal_jax.cli.commands import check_seed, empty_folder, new_folder
 from infogoal_jax.errors import UserError, require
 
 CHECKS = """Before the propellers turn:
@@ -132,6 +132,7 @@ def fly(
     """
     from infogoal_jax.drone.mission import flown_policy, load_policy, read_question
 
+    check_seed(drone.seed)
     folder = empty_folder(out, "out") if out else new_folder("flight")
     exported, new = load_policy(policy)
     asked = read_question(exported, question, object, embeddings)
@@ -163,6 +164,9 @@ def record(
     from infogoal_jax.drone.mission import Flown
     from infogoal_jax.drone.records import Explorer
 
+    check_seed(drone.seed)
+    sharp = all(8 <= pixels <= 1080 for pixels in size)
+    require(sharp, "size", size, "give a height and a width from 8 to 1080 pixels, such as 48 64")
     log_folder = empty_folder(out, "out") if out else new_folder("recording")
     flown = Flown(Explorer(drone.seed), tuple(MOVES), size)
     origin = drone.start if drone.simulate else origin

@@ -46,8 +46,8 @@ one of these is called."""
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for a
-    flag that is none."""
+    """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for
+    an unknown flag."""
     if arguments == ["--version"]:
         print(infogoal_jax.__version__)
         return 0

@@ -1,5 +1,6 @@
 """`infogoal reproduce ...`: the paper's tables and figures, from training to the finished page."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -7,7 +8,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, named
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce.paper import DESCRIPTIONS
 
 RENAMED = {"--ways": "--variants", "--lanes": "--vmap-size"}
@@ -79,6 +80,8 @@ def study(
     """
     from infogoal_jax.reproduce import command
 
+    for path in (Path(out), *Path(out).parents):
+        require(not os.path.isfile(path), "out", out, f"{path} is a file; give a folder")
     return command.reproduce(
         command.Asked(
             name,

@@ -23,7 +23,7 @@ def evaluate(
         run: Folder of the run, a file of `infogoal pack`, or a shipped policy such as shipped/object_search.
         starts: Start states for each goal.
         start_seed: Seed of the start states; training's own evaluations use others.
-        test_epsilon: Share of random actions; negative: the run's own.
+        test_epsilon: Probability of a random action; negative: the run's own.
         corruption: Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the
             run's own.
     """

@@ -122,7 +122,7 @@ def train(
 
 
 def draw_video(folder: Path, env: Any) -> Path | None:
-    """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are no images."""
+    """A GIF of one episode of the trained policy under RUN/figures; None for tasks whose goals are not images."""
     from infogoal_jax.report.figures import read_subject
     from infogoal_jax.report.image_goals import policy_video
     from infogoal_jax.train.evaluation import has_image_goals
@@ -182,6 +182,8 @@ def methods(
     parts = Parts(None, learner, agent, relabelling, explorer).names()
     if method:
         return 0 if table.print_combination(task, method, **parts) else 1
+    if task in presets.METHODS:
+        raise UserError(f"task = {task!r}: is a method; name a task before it: infogoal methods TASK {task}")
     if parts:
         raise UserError(f"method = {method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
     if task:

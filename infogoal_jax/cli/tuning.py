@@ -42,7 +42,7 @@ def tune(
         help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
-        0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
+        0 when it finished, 130 when it was stopped by a signal (it can be resumed).
     """
     check_resumed_in_place(resume, out)
     if resume:
@@ -97,7 +97,7 @@ def final(
         out: Folder of the final; empty: a new one under runs/.
 
     Returns:
-        0 when it finished, 130 when it was stopped by a signal (it can be gone on with).
+        0 when it finished, 130 when it was stopped by a signal (it can be resumed).
     """
     check_resumed_in_place(resume, out)
     require(bool(search) != bool(resume), "search", search, "give the folder of a search, or --resume with a final's")

@@ -4,6 +4,7 @@ envelope, the detector and the log."""
 import contextlib
 import dataclasses
 import ipaddress
+import math
 import tempfile
 import zipfile
 import zlib
@@ -72,9 +73,15 @@ class Settings:
         self.limits().check()
         usable = all(0 < port < 2**16 for port in self.ports) and len(set(self.ports)) == 3
         require(usable, "ports", self.ports, "give three different ones from 1 to 65535")
-        require(self.speed > 0, "speed", self.speed, "give a number greater than 0")
+        require(0 < self.speed < math.inf, "speed", self.speed, "give a number greater than 0")
         if self.simulate:
+            from infogoal_jax.stand_ins.shelf import COLUMNS, ROWS
+
             require(not self.weights, "weights", self.weights, "the simulated drone has a detector; leave it out")
+            usable = self.simulated is None or all(0 < port < 2**16 for port in self.simulated)
+            require(usable, "simulated", self.simulated, "give two ports from 1 to 65535")
+            inside = 0 <= self.start[0] < COLUMNS and 0 <= self.start[1] < ROWS
+            require(inside, "start", self.start, f"give 0 to {COLUMNS - 1} and 0 to {ROWS - 1}")
         else:
             require(self.speed == 1, "speed", self.speed, "a real drone has its own; leave it out")
             require(self.simulated is None, "simulated", self.simulated, "goes together with --simulate")
@@ -119,8 +126,8 @@ def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
     """The exported policy at this path, or that of a run's folder, which is exported now; and the file's content, where
     it is new and to be kept.
 
-    Raises `UserError` for a file that is none, and for a policy that does not move left, right, up and down by what a
-    camera sees.
+    Raises `UserError` for a file that holds no policy, and for a policy that does not move left, right, up and down by
+    what a camera sees.
     """
     found = find_run(path)
     if not found.is_dir():
@@ -138,7 +145,9 @@ def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
 def read_policy(file: Path, given: str) -> ExportedPolicy:
     """The exported policy of this file. given: how the user named it. Raises `UserError` as `load_policy` does."""
     try:
-        policy = ExportedPolicy(regular(file))
+        if not zipfile.is_zipfile(regular(file)):
+            raise zipfile.BadZipFile("not an npz")  # NumPy would advise to load it as a pickle.
+        policy = ExportedPolicy(file)
         place = Place(file, remedy="export the policy again")
         about = decode(About, policy.about, place)
         (shape, kind), outputs = policy.program["inputs"][1][0], policy.program["outputs"]
@@ -158,9 +167,8 @@ def read_question(policy: ExportedPolicy, question: str, object: str = "", embed
     if not embeddings and text.spelling(question) in names:
         row = names.index(text.spelling(question))
         return Asked(policy.goals[row], object or policy.about["goal_objects"][row])
-    require(
-        object != "", "object", object, "name the object whose detection ends the flight; the policy's file has none"
-    )
+    remedy = f"name the object that answers {question!r}, whose detection ends the flight"
+    require(object != "", "object", object, remedy)
     return Asked(text.as_goal_inputs(embedded(question, embeddings))[0], object)
 
 
@@ -232,13 +240,10 @@ def simulated_drone(settings: Settings) -> Iterator[tuple[int, int]]:
     from infogoal_jax.drone import simulated_tello
     from infogoal_jax.stand_ins import shelf
 
-    place = np.array(settings.start)
-    inside = (place >= 0).all() and (place < [shelf.COLUMNS, shelf.ROWS]).all()
-    require(bool(inside), "start", settings.start, f"give 0 to {shelf.COLUMNS - 1} and 0 to {shelf.ROWS - 1}")
     _, state_port, video_port = settings.ports
     started = simulated_tello.start(
         simulated_tello.SimulatedTello(
-            first=tuple((shelf.FIRST + shelf.STEP * place).tolist()),
+            first=tuple((shelf.FIRST + shelf.STEP * np.array(settings.start)).tolist()),
             shelf_seed=settings.shelf_seed,
             seed=settings.seed,
             speed=settings.speed,

@@ -123,8 +123,8 @@ KINDS = {"settings": SettingsEvent, "step": StepEvent, "landing": LandingEvent, 
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """The events of a log, at least one; a last line that was cut off is left out. Raises `UserError` for a file that
-    is none."""
+    """The events of a log, at least one; a last line that was cut off is left out. Raises `UserError` for a file
+    that is not a log."""
     place = Place(path, remedy="give the folder of a flight of `infogoal fly` or `infogoal record`")
     events = []
     for at, values in parse_lines(read_bytes(place, f"{path}: not there; give the folder of a flight"), place):

@@ -56,6 +56,8 @@ MISTAKES = [
     ("train object_search --first-seed -1", ["seeds = '-1 to -1'", "from 0 to below"]),
     ("report a_file", ["a_file", "could not be read"]),
     ("train --seeds 2 object_search", ["name the task first: infogoal train object_search --seeds 2"]),
+    ("--seeds 2 train object_search", ["'--seeds': flags come after the command", "Known: train"]),
+    ("data --seed 1 build house a", ["data '--seed': flags come after the command", "Known: check"]),
     ("tune --seeds 2", ["name the task first: infogoal tune TASK --seeds 2", "Known: object_search"]),
     ("train object_search --num-envs 0", ["num_envs = 0", "greater than 0"]),
     ("train object_search --batch-size -3", ["batch_size = -3", "greater than 0"]),
@@ -86,6 +88,9 @@ MISTAKES = [
     ("video fetch_reach --out a.mp4 --corruption 0.4", ["corruption = 0.4", "random policy"]),
     ("video runs/not_there --out a.mp4", ["run = 'runs/not_there'", "config.json"]),
     ("train fetch_slide", ["fetch_slide", "no preset", "fetch_push"]),
+    ("methods her", ["task = 'her': is a method", "infogoal methods TASK her"]),
+    ("record somewhere --simulate --size 0 0", ["size = (0, 0)", "such as 48 64"]),
+    ("reproduce table1 --list --out a_file/x", ["out = 'a_file/x'", "a_file is a file"]),
     ("data build castle somewhere", ["castle", "Known: house"]),
     ("data build house a_folder", ["a_folder", "not empty"]),
     ("data chekc somewhere", ["chekc", "Did you mean 'check'"]),
@@ -140,7 +145,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     assert main("train object_search --seeds 2 --resume auto --out runs/mine".split()) == 2
     assert main("train object_search --seeds 2 --resume auto --out runs/first".split()) == 2
     assert main("train --resume runs/first --out runs/mine".split()) == 2
-    assert "out = 'runs/mine': what is gone on with stays in its folder, runs/first" in capsys.readouterr().err
+    assert "out = 'runs/mine': what is resumed stays in its folder, runs/first" in capsys.readouterr().err
     assert not (tmp_path / "runs" / "mine").exists()
     new, continued, other, mine, first = asked
     assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
@@ -216,7 +221,7 @@ TINY = (
 
 
 def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
-    """A small house, two seeds: everything a run promises is there, and the run can be gone on with."""
+    """A small house, two seeds: everything a run promises is there, and the run can be resumed."""
     build_house(tmp_path / "house", **TINY_HOUSE)
     flags = f"--method none --env.dataset house {TINY}"
     assert main(f"train object_search --seeds 2 --out run --tensorboard {flags}".split()) == 0

@@ -57,7 +57,7 @@ def help_of(capsys, monkeypatch):
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
         ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
         ("evaluate", ["RUN", "--starts", "default: 50"]),
-        ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount"]),
+        ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount", "Transitions in an update"]),
     ],
 )
 def test_help_fits_a_screen_and_names_what_there_is(arguments, expected, help_of):
@@ -79,6 +79,12 @@ def test_the_help_of_all_flags_has_every_field_and_the_interval_of_every_number(
     for name, value, number in floats(config.hyper):
         assert f"--hyper.{name.replace('_', '-')} FLOAT" in text
         assert f"(in {number.interval}, default: {value})" in text
+
+
+def test_a_short_help_has_whole_sentences_and_methods_that_can_be_asked_for(help_of):
+    text = " ".join(help_of("train object_search --help").replace("│", " ").split())
+    assert "representation learning. (train | held_out | visited | all, default: visited)" in text
+    assert f"Table I: {', '.join(presets.METHODS)}." in text
 
 
 def test_a_task_that_is_registered_later_is_a_subcommand(monkeypatch, help_of):

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+from infogoal_jax import presets
 from infogoal_jax.hyperparameters import check, with_values
+from infogoal_jax.train.tune import check_fields, search_space
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
 import tables
@@ -83,6 +85,14 @@ def test_a_search_that_is_run_again_replaces_what_was_kept(tmp_path):
     before = path.read_bytes()
     tuning.merge(tmp_path / "second", path)
     assert path.read_bytes() == before
+
+
+def test_the_fields_that_are_asked_for_are_those_that_were_searched():
+    """`infogoal tune --fields` knows them, and the numbers are of them."""
+    searches = tuning.load(tuning.NUMBERS)
+    for method, fields in tuning.FIELDS.items():
+        check_fields(fields, search_space(presets.load("object_search", method).hyper))
+        assert set(searches[f"object_search/{method}"]["trials"][0]["values"]) == set(fields)
 
 
 def write_trial(folder: Path, name: str, success: float, kl: str = "20", seeds: int = 2) -> None:
