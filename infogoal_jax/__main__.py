@@ -45,7 +45,7 @@ def main() -> int:
         while thread.is_alive():  # A signal just before an endless wait begins would not be heard until it ends.
             thread.join(LISTENING_SECONDS)
         flush()
-    gc.freeze()  # Or Python would look for cycles once more as it ends, among all that was imported: a tenth of a second.
+    gc.freeze()  # Or Python would look for cycles once more, among all that was imported: a tenth of a second.
     return status[0] if status else 1  # Its traceback was printed.
 
 
