@@ -7,8 +7,8 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import pairs
 from infogoal_jax.errors import require
+from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 
 
@@ -40,7 +40,7 @@ def make(config: AllGoalsConfig) -> Relabelling:
 
     def relabel(key, known, row, step, goal):
         known_key, choose_key = jax.random.split(key)
-        anything = jnp.where(known.any(), pairs.choose_from_mask(known_key, known, goal.shape), goal)
+        anything = her.any_known(known_key, known, goal)
         return jnp.where(jax.random.bernoulli(choose_key, 0.5, goal.shape), anything, goal)
 
     return Relabelling(

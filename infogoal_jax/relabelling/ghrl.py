@@ -13,7 +13,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import pairs, replay
+from infogoal_jax import replay
 from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Context, Relabelling
@@ -183,7 +183,7 @@ def make(config: GHRLConfig) -> Relabelling:
 
     def relabel(key, table, row, step, goal):
         random_key, choose_key = jax.random.split(key)
-        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+        anything = her.any_known(random_key, table.known, goal)
         share = jax.random.uniform(choose_key, goal.shape)
         goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
