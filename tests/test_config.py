@@ -97,6 +97,8 @@ def train():
     [
         ((5,), "key = 5: give one key"),
         ((jax.random.split(jax.random.key(0)),), "give one key.*see jax.vmap"),
+        ((jnp.asarray(5),), r"key = Array\(5.*give one key"),
+        ((jnp.zeros((3, 2), jnp.uint32),), "give one key.*see jax.vmap"),
         ((jax.random.key(0), 5), "hyper = 5: give Hyperparameters"),
         ((jax.random.key(0), CONFIG.hyper.replace(discount=2.0)), "hyper.discount = 2.0"),
         ((jax.random.key(0), Hyperparameters()), "hyper.learner = 'NoHyperparameters'"),
