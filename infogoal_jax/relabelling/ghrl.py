@@ -77,27 +77,10 @@ class Table:
     """bool [N], goals that may be drawn at random."""
 
 
-def percentiles(returns: jax.Array) -> jax.Array:
-    """Rank the N trajectories by their returns for each of G tasks: [N, G] to int32 [N, G], from 0 for the lowest to N
-    - 1.
-
-    Equal returns are ranked by their order, as in the authors' code.
-    """
-    return returns.argsort(axis=0, stable=True).argsort(axis=0).astype(jnp.int32)
-
-
-def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
-    """The task in which each trajectory ranks highest, int32 [N]. Ties go to the largest preference (return or
-    advantage), then to the first task.
-
-    ranks, preference: [N, G].
-    """
-    return jnp.where(ranks == ranks.max(1, keepdims=True), preference, -jnp.inf).argmax(1).astype(jnp.int32)
-
-
 def best_goals(context: Context) -> Table:
-    """The goal that each episode demonstrates best, by the rule of `percentiles` and `choose_task` with two
-    differences.
+    """The goal that each episode demonstrates best. As in the authors' code episodes are ranked by their returns for
+    each goal, and an episode gets the goal in which it ranks highest, of equal ranks that of the largest return. Two
+    things differ.
 
     - Only goals that the episode reached can be chosen. With sparse rewards the authors' code may choose a goal that
       was never reached, by the order of zeros.
