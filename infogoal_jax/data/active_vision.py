@@ -1,6 +1,6 @@
 """Reader of the Active Vision Dataset (Ammirato et al., ICRA 2017) as scenes to search objects in.
 
-The paper's object search (section V-B) turns the dataset into a graph: a state is an image, an action one of the six
+The paper's object search (section V-A.2) turns the dataset into a graph: a state is an image, an action one of the six
 annotated moves, and a goal is reached where the object's box is large enough for "a clear view". The same reader
 serves the real scenes and the synthetic house that is written in their format. Each image is read once, shrunk to a
 small grey square and cached, so that a training run holds a kilobyte an image.

@@ -279,8 +279,7 @@ def lay_out(
         "env.dataset",
         given,
         f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: "
-        "record moves that lead there, "
-        "or give a longer episode_length or another goal_seed",
+        "record moves that lead there, or give a longer episode_length or another goal_seed",
     )
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)

@@ -19,8 +19,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 
-CANDIDATES = 2  # Candidates for each transition that is learned from [C].
-TRIES = 3  # Candidates compared at each pick [C].
+CANDIDATES = 2  # Candidates for each transition that is learned from (the authors' code).
+TRIES = 3  # Candidates compared at each pick (the authors' code).
 PRECISION = 1e-6  # Relative precision of a difference of products in float32.
 TINY = 1e-12  # Avoids a division by 0 where all goals are equal.
 
