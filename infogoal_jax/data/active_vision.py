@@ -24,6 +24,7 @@ ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 # A box counts as a clear view where its shorter side is this share of the image height (119 pixels of the real 1080).
 DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
+SMALLEST_IMAGE, LARGEST_IMAGE = 4, 512  # Sides of the grey images, in pixels.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,7 @@ class SearchScenes:
       next_state: int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move.
       visible: bool [S, N], whether the object is in clear view.
       position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where
-      unknown.
+        unknown.
       scene: int32 [S], index into `scene_names`.
       image_names, scene_names, object_names: S file names, scene folders, N object names.
       source: what was read, in words, for reports.
@@ -77,8 +78,8 @@ def load(
       UserError: where an argument cannot be used, the dataset is incomplete, or no state shows one of the objects.
     """
     root, objects = Path(root), tuple(objects)
-    if not 4 <= image_size <= 512:
-        raise UserError(f"image_size = {image_size!r}: must be 4 to 512 pixels")
+    if not SMALLEST_IMAGE <= image_size <= LARGEST_IMAGE:
+        raise UserError(f"image_size = {image_size!r}: must be {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels")
     if not 0 <= min_box_size < 1:
         raise UserError(f"min_box_size = {min_box_size!r}: must be a share of the image height, from 0 to below 1")
     identities = read_instance_map(root)

@@ -44,8 +44,9 @@ class ObjectSearchConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("image_size", "episode_length"):
-            require(getattr(self, name) > 0, f"env.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(
+            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
+        )
         require(
             0 <= self.min_box_size < 1,
             "env.min_box_size",
@@ -53,10 +54,12 @@ class ObjectSearchConfig:
             "give a share of the image's height, from 0 to below 1",
         )
         require(
-            self.image_size <= 2048 and self.image_size % config.state_encoder.patch == 0,
+            active_vision.SMALLEST_IMAGE <= self.image_size <= active_vision.LARGEST_IMAGE
+            and self.image_size % config.state_encoder.patch == 0,
             "env.image_size",
             self.image_size,
-            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}, and at most 2048",
+            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}, at least "
+            f"{active_vision.SMALLEST_IMAGE} and at most {active_vision.LARGEST_IMAGE}",
         )
 
 
