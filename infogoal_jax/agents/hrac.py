@@ -88,7 +88,6 @@ class HRACConfig:
                 getattr(self, name),
                 "give widths greater than 0",
             )
-        require(self.critic in ("concatenated", "product"), "agent.critic", self.critic, "give concatenated or product")
         for name in ("num_decisions", "adjacency_size", "critic_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 

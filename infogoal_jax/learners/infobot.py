@@ -39,7 +39,6 @@ class InfoBotConfig(GoalEncoderConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(self.reward in ("rarity", "first_seen"), "learner.reward", self.reward, "give rarity or first_seen")
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
 
 

@@ -56,25 +56,11 @@ class InfoGoalConfig(GoalEncoderConfig):
         """Raise `UserError` for values out of range."""
         super().check(config)
         check_pairs(self, config)
-        require(self.loss in ("nce", "ratio"), "learner.loss", self.loss, "give nce or ratio")
-        require(self.score in ("distance", "bilinear"), "learner.score", self.score, "give distance or bilinear")
         require(
             self.loss == "nce" or self.score == "distance",
             "learner.loss",
             self.loss,
             "the ratio form needs the bounded score: --learner.score distance",
-        )
-        require(
-            self.negatives in ("anchored", "independent"),
-            "learner.negatives",
-            self.negatives,
-            "give anchored or independent",
-        )
-        require(
-            self.beta_rule in ("linear", "sign", "fixed", "relative"),
-            "learner.beta_rule",
-            self.beta_rule,
-            "give linear, sign, fixed or relative",
         )
 
 

@@ -31,7 +31,6 @@ class AllGoalsConfig:
         require(
             0 <= self.achieved_share <= 1, "relabelling.achieved_share", self.achieved_share, "give a share from 0 to 1"
         )
-        require(self.code in ("sampled", "mean"), "relabelling.code", self.code, "give sampled or mean")
 
 
 def make(config: AllGoalsConfig) -> Relabelling:

@@ -43,15 +43,6 @@ class CHERConfig(her.HERConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(
-            self.similarity in ("nearest", "dense"), "relabelling.similarity", self.similarity, "give nearest or dense"
-        )
-        require(
-            self.proximity_unit in ("mean", "world"),
-            "relabelling.proximity_unit",
-            self.proximity_unit,
-            "give mean or world",
-        )
         for name in ("proximity_weight", "proximity_growth"):
             require(getattr(self, name) >= 0, f"relabelling.{name}", getattr(self, name), "give 0 or more")
 

@@ -51,13 +51,6 @@ class GHRLConfig:
             f"must leave room for share = {self.share}: together at most 1",
         )
         require(
-            self.choice in ("best", "first_occurrence"),
-            "relabelling.choice",
-            self.choice,
-            "give best or first_occurrence",
-        )
-        require(self.filter in ("none", "advantage"), "relabelling.filter", self.filter, "give none or advantage")
-        require(
             self.choice == "best" or self.filter == "none",
             "relabelling.filter",
             self.filter,

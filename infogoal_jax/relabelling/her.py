@@ -44,7 +44,6 @@ class HERConfig:
             self.random_share,
             f"must leave room for future_share = {self.future_share}: together at most 1",
         )
-        require(self.strategy in ("future", "prefix"), "relabelling.strategy", self.strategy, "give future or prefix")
 
 
 @flax.struct.dataclass
