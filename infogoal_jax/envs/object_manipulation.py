@@ -232,7 +232,8 @@ def traits(config: ObjectManipulationConfig) -> Traits:
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
-    """Make the task from the dataset and backgrounds of the configuration. Raises `UserError` for unusable files."""
+    """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
+    config.check(None)
     if config.dataset:
         data = frames.load(config.dataset)
     else:
