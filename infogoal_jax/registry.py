@@ -32,7 +32,8 @@ class Registry(dict):
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""
         if not isinstance(name, str):
-            raise UserError(f"{self.kind} = {name!r}: give the name of a {self.kind}. Known: {', '.join(self)}")
+            article = "an" if self.kind[0] in "aeiou" else "a"
+            raise UserError(f"{self.kind} = {name!r}: give the name of {article} {self.kind}. Known: {', '.join(self)}")
         if name not in self:
             raise UserError(
                 f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}"

@@ -13,6 +13,9 @@ import pytest
 from places import ROOT
 
 from infogoal_jax import Hyperparameters, UserError, envs, make_train, presets, relabelling
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
+from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.train import tune
 
@@ -70,6 +73,9 @@ def test_numbers_of_numpy_are_those_of_python():
             lambda: envs.load("object_search", CONFIG),
             "config = 'TrainConfig': object_search needs a ObjectSearchConfig",
         ),
+        (lambda: envs.load("embodied_qa", EmbodiedQAConfig(generator_seed=-1)), "env.generator_seed = -1: give 0"),
+        (lambda: envs.load("object_manipulation", ObjectManipulationConfig(num_goals=(0, 1, 1))), "env.num_goals = "),
+        (lambda: envs.load("object_search", ObjectSearchConfig(episode_length="x")), "env.episode_length = 'x'.*int"),
         (lambda: make_train("object_search"), "config = 'object_search': give a TrainConfig"),
         (lambda: make_train(CONFIG, 5), "env = 5: give an environment"),
         (
@@ -97,6 +103,8 @@ def train():
     [
         ((5,), "key = 5: give one key"),
         ((jax.random.split(jax.random.key(0)),), "give one key.*see jax.vmap"),
+        ((jnp.asarray(5),), r"key = Array\(5.*give one key"),
+        ((jnp.zeros((3, 2), jnp.uint32),), "give one key.*see jax.vmap"),
         ((jax.random.key(0), 5), "hyper = 5: give Hyperparameters"),
         ((jax.random.key(0), CONFIG.hyper.replace(discount=2.0)), "hyper.discount = 2.0"),
         ((jax.random.key(0), Hyperparameters()), "hyper.learner = 'NoHyperparameters'"),

@@ -43,7 +43,7 @@ LAYERS = (
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {
     "data": {"goals", "goal_uses", "errors", "stopping"},
-    "envs": {"goals", "goal_uses", "errors", "replay", "registry", "angles"},
+    "envs": {"goals", "goal_uses", "errors", "field_types", "replay", "registry", "angles"},
 }
 """What data and environments may know of the lowest layer."""
 

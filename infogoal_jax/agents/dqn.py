@@ -2,7 +2,6 @@
 masks."""
 
 import dataclasses
-from typing import get_args
 
 import jax
 import jax.numpy as jnp
@@ -45,8 +44,6 @@ class DQNConfig:
             self.num_steps,
             f"must lie between 1 and the episode length, {config.env.episode_length}",
         )
-        kinds = get_args(value_heads.Kind)
-        require(self.head in kinds, "agent.head", self.head, f"give {', '.join(kinds)}")
         require(self.head_size > 0, "agent.head_size", self.head_size, "give a whole number greater than 0")
 
 

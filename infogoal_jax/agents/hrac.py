@@ -79,7 +79,7 @@ class HRACConfig:
             self.cell >= 0.02,
             "agent.cell",
             self.cell,
-            "give at least 0.02 m or radians: the adjacency matrix grows with its sixth power",
+            "give at least 0.02 m or radians: with half the side the adjacency matrix is 64 times as large",
         )
         for name in ("hidden", "adjacency_hidden"):
             require(
@@ -88,7 +88,6 @@ class HRACConfig:
                 getattr(self, name),
                 "give widths greater than 0",
             )
-        require(self.critic in ("concatenated", "product"), "agent.critic", self.critic, "give concatenated or product")
         for name in ("num_decisions", "adjacency_size", "critic_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 
@@ -184,7 +183,7 @@ def make(config: HRACConfig, env) -> Agent:
         )
 
     def learn_adjacency(params, batch: AgentBatch, apart):
-        """The adjacency loss of each state of the batch with the state k steps later, and with a state of another
+        """The adjacency loss of the first state of each transition with its last one, and with the first of another
         transition."""
         state, following = space.of(batch.observation), space.of(batch.next_observation)
         first = jnp.concatenate([state, state])

@@ -214,7 +214,7 @@ def value_loss(
         predicted = head.taken_of_all(params, batch.features, batch.action, goals.code)
         return td_loss_of_all(predicted, target, goals.weight, huber)
     values = head.values_of_all(params, batch.features, goals.code)
-    predicted = jnp.take_along_axis(values, batch.action[:, None, None], axis=1)[:, 0]
+    predicted = of_actions(values, batch.action)
     error, metrics = td_loss_of_all(predicted, target, goals.weight, huber)
     extra, own_metrics = jax.vmap(lambda under_one: regulariser(under_one, batch, hyper), in_axes=-1)(values)
     own_metrics = {name: mean_over_goals(value, goals.weight) for name, value in own_metrics.items()}

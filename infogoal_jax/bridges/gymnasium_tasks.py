@@ -1,10 +1,11 @@
 """Tasks whose goals are a finite set and whose actions are moves, as Gymnasium goal environments: object search, object
 manipulation, embodied question answering, and tasks of a user's own.
 
-A goal is an entry of a vector of bits: `desired_goal` has one that is set, `achieved_goal` those of all goals that are
-achieved now. Hindsight relabelling may therefore put one in place of the other. Rewards are those of the Fetch tasks, 0
-at the goal and -1 elsewhere. `TaskGymnasium` is one environment on the CPU, `TaskVector` a batch on whatever device jax
-uses; importing `infogoal_jax.bridges.gymnasium` registers both.
+A goal is an entry of a vector of bits: `desired_goal` has one that is set, `achieved_goal` those of the goals that are
+achieved now: the desired one where it is reached, and of the others those that may be known while training (no
+validation or test question of embodied question answering). Hindsight relabelling may therefore put one in place of the
+other. Rewards are those of the Fetch tasks, 0 at the goal and -1 elsewhere. `TaskGymnasium` is one environment on the
+CPU, `TaskVector` a batch on whatever device jax uses; importing `infogoal_jax.bridges.gymnasium` registers both.
 """
 
 from typing import Any
@@ -35,11 +36,13 @@ def load(task: str | Environment, config: Any) -> Environment:
 
 def seen(env: Environment, state: Any) -> dict[str, jax.Array]:
     """The observation as a network sees it, and the goals as bits int8 [N]."""
-    goals = env.goals_of(env.achieved(state))
-    bits = jnp.zeros(env.goals.num_goals, jnp.int8)
+    record = env.achieved(state)
+    goals, bits = env.goals_of(record), jnp.zeros(env.goals.num_goals, jnp.int8)
+    achieved = bits.at[jnp.where(goals < 0, env.goals.num_goals, goals)].set(1, mode="drop")
     return {
         "observation": env.render(env.observe(state)),
-        "achieved_goal": bits.at[jnp.where(goals < 0, env.goals.num_goals, goals)].set(1, mode="drop"),
+        # `goals_of` may leave out the desired goal where it is reached: a test question, a pose within 10 degrees.
+        "achieved_goal": achieved.at[state.goal].set(env.reached(record, state.goal).astype(jnp.int8)),
         "desired_goal": bits.at[state.goal].set(1),
     }
 

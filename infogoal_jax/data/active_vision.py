@@ -1,6 +1,6 @@
 """Reader of the Active Vision Dataset (Ammirato et al., ICRA 2017) as scenes to search objects in.
 
-The paper's object search (section V-B) turns the dataset into a graph: a state is an image, an action one of the six
+The paper's object search (section V-A.2) turns the dataset into a graph: a state is an image, an action one of the six
 annotated moves, and a goal is reached where the object's box is large enough for "a clear view". The same reader
 serves the real scenes and the synthetic house that is written in their format. Each image is read once, shrunk to a
 small grey square and cached, so that a training run holds a kilobyte an image.
@@ -24,6 +24,7 @@ ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 # A box counts as a clear view where its shorter side is this share of the image height (119 pixels of the real 1080).
 DEFAULT_MIN_BOX_SIZE = 0.11
 MAX_DIFFICULTY = 4
+SMALLEST_IMAGE, LARGEST_IMAGE = 4, 512  # Sides of the grey images, in pixels.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,7 @@ class SearchScenes:
       next_state: int32 [S, 6], where each of ACTIONS leads; the state itself where there is no move.
       visible: bool [S, N], whether the object is in clear view.
       position: float32 [S, 3], plan x and y in metres and heading in radians, counter-clockwise from x; NaN where
-      unknown.
+        unknown.
       scene: int32 [S], index into `scene_names`.
       image_names, scene_names, object_names: S file names, scene folders, N object names.
       source: what was read, in words, for reports.
@@ -77,8 +78,8 @@ def load(
       UserError: where an argument cannot be used, the dataset is incomplete, or no state shows one of the objects.
     """
     root, objects = Path(root), tuple(objects)
-    if not 4 <= image_size <= 512:
-        raise UserError(f"image_size = {image_size!r}: must be 4 to 512 pixels")
+    if not SMALLEST_IMAGE <= image_size <= LARGEST_IMAGE:
+        raise UserError(f"image_size = {image_size!r}: must be {SMALLEST_IMAGE} to {LARGEST_IMAGE} pixels")
     if not 0 <= min_box_size < 1:
         raise UserError(f"min_box_size = {min_box_size!r}: must be a share of the image height, from 0 to below 1")
     identities = read_instance_map(root)

@@ -211,9 +211,8 @@ def contradiction_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
             f"next_frame[{other}]",
             (
                 f"moves {one} and {other} are both action {action[one]} in state {state[frame[one]]}, but lead to the "
-                "states "
-                f"{state[next_frame[one]]} and {state[next_frame[other]]}; remove the wrong one, or give what differs "
-                "states of its own"
+                f"states {state[next_frame[one]]} and {state[next_frame[other]]}; remove the wrong one, or give what "
+                "differs states of its own"
             ),
         )
 

@@ -203,8 +203,7 @@ def read_moves(table: Path, rows: Rows, frame_of: dict[str, int]) -> list[Move]:
                 f"row {number} {where} has the same time; give each step its own",
             )
             remedy = (
-                f"a gap {where}, after time {time} in row {number}; add what is missing, or give the rest "
-                "another "
+                f"a gap {where}, after time {time} in row {number}; add what is missing, or give the rest another "
                 "trajectory"
             )
             wants(later == time + 1, table, next_number, "time", after["time"], remedy)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from infogoal_jax.data import text
 from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.goal_uses import NO_USE, USES
+from infogoal_jax.goal_uses import NO_USE, TEST, TRAINING, USES, VALIDATION
 
 SHIPPED_QUESTIONS = Path(__file__).parent / "files" / "shelf" / "questions.json"
 SHIPPED_EMBEDDINGS = SHIPPED_QUESTIONS.with_name("embeddings.npz")
@@ -28,7 +28,6 @@ SHIPPED_EMBEDDINGS = SHIPPED_QUESTIONS.with_name("embeddings.npz")
 QUESTIONS_PER_OBJECT = 5
 QUESTIONS_OF_TEST_OBJECT = 4  # Sec. V-B.1: 20 test objects with four questions each.
 
-_TRAIN, _VALIDATION, _TEST = (USES.index(use) for use in ("train", "validation", "test"))
 _OBJECT_USES = ("train", "test")
 _FORM = '{"objects": {name: {"room": ..., "use": "train" or "test", "questions": [five questions]}}}'
 
@@ -181,13 +180,13 @@ class Questions:
         objects = list(zip(self.objects, self.rooms, self.uses, self.questions, strict=True))
         names = [AskedGoal(name, name, NO_USE, room) for name, room, _, _ in objects]
         train = [
-            AskedGoal(question, name, _VALIDATION if position else _TRAIN, room)
+            AskedGoal(question, name, VALIDATION if position else TRAINING, room)
             for name, room, use, questions in objects
             if use == "train"
             for position, question in enumerate(questions)
         ]
         test = [
-            AskedGoal(question, name, _TEST, room)
+            AskedGoal(question, name, TEST, room)
             for name, room, use, questions in objects
             if use == "test"
             for question in questions[:QUESTIONS_OF_TEST_OBJECT]

@@ -9,6 +9,7 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import checked
 from infogoal_jax.registry import Entry, Registry
 
 
@@ -41,8 +42,8 @@ registry = Registry(
 def load(task: str, config: Any = None):
     """Make the environment of this name: `env.reset(key)`, `env.step(state, action)`, batched by `jax.vmap`.
 
-    config: the configuration of the task; None for its defaults. Raises `UserError` for an unknown name or an unusable
-    dataset.
+    config: the configuration of the task; None for its defaults. Raises `UserError` for an unknown name, for values of
+    other types than declared, and for what cannot be made.
     """
     found = registry.entry(task)
     require(
@@ -51,4 +52,4 @@ def load(task: str, config: Any = None):
         type(config).__name__,
         f"{task} needs a {found.config.__name__}; leave it out for the defaults",
     )
-    return found.make(found.config() if config is None else config)
+    return found.make(found.config() if config is None else checked(config, "env."))

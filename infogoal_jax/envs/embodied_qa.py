@@ -101,7 +101,8 @@ def traits(config: EmbodiedQAConfig) -> Traits:
 
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:
-    """Make the task from the dataset and questions of the configuration. Raises `UserError` for unusable files."""
+    """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
+    config.check(None)
     if config.dataset:
         data = frames.load(config.dataset)
     else:

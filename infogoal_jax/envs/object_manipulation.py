@@ -232,7 +232,8 @@ def traits(config: ObjectManipulationConfig) -> Traits:
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
-    """Make the task from the dataset and backgrounds of the configuration. Raises `UserError` for unusable files."""
+    """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
+    config.check(None)
     if config.dataset:
         data = frames.load(config.dataset)
     else:
@@ -279,8 +280,7 @@ def lay_out(
         "env.dataset",
         given,
         f"the pose of image {shown[alone[:1]]} can be reached from nowhere within {config.episode_length} steps: "
-        "record moves that lead there, "
-        "or give a longer episode_length or another goal_seed",
+        "record moves that lead there, or give a longer episode_length or another goal_seed",
     )
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)

@@ -44,8 +44,9 @@ class ObjectSearchConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        for name in ("image_size", "episode_length"):
-            require(getattr(self, name) > 0, f"env.{name}", getattr(self, name), "give a whole number greater than 0")
+        require(
+            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
+        )
         require(
             0 <= self.min_box_size < 1,
             "env.min_box_size",
@@ -53,11 +54,19 @@ class ObjectSearchConfig:
             "give a share of the image's height, from 0 to below 1",
         )
         require(
-            self.image_size <= 2048 and self.image_size % config.state_encoder.patch == 0,
+            active_vision.SMALLEST_IMAGE <= self.image_size <= active_vision.LARGEST_IMAGE,
             "env.image_size",
             self.image_size,
-            f"must be a multiple of state_encoder.patch = {config.state_encoder.patch}, and at most 2048",
+            f"give at least {active_vision.SMALLEST_IMAGE} and at most {active_vision.LARGEST_IMAGE} pixels",
         )
+        if config is not None:  # None: the task alone, without what sees it.
+            patch = config.state_encoder.patch
+            require(
+                self.image_size % patch == 0,
+                "env.image_size",
+                self.image_size,
+                f"must be a multiple of state_encoder.patch = {patch}",
+            )
 
 
 @flax.struct.dataclass
@@ -76,7 +85,8 @@ def traits(config: ObjectSearchConfig) -> Traits:
 
 
 def make(config: ObjectSearchConfig) -> ObjectSearch:
-    """Load the images, goals and embeddings of the configuration. Raises `UserError` for unusable files."""
+    """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
+    config.check(None)
     split = splits.load_split(config.split) if config.split else splits.AUTHORS_SPLIT
     names = split.objects
     embeddings = text.load(config.text_embeddings) if config.text_embeddings else text.load_shipped()

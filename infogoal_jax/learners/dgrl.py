@@ -33,11 +33,11 @@ class DGRLConfig(GoalEncoderConfig):
     num_goals: int = 64
     """Known goals, desired or achieved, that an update reconstructs."""
     factors: int = 8
-    """Segments of a code [R]."""
+    """Segments of a code."""
     codes: int = 64
-    """Vectors in the codebook that all segments share [R]."""
+    """Vectors in the codebook that all segments share."""
     commitment: float = 0.25
-    """Weight of the commitment loss, which pulls a segment to its code vector [M]."""
+    """Weight of the commitment loss, which pulls a segment to its code vector (van den Oord et al.)."""
     revival: float = 1.0
     """Weight of the loss that pulls unused code vectors back to the segments; 0: they stay unused."""
     vector_std: float = 0.05

@@ -71,12 +71,6 @@ class GCBConfig(GoalEncoderConfig):
             self.reward_weight,
             "give a number greater than 0: 0 makes all pairs alike",
         )
-        require(
-            self.policy_input in ("difference", "goal"),
-            "learner.policy_input",
-            self.policy_input,
-            "give difference or goal",
-        )
 
 
 class PairedEncoder(nn.Module):

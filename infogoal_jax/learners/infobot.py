@@ -31,7 +31,6 @@ class InfoBotConfig(GoalEncoderConfig):
     warm_up: int = 2000
     """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would
     collapse for good."""
-
     reward: Literal["rarity", "first_seen"] = "rarity"
     """Intrinsic reward. `rarity`: for goals whose code says much, in cells that were rarely visited; `first_seen`: 1
     for each known goal that the episode sees for the first time, as in the maze of InfoGoal's authors [A]. The latter
@@ -40,7 +39,6 @@ class InfoBotConfig(GoalEncoderConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(self.reward in ("rarity", "first_seen"), "learner.reward", self.reward, "give rarity or first_seen")
         require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
 
 

@@ -54,7 +54,7 @@ class SampleSpec(NamedTuple):
     dissimilar: bool = True
     """Draw negatives from the dissimilarity matrix; False: from all known goals."""
     num_goals: int = 0
-    """Known goals."""
+    """Goals that are known or desired in training: `LearnerBatch.goals`."""
     first_seen: bool = False
     """How many known goals each step saw first in its episode: `Visited.first_seen`."""
     relabelling: Relabelling | None = None
@@ -95,8 +95,8 @@ class LearnerBatch(NamedTuple):
     """Goals int32 [...] to the inputs of the goal encoder [..., *input]."""
     pairs: GoalPairs | None
     """Pairs as `SampleSpec` asks for; None without any."""
-    goals: jax.Array
-    """int32 [num_goals], known goals."""
+    goals: jax.Array | None
+    """int32 [num_goals], goals that are known or desired in training; None unless `SampleSpec` asks for them."""
     desired: jax.Array
     """int32 [B], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
     gave them."""

@@ -23,7 +23,7 @@ class VAEConfig(GoalEncoderConfig):
     num_goals: int = 64
     """Known goals, desired or achieved, that an update reconstructs."""
     vae_beta: float = 1.0
-    """Weight of the KL. 1 is the evidence lower bound [R]. RIG uses 20 to 30 with smaller codes."""
+    """Weight of the KL. 1 is the evidence lower bound. RIG uses 20 to 30 with smaller codes."""
     warm_up: int = 2000
     """Updates over which the weight of the KL rises from 0 [M]. At full weight from the start the KL can outweigh what
     an untrained decoder gains, and codes of text goals stay at N(0, I) for good."""

@@ -18,8 +18,8 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
     """The preset of a task.
 
     description: the task in a line.
-    window, num_pairs: of similar goals [M], those that a few steps take less far apart than the 20 cm between test and
-    training goals.
+    window, num_pairs: of similar goals [M]; the window's steps lead no farther than the 20 cm that lie at most between
+    a test goal and the nearest training goal.
     found: floats of each method that a search found [T].
     """
     similar = {"window": window, "num_pairs": num_pairs}

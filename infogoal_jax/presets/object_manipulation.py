@@ -5,8 +5,8 @@ import math
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 3, "num_pairs": 256}
-"""Which goals count as similar [M]: what turns in a few steps by less than what lies between test and training
-goals."""
+"""Which goals count as similar [M]: those at most 3 steps apart, so 45 degrees; a test goal may lie 90 degrees from the
+nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
 """InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
 

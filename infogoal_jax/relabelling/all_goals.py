@@ -7,8 +7,8 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import pairs
 from infogoal_jax.errors import require
+from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 
 
@@ -31,7 +31,6 @@ class AllGoalsConfig:
         require(
             0 <= self.achieved_share <= 1, "relabelling.achieved_share", self.achieved_share, "give a share from 0 to 1"
         )
-        require(self.code in ("sampled", "mean"), "relabelling.code", self.code, "give sampled or mean")
 
 
 def make(config: AllGoalsConfig) -> Relabelling:
@@ -40,7 +39,7 @@ def make(config: AllGoalsConfig) -> Relabelling:
 
     def relabel(key, known, row, step, goal):
         known_key, choose_key = jax.random.split(key)
-        anything = jnp.where(known.any(), pairs.choose_from_mask(known_key, known, goal.shape), goal)
+        anything = her.any_known(known_key, known, goal)
         return jnp.where(jax.random.bernoulli(choose_key, 0.5, goal.shape), anything, goal)
 
     return Relabelling(

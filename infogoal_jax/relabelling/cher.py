@@ -19,8 +19,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 
-CANDIDATES = 2  # Candidates for each transition that is learned from [C].
-TRIES = 3  # Candidates compared at each pick [C].
+CANDIDATES = 2  # Candidates for each transition that is learned from (the authors' code).
+TRIES = 3  # Candidates compared at each pick (the authors' code).
 PRECISION = 1e-6  # Relative precision of a difference of products in float32.
 TINY = 1e-12  # Avoids a division by 0 where all goals are equal.
 
@@ -43,15 +43,6 @@ class CHERConfig(her.HERConfig):
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         super().check(config)
-        require(
-            self.similarity in ("nearest", "dense"), "relabelling.similarity", self.similarity, "give nearest or dense"
-        )
-        require(
-            self.proximity_unit in ("mean", "world"),
-            "relabelling.proximity_unit",
-            self.proximity_unit,
-            "give mean or world",
-        )
         for name in ("proximity_weight", "proximity_growth"):
             require(getattr(self, name) >= 0, f"relabelling.{name}", getattr(self, name), "give 0 or more")
 

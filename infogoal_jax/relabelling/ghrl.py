@@ -13,7 +13,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax import pairs, replay
+from infogoal_jax import replay
 from infogoal_jax.errors import require
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Context, Relabelling
@@ -51,13 +51,6 @@ class GHRLConfig:
             f"must leave room for share = {self.share}: together at most 1",
         )
         require(
-            self.choice in ("best", "first_occurrence"),
-            "relabelling.choice",
-            self.choice,
-            "give best or first_occurrence",
-        )
-        require(self.filter in ("none", "advantage"), "relabelling.filter", self.filter, "give none or advantage")
-        require(
             self.choice == "best" or self.filter == "none",
             "relabelling.filter",
             self.filter,
@@ -77,27 +70,10 @@ class Table:
     """bool [N], goals that may be drawn at random."""
 
 
-def percentiles(returns: jax.Array) -> jax.Array:
-    """Rank the N trajectories by their returns for each of G tasks: [N, G] to int32 [N, G], from 0 for the lowest to N
-    - 1.
-
-    Equal returns are ranked by their order, as in the authors' code.
-    """
-    return returns.argsort(axis=0, stable=True).argsort(axis=0).astype(jnp.int32)
-
-
-def choose_task(ranks: jax.Array, preference: jax.Array) -> jax.Array:
-    """The task in which each trajectory ranks highest, int32 [N]. Ties go to the largest preference (return or
-    advantage), then to the first task.
-
-    ranks, preference: [N, G].
-    """
-    return jnp.where(ranks == ranks.max(1, keepdims=True), preference, -jnp.inf).argmax(1).astype(jnp.int32)
-
-
 def best_goals(context: Context) -> Table:
-    """The goal that each episode demonstrates best, by the rule of `percentiles` and `choose_task` with two
-    differences.
+    """The goal that each episode demonstrates best. As in the authors' code episodes are ranked by their returns for
+    each goal, and an episode gets the goal in which it ranks highest, of equal ranks that of the largest return. Two
+    things differ.
 
     - Only goals that the episode reached can be chosen. With sparse rewards the authors' code may choose a goal that
       was never reached, by the order of zeros.
@@ -183,7 +159,7 @@ def make(config: GHRLConfig) -> Relabelling:
 
     def relabel(key, table, row, step, goal):
         random_key, choose_key = jax.random.split(key)
-        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+        anything = her.any_known(random_key, table.known, goal)
         share = jax.random.uniform(choose_key, goal.shape)
         goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)

@@ -44,7 +44,6 @@ class HERConfig:
             self.random_share,
             f"must leave room for future_share = {self.future_share}: together at most 1",
         )
-        require(self.strategy in ("future", "prefix"), "relabelling.strategy", self.strategy, "give future or prefix")
 
 
 @flax.struct.dataclass
@@ -120,7 +119,7 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
         length**2 * (num_goals + 1) < 2**31,
         "rollout_steps",
         length - 1,
-        f"with {num_goals} goals too long for this relabelling: give less",
+        f"with {num_goals} goals too long: what a row achieved could not be numbered in 32 bits; give less",
     )
     name = rows.episode()[..., None] * (num_goals + 1) + jnp.where(goals < 0, num_goals, goals)
     # One number sorts faster than two.
@@ -160,6 +159,11 @@ def prefixes(context: Context) -> Prefixes:
     return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)
 
 
+def any_known(key: jax.Array, known: jax.Array, goal: jax.Array) -> jax.Array:
+    """Any known goal in place of each of these, int32 [B]; these themselves while no goal is known, bool [N]."""
+    return jnp.where(known.any(), pairs.choose_from_mask(key, known, goal.shape), goal)
+
+
 def relabel_shares(later_goal: Callable, share: float, random_share: float) -> Callable:
     """The `relabel` of a `Relabelling`: a share of the transitions gets what `later_goal` draws, if anything, and a
     share any known goal. later_goal: (key, table, row, step) -> int32 [B], -1 for none."""
@@ -167,7 +171,7 @@ def relabel_shares(later_goal: Callable, share: float, random_share: float) -> C
     def relabel_goals(key, table, row, step, goal):
         later_key, random_key, choose_key = jax.random.split(key, 3)
         later = later_goal(later_key, table, row, step)
-        anything = pairs.choose_from_mask(random_key, table.known, goal.shape)
+        anything = any_known(random_key, table.known, goal)
         drawn = jax.random.uniform(choose_key, goal.shape)
         goal = jnp.where((drawn < share) & (later >= 0), later, goal)
         return jnp.where(drawn >= 1.0 - random_share, anything, goal)

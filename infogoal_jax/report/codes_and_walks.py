@@ -184,7 +184,14 @@ def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
     encode = GoalEncoding(learner, subject.params["goal"], env.goals, subject.train.config.batch_size).of_any()
     achieved = env.goals_of(jnp.arange(env.num_observations))
     every = jnp.arange(env.num_observations)[None]
-    visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), jnp.ones(every.shape))
+    taken, first_seen = jnp.ones(every.shape), jnp.zeros(every.shape)  # An image alone is no episode.
+    visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), taken, first_seen)
     reward = np.asarray(learner.intrinsic_reward(state, encode, visited)[0][0], float)
     reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
     return reward / max(np.abs(np.nanmean(reward)), 1e-12)
+
+
+def tells_images_apart(rewards: list[np.ndarray]) -> bool:
+    """Whether any of these rewards [S] differs from image to image. InfoBot's does not: the visits that it goes by are
+    no part of the parameters."""
+    return any(np.nanmax(reward) - np.nanmin(reward) > 1e-6 for reward in rewards)

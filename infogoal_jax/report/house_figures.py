@@ -28,6 +28,7 @@ from infogoal_jax.report.codes_and_walks import (
     one_goal_a_region,
     outcome_in_words,
     reward_of_images,
+    tells_images_apart,
     walks_of_policy,
 )
 
@@ -243,12 +244,12 @@ def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]])
     """The intrinsic reward (Eq. 16) of every image for one training goal a room, and a trajectory of the policy (paper,
     Fig. 12).
 
-    None for methods that have no intrinsic reward.
+    None for methods without an intrinsic reward that tells images apart.
     """
     env = subject.train.env
     goals = one_goal_a_region(env, env.goals.train_mask)
     rewards = [reward_of_images(subject, goal) for goal in goals]
-    if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
+    if not tells_images_apart(rewards):
         return None
     shown = (
         f"seed {subject.params_seed}, last parameters; the first training goal of each room, trajectory from the "

@@ -35,6 +35,7 @@ from infogoal_jax.report.codes_and_walks import (
     outcome_in_words,
     principal_components,
     reward_of_images,
+    tells_images_apart,
     walks_of_policy,
 )
 
@@ -234,12 +235,12 @@ def draw_all_codes(subject: Subject, axes: Axes) -> list:
 def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]]) -> Figure | None:
     """The intrinsic reward (Eq. 16) of every place for each training goal, and a flight of the policy (paper, Fig. 12).
 
-    None for methods that have no intrinsic reward.
+    None for methods without an intrinsic reward that tells images apart.
     """
     env = subject.train.env
     goals = np.asarray(env.goals.training_goals)[:MOST_PANELS].tolist()
     rewards = [reward_of_places(subject, shelf, goal) for goal in goals]
-    if not any(np.nanmax(np.abs(reward)) > 0 for reward in rewards):
+    if not tells_images_apart(rewards):
         return None
     shown = (
         f"seed {subject.params_seed}, last parameters; flight from the farthest of "

@@ -49,7 +49,7 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
-    [seeds]} with the names of `settings.Setting`."""
+    [seeds]} with the names of `evaluation.Setting`."""
     table = Table()
     columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
     for column in ("goals", "code", *(title for title, _ in columns.values())):

@@ -228,10 +228,9 @@ def find_run(run: str | Path) -> Path:
 def unpacked(path: Path) -> Path:
     """The folder in the user's cache that holds this packed run. It is unpacked once; another file of the same name has
     another folder."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise disk.disk_error(path, error) from error
+    content = disk.read_bytes(
+        disk.Place(path), f"run = {str(path)!r}: there is no such file; give one of `infogoal pack`"
+    )
     folder = archives.user_cache() / "runs" / f"{path.stem}-{hashlib.sha256(content).hexdigest()[:12]}"
     if folder.is_dir():
         return folder

@@ -163,7 +163,9 @@ def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
     lines = [decode(TrialLine, values, at) for at, values in parse_lines(content, place)]
     numbers = [line.trial for line in lines]
     if not lines or numbers != list(range(len(lines))):
-        raise place.refusal("it should have the trials 0, 1, 2, ... and seeds; of a final there is no final")
+        raise place.refusal(
+            "it should have the trials 0, 1, 2, ...; a final has others, and there is no final of a final"
+        )
     check_alike(lines, place)
     for number, line in enumerate(lines, 1):
         at = place._replace(line=number)

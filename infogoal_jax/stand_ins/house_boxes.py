@@ -26,8 +26,8 @@ def furnish(house: House, seed: int) -> tuple[house_render.Boxes, list[str]]:
         blocks.append((lower, upper, six, tile, instance))
 
     _add_walls(add, house)
-    for index, furniture in enumerate(house.furniture):
-        _add_furniture(add, index, furniture)
+    for furniture in house.furniture:
+        _add_furniture(add, furniture)
     _add_decoration(add, house, np.random.default_rng([seed, 4]))
     for placed in house.objects:
         half = placed.size * (0.5, 0.5, 0)
@@ -96,7 +96,7 @@ def _add_walls(add, house: House) -> None:
         wall_with_doors(left - thick, right + thick, [room.door], *near, wall[room.door_side], tile)
 
 
-def _add_furniture(add, index: int, furniture: house_layout.Furniture) -> None:
+def _add_furniture(add, furniture: house_layout.Furniture) -> None:
     piece, (left, low), (right, up) = furniture.piece, furniture.lower, furniture.upper
     front, top = f"front:{piece.name}", f"top:{piece.name}"
     if piece.form == "table":

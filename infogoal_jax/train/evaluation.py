@@ -126,7 +126,7 @@ def near_and_far(env, first_reached: np.ndarray) -> dict[str, np.ndarray]:
     under `near_test_goal/success_rate` and `far_test_goal/success_rate`: the episodes of `test_goal/success_rate`,
     split by goal. Nothing where a task does not tell them apart, and no part without goals.
 
-    first_reached: int [..., M, S] of all evaluated goals, as in `settings.evaluate_settings`.
+    first_reached: int [..., M, S] of all evaluated goals, as in `evaluate_settings`.
     """
     if env.near_goals is None:
         return {}

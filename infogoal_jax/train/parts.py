@@ -114,8 +114,7 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
             f"hyper.{registered.kind}",
             type(given).__name__,
             f"{registered.kind} {registered.name_of(own)!r} needs {needed.__name__}; change fields of config.hyper, or "
-            "take "
-            "presets.default_hyperparameters",
+            "take presets.default_hyperparameters",
         )
     hyperparameters.check(hyper)
 

@@ -23,6 +23,7 @@ from infogoal_jax import pairs, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import InputSpec, conditioned
+from infogoal_jax.runs.checkpoint import is_key
 from infogoal_jax.threefry import written_out
 from infogoal_jax.train.evaluation import evaluate_settings
 from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
@@ -61,7 +62,7 @@ class Train:
     policy: Callable[..., Policy]
     """(params, hyper, env, use_mean=False) -> the policy of `rollout.trained_policy`."""
     evaluate: Callable[..., dict[str, jax.Array]]
-    """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `settings.evaluate_settings`."""
+    """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `evaluation.evaluate_settings`."""
     experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
     parts: Parts
 
@@ -72,7 +73,8 @@ class Train:
         env = self.env if env is None else env
         check_environment(self.config, env)
         require(
-            isinstance(key, jax.Array) and (key.shape == () or key.dtype == jnp.uint32),
+            isinstance(key, jax.Array)
+            and (key.shape == () if is_key(key) else key.dtype == jnp.uint32 and key.ndim == 1),
             "key",
             key,
             "give one key, such as jax.random.key(0); for several see jax.vmap",

@@ -18,7 +18,7 @@ also takes the codes `GoalCode` [E] of goals, in place of the goals."""
 
 
 def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mean: bool | jax.Array = False) -> Policy:
-    """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. IV), or its mean
+    """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. V-F), or its mean
     is used: in all episodes or, bool [E], in some."""
     see = encode_states(parts, params, env, parts.config.num_envs * parts.config.rollout_steps)
 

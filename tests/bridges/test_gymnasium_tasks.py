@@ -71,6 +71,20 @@ def test_rewards_are_those_that_hindsight_computes_and_the_goal_ends_the_episode
     assert np.array_equal(rooms.compute_reward(achieved, achieved, {}) == 0, something) and 0 < something.mean() < 1
 
 
+def test_a_question_of_the_test_is_rewarded_where_it_ends_the_episode():
+    """It is no goal that is known while training, and `goals_of` names none but those."""
+    env = TaskGymnasium(hand_made_frames.qa())
+    walk, goal = env.env, int(np.flatnonzero(env.env.goals.test_mask)[0])
+    seen, _ = env.reset(seed=0, options={"goal": goal})
+    distance, terminated = np.asarray(walk.distance)[int(walk.place[goal])], False
+    while not terminated:
+        assert not seen["achieved_goal"][goal]
+        nearer = distance[np.asarray(walk.next_node)[int(env.state.node)]].argmin()
+        seen, reward, terminated, truncated, info = env.step(nearer)
+        assert not truncated and reward == (0 if terminated else -1) and info["is_success"] == terminated
+    assert env.compute_terminated(seen["achieved_goal"], seen["desired_goal"], info)
+
+
 def test_goals_can_be_given_by_number_or_name_and_follow_the_seed(rooms):
     names = rooms.env.goals.names
     for goal in (5, names[5]):

@@ -17,7 +17,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
-from infogoal_jax.relabelling.her import HERConfig
+from infogoal_jax.relabelling.her import HERConfig, any_known
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import parts, sampling, update
 
@@ -68,6 +68,9 @@ def test_shares(rows):
     np.testing.assert_allclose((goal == 8).mean(), 0.3, atol=0.03)
     assert set(goal.tolist()) == {0, 8}
     assert set(relabelled(rows, HERConfig(future_share=0.0))[2].tolist()) == {0}
+    # Before anything is known goals stay: the last of all, which could be one of the test, would come up instead.
+    nothing, own = jnp.zeros(GOALS, bool), jnp.arange(5)
+    np.testing.assert_array_equal(any_known(jax.random.key(0), nothing, own), own)
 
 
 @pytest.mark.parametrize(("name", "config"), ALWAYS)

@@ -187,6 +187,16 @@ def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env
     np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)
 
 
+def test_a_reward_that_does_not_go_by_the_image_has_no_figure(sweep, env):
+    """InfoBot's goes by visits, or by what its episode saw first: the parameters know of neither."""
+    subject = read_subject(sweep.folder, env)
+    parts = subject.train.parts
+    learner = parts.learner._replace(intrinsic_reward=lambda state, encode, seen: (seen.mask + seen.first_seen, state))
+    train = dataclasses.replace(subject.train, parts=parts._replace(learner=learner))
+    subject, plan = dataclasses.replace(subject, train=train), house_figures.make_plan(env)
+    assert house_figures.intrinsic_reward(subject, plan, {}) is None
+
+
 def test_walks_are_those_of_the_last_evaluation(sweep, env):
     subject = read_subject(sweep.folder, env)
     first_reached = subject.evaluations.last()["first_reached"][0]

@@ -30,9 +30,7 @@ FINGER_SCALE = 0.05
 VISIT_CELL = 0.025
 """Side of the cells in which visits are counted, in m."""
 SPACING = 0.025
-"""Half of the distance at which a goal counts as reached, in m."""
-HIGHEST_GOAL = 0.45
-"""A goal in the air is at most this far above the table, in m."""
+"""Step of the grid of goals, in m: half of the distance at which a goal counts as reached."""
 COUNTS = {TRAIN: 8, VALIDATION: 8, TEST: 32}
 FARTHEST = 0.2
 """A validation or test goal is at most this far from a training goal, in m."""
@@ -229,7 +227,7 @@ def grid_of(task: Task) -> tuple[np.ndarray, tuple[int, int, int]]:
     if task.object_height is None:
         return low, (across, across, across)
     low[2] = task.object_height
-    return low, (across, across, round(HIGHEST_GOAL / SPACING) + 1 if task.goals_in_air else 1)
+    return low, (across, across, round(environment.HIGHEST_GOAL / SPACING) + 1 if task.goals_in_air else 1)
 
 
 def draw_goal(task: Task, generator: np.random.Generator) -> np.ndarray:
@@ -237,7 +235,7 @@ def draw_goal(task: Task, generator: np.random.Generator) -> np.ndarray:
     goal = np.array(task.start_grip) + generator.uniform(-task.goal_range, task.goal_range, 3)
     if task.object_height is not None:
         lifted = task.goals_in_air and generator.random() < 0.5
-        goal[2] = task.object_height + (generator.uniform(0, HIGHEST_GOAL) if lifted else 0)
+        goal[2] = task.object_height + (generator.uniform(0, environment.HIGHEST_GOAL) if lifted else 0)
     return goal
 
 

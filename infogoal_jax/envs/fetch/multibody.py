@@ -227,8 +227,7 @@ def summed(weights: np.ndarray, tree):
 
 def jumps_to_the_root(parents: np.ndarray) -> list[np.ndarray]:
     """Each body's ancestors 1, 2, 4, ... levels up, int [n], where n stands for the world as it does in `parents`:
-    products along them reach
-    from the root to every tip."""
+    products along them reach from the root to every tip."""
     size = len(parents)
     ancestor = np.array([*parents, size])
     jumps = []

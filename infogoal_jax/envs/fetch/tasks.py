@@ -209,7 +209,8 @@ class FetchConfig:
             self.goals == "positions" or config is None or config.known_goals != "train",
             "known_goals",
             "train",
-            "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited or all",
+            "what is achieved counts as a goal of the grid, and none of those is a training goal: give visited, "
+            "held_out or all",
         )
         require(
             self.ends_at_goal or self.goals == "positions",

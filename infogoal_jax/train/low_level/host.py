@@ -109,8 +109,7 @@ def bytes_with_usual(config: PretrainConfig, name: str, usual: Any) -> float:
 MILESTONES = (0.9, 0.95, 0.99)
 """Success rates of which it is recorded when a seed first had them."""
 CHOICE = (
-    "highest success on target states over fresh episodes: the low level's own task, no goal of the high level "
-    "is "
+    "highest success on target states over fresh episodes: the low level's own task, no goal of the high level is "
     "looked at"
 )
 

@@ -230,10 +230,8 @@ def load_joint_level(
         if (header.joints, header.moves) != (num_joints, num_moves):
             raise UserError(
                 f"low_level = {str(file)!r}: is of an arm with {header.joints} joints and {header.moves} moves, "
-                "the dataset's has "
-                f"{num_joints} and {num_moves}; train one with `infogoal pretrain {task} --env.dataset FILE`, give it "
-                "with "
-                "--agent.low-level"
+                f"the dataset's has {num_joints} and {num_moves}; train one with `infogoal pretrain {task} "
+                "--env.dataset FILE`, give it with --agent.low-level"
             )
         hidden, joints = header.hidden, jnp.zeros(num_joints)
         params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), joint_input(joints, joints))
@@ -249,8 +247,7 @@ def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple
     if not file.exists():
         raise UserError(
             f"low_level = {str(file)!r}: there is no such file; give one that `infogoal pretrain {task}` wrote, or "
-            "none at all for the "
-            "shipped one"
+            "none at all for the shipped one"
         )
     header, payload = checkpoint.read_header(file)
     about = decode(LowLevelHeader, header, Place(file, remedy=checkpoint.REMEDY))
