@@ -2,8 +2,8 @@
 update learns from.
 
 Half of them are chosen greedily for F(A) = F_div(A) + lambda F_prox(A). F_div (facility location) is high if the chosen
-goals cover those of all candidates; F_prox is high if they lie near the goals that were achieved. lambda grows with
-every update: first diverse goals, later goals nearly reached.
+goals cover those of all candidates; F_prox is high if they lie near the goals that were achieved. lambda grows with the
+updates, epoch by epoch: first diverse goals, later goals nearly reached.
 """
 
 import dataclasses
