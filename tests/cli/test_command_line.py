@@ -113,11 +113,20 @@ def test_a_mistake_is_named_with_its_value_and_the_remedy(arguments, expected, t
     assert not (tmp_path / "runs").exists()
 
 
-def test_an_unknown_flag_is_refused(capsys):
+@pytest.mark.parametrize(
+    ("arguments", "wrong", "command"),
+    [
+        ("train object_search --learner.windw 3", "--learner.window", "train object_search"),
+        ("evaluate run --starts", "--starts", "evaluate"),
+        ("data build cube", "PATH", "data build cube"),
+    ],
+)
+def test_an_unknown_flag_or_a_missing_value_names_the_help_of_the_command(arguments, wrong, command, capsys):
     with pytest.raises(SystemExit) as stopped:
-        main(["train", "object_search", "--learner.windw", "3"])
+        main(arguments.split())
     assert stopped.value.code == 2
-    assert "windw" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert wrong in printed and f" infogoal {command} --help " in printed
 
 
 def test_the_task_is_the_subcommand_and_no_flag(capsys):
