@@ -68,7 +68,8 @@ def draw_comparison(
     or a disk that refuses.
     """
     check_format(path)
-    require(0 < len(folders) <= len(COLOURS), "run", len(folders), f"give 1 to {len(COLOURS)} folders of runs")
+    given = tuple(map(str, folders))
+    require(0 < len(given) <= len(COLOURS), "runs", given, f"give 1 to {len(COLOURS)} folders of runs")
     compared = [read_compared(folder) for folder in folders]
     check_same_task([each.run for each in compared])
     for metric in metrics:
