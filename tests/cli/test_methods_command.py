@@ -235,6 +235,11 @@ def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     assert "mine" in train_flags(config)
 
 
+def test_goals_as_numbers_under_another_relabelling_are_changes_of_leo():
+    config = presets.load("object_search", learner="index", relabelling="her")
+    assert train_flags(config) == ["--method", "leo", "--relabelling", "her"]
+
+
 @pytest.mark.parametrize(
     ("own", "asked", "same"),
     [
