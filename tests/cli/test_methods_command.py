@@ -169,7 +169,7 @@ def test_positions_as_goals_are_refused_by_name():
 @pytest.mark.parametrize("name", list(learners.registry))
 def test_learners_said_to_have_no_loss_have_none(name):
     """A loss that looks at nothing is 0; one of its own cannot do without a batch."""
-    learner = make_learner(presets.load("object_search", name))
+    learner = make_learner(presets.load("object_search", learner=name))
     if has_own_loss(learner):
         with pytest.raises((AttributeError, TypeError)):
             learner.loss({}, (), None, NoHyperparameters(), None)
