@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from infogoal_jax.train.program import Train, TrainResult, make_train
     from infogoal_jax.train.rollout import rollout
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
+"""The only place of the version: pyproject.toml reads it. Without `.dev0` once CHANGELOG.md gives it a date."""
 __all__ = [
     "GoalView",
     "Hyperparameters",

@@ -41,8 +41,8 @@ class Hyperparameters:
     max_gradient_norm: Annotated[float, Number("(0, inf)")] = 10.0
     """Gradients are scaled down to this global norm."""
     learner_weight: Annotated[float, Number("[0, inf)", Search(0.01, 10.0, "log", is_term=True))] = 1.0
-    """Weight of the goal-representation loss beside the loss of the agent [A]; searched from where it acts
-    (docs/tuning.md)."""
+    """Weight of the goal-representation loss beside the loss of the agent [A]; searched from where it acts;
+    docs/tuning.md names the exceptions."""
     intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log", is_term=True))] = 5.0
     """Weight of the intrinsic reward: that of an episode spent at the mean distance from the goal, in successes; 0
     turns it off."""

@@ -1,4 +1,5 @@
-"""The one error a user is meant to read: what was given, why it cannot be used, and what would be right."""
+"""The one error a user is meant to read: what was given, why it cannot be used, and what would be right; and what it is
+worded with."""
 
 LONGEST = 200
 """Characters of a value in an error."""
@@ -18,6 +19,11 @@ def shown(value: object) -> str:
     """A value as it is written in Python, cut where it is long."""
     text = repr(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+def counted(count: int, noun: str) -> str:
+    """`1 error`, `2 errors`."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def nearest(name: str, known: list[str]) -> str:

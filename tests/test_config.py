@@ -43,6 +43,12 @@ def test_numbers_of_numpy_are_those_of_python():
     assert with_part("env", scenes=["Home_101_1"]).env.scenes == ("Home_101_1",)
 
 
+def of_goals(count: int):
+    """The hand-made rooms with so many names of goals."""
+    env = hand_made.environment()
+    return env.replace(goals=env.goals.replace(names=("a goal",) * count))
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -78,6 +84,7 @@ def test_numbers_of_numpy_are_those_of_python():
         (lambda: envs.load("object_search", ObjectSearchConfig(episode_length="x")), "env.episode_length = 'x'.*int"),
         (lambda: make_train("object_search"), "config = 'object_search': give a TrainConfig"),
         (lambda: make_train(CONFIG, 5), "env = 5: give an environment"),
+        (lambda: make_train(CONFIG, of_goals(8193)), "env.goals = 8193: give at most 8192"),
         (
             lambda: make_train(presets.load("embodied_qa"), hand_made.environment()),
             "env = 'ObjectSearch': is an environment of another task than embodied_qa",

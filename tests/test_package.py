@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+import infogoal_jax
+
 PACKAGE = ROOT / "infogoal_jax"
 LAYERS = (
     {
@@ -136,7 +138,7 @@ def folder(tmp_path_factory):
     run(folder, sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", ".", "./source")
     shutil.rmtree(source)
     run(folder, sys.executable, "-m", "venv", "env")
-    (wheel,) = folder.glob("*.whl")
+    (wheel,) = folder.glob(f"infogoal_jax-{infogoal_jax.__version__}-*.whl")
     run(folder, python(folder), "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", wheel)
     return folder
 

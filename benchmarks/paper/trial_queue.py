@@ -180,7 +180,8 @@ QUEUE = {
     "pick_and_place_infogoal_window_1": Trial(PICK_AND_PLACE, "infogoal", FETCH | WINDOW_1, FINER_THRESHOLDS),
     "reach_infogoal_her_window_1_relative": Trial(REACH, "infogoal+her", FETCH | RELATIVE | WINDOW_1, FINER_MARGINS),
     "reach_infogoal_her_window_1_thresholds": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, FINER_THRESHOLDS),
-    # GCB's loss was tuned to 0.0015 of the agent's on Reach, which is the agent alone.
+    # GCB's loss was tuned to 0.0015 of the agent's on Reach, where it makes 0.06 of the goal encoder's gradient: does
+    # more of it help?
     "reach_gcb": Trial(REACH, "gcb", FETCH, LEARNER_SHARES),
     "house_gcb": Trial(HOUSE_TASK, "gcb", HOUSE, LEARNER_SHARES),
     # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer, before it

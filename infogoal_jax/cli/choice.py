@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import shlex
 import typing
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
 import docstring_parser
@@ -76,13 +75,11 @@ def preset_of(task: str, choice: Parts) -> "TrainConfig":
     return presets.load(task, choice.method or "infogoal", **choice.names())
 
 
-def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
-    """The configuration of the run in this folder. Raises `UserError` if it is of another task or made of other parts
-    than those that are named."""
+def check_same_parts(config: "TrainConfig", task: str, choice: Parts) -> None:
+    """Raise `UserError` if the configuration of a run to resume is of another task or made of other parts than those
+    that are named."""
     from infogoal_jax import presets
-    from infogoal_jax.runs import configuration
 
-    config = configuration.read(Path(folder)).config
     if task not in ("", config.task):
         raise UserError(f"task = {task!r}: the run to resume is of task {config.task!r}")
     if choice.method is not None and not is_of_method(config, choice.method):
@@ -95,7 +92,6 @@ def config_of_run(folder: str, task: str, choice: Parts) -> "TrainConfig":
             raise UserError(
                 f"{kind} = {name!r}: the run to resume has {presets.names_of(config)[kind]!r}; leave the flag out"
             )
-    return config
 
 
 def is_of_method(config: "TrainConfig", method: str) -> bool:

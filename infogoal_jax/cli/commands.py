@@ -64,15 +64,19 @@ def check_names(group: Group, arguments: list[str], path: str = "") -> None:
         check_names(command, arguments[1:], f"{path}{name} ")
 
 
+def help_of(command: "Command | Group") -> str | None:
+    """What stands above the help of a command or a group; None: the docstring of the command's function."""
+    if isinstance(command, Group):
+        return command.help
+    return command.__doc__ if isinstance(command, functools.partial) else None
+
+
 def type_of(group: Group) -> Any:
     """The group as a type that tyro parses: a union with a subcommand for each command."""
     arms = [NOTHING]
     for name, command in group.commands.items():
-        if isinstance(command, Group):
-            described = tyro.conf.subcommand(name, constructor=type_of(command), description=command.help)
-        else:
-            help = command.__doc__ if isinstance(command, functools.partial) else None
-            described = tyro.conf.subcommand(name, constructor=command, description=help)
+        constructor = type_of(command) if isinstance(command, Group) else command
+        described = tyro.conf.subcommand(name, constructor=constructor, description=help_of(command))
         arms.append(Annotated[Any, described])
     return Union[(*arms,)]
 

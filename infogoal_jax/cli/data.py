@@ -11,7 +11,7 @@ from pathlib import Path
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, check_seed, empty_folder
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, counted, require
 
 
 def house(path: Positional[str], seed: int = 0) -> int:
@@ -181,7 +181,7 @@ def check(path: Positional[str]) -> int:
     for finding in findings:
         print(f"{finding.severity:8s} {finding.where}: {finding.problem}")
     errors = sum(finding.severity == "error" for finding in findings)
-    print(f"{path}: {errors} errors, {len(findings) - errors} warnings")
+    print(f"{path}: {counted(errors, 'error')}, {counted(len(findings) - errors, 'warning')}")
     if is_file and not errors:
         from infogoal_jax.data import frames
 
@@ -277,7 +277,7 @@ def embed(
     alone = locked(path.parent / f".{path.name}.lock", path) if path.parent.is_dir() else contextlib.nullcontext()
     with alone:
         embeddings = embed_file(texts, out, weights or None, allow_other_weights)
-    print(f"{out}: {len(embeddings.texts)} texts")
+    print(f"{out}: {counted(len(embeddings.texts), 'text')}")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
 from infogoal_jax.cli.commands import check_seed, empty_folder, new_folder
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, counted, require
 
 CHECKS = """Before the propellers turn:
   1. Guards on the propellers, nobody within 2 m of the drone and the shelf, no children or animals in the room.
@@ -185,7 +185,7 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported,
     shelf_seed = exported.about["generator_seed"] if exported is not None else 0
     settings = Settings(**{name: value for name, value in vars(drone).items() if name != "yes"}, shelf_seed=shelf_seed)
     outcome = run_mission(folder, flown, target, settings, record, origin, confirm)
-    print(f"ended       {outcome.reason}, after {outcome.steps} moves")
+    print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
     print(f"log         {folder / 'flight.jsonl'}; `infogoal report {folder}` draws it")
     if not outcome.landed:
         print(

@@ -7,7 +7,7 @@ import tyro
 
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
-from infogoal_jax.cli.commands import Group, check_names, type_of
+from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.reproduce import REPRODUCE, check_flags
@@ -51,21 +51,23 @@ def run(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         print(infogoal_jax.__version__)
         return 0
-    arguments, commands, registry = arguments or ["--help"], COMMANDS.commands, None
+    arguments, command, registry = arguments or ["--help"], COMMANDS, None
     check_names(COMMANDS, arguments)
-    if arguments[0] in commands:
-        name = arguments[0]
-        commands = {name: commands[name]}  # So that what is said about a mistake is about this command.
-        if name == "reproduce":
-            check_flags(arguments)
-        if name in BY_TASK:
-            commands[name], rest, registry = BY_TASK[name](arguments[1:])
-            check_names(commands[name], rest, f"{name} ")
-            arguments = [name, *rest]
+    words = ["infogoal"]
+    if arguments[0] == "reproduce":
+        check_flags(arguments)
+    if arguments[0] in BY_TASK:
+        words.append(arguments[0])
+        command, arguments, registry = BY_TASK[arguments[0]](arguments[1:])
+        check_names(command, arguments, f"{words[-1]} ")
+    while isinstance(command, Group) and first_word(arguments) in command.commands:
+        word, *arguments = arguments
+        words.append(word)
+        command = command.commands[word]
     return tyro.cli(
-        type_of(Group(HELP, commands)),
-        prog="infogoal",
-        description=HELP,
+        type_of(command) if isinstance(command, Group) else command,
+        prog=" ".join(words),  # All of them, so that what is said about a mistake names this command's help.
+        description=help_of(command),
         args=arguments,
         registry=registry,
         config=(tyro.conf.PositionalMetavarFromFieldName,),

@@ -7,7 +7,7 @@ from typing import Literal
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import check_seed
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, counted, require
 
 
 def evaluate(
@@ -149,8 +149,10 @@ def video(
         height: Pixels; the width is 4/3 of it.
     """
     from infogoal_jax.envs.fetch.tasks import TASKS
+    from infogoal_jax.report.video import check_path, episode_video, random_policy
     from infogoal_jax.train.compilation import use_compilation_cache
 
+    check_path(out, "out")
     check_seed(seed)
     require(0 < episodes <= 1000, "episodes", episodes, "give 1 to 1000")
     require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
@@ -164,8 +166,8 @@ def video(
         reached = policy_video(run, out, episodes, seed, corruption, size)
         words = f"corrupted with weight {corruption:g}" if corruption else "clean"
         print(
-            f"{out}: {len(reached)} episodes of the policy of seed {run.params_seed} on test goals, {words}; "
-            f"{sum(reached)} reach the goal"
+            f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed} on test goals, "
+            f"{words}; the goal is reached in {sum(reached)}"
         )
         return 0
     if corruption:
@@ -176,10 +178,9 @@ def video(
 
     from infogoal_jax.envs.fetch.environment import make
     from infogoal_jax.envs.fetch.tasks import FetchConfig
-    from infogoal_jax.report.video import episode_video, random_policy
 
     env = make(subject, FetchConfig(ends_at_goal=False))
     last = episode_video(env, random_policy, jax.random.key(seed), out, episodes, size)
     at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
-    print(f"{out}: {episodes} episodes of a random policy, {at_goal} end at the goal")
+    print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {at_goal}")
     return 0

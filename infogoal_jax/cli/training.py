@@ -12,7 +12,7 @@ from infogoal_jax.cli.choice import (
     Name,
     Parts,
     all_tasks,
-    config_of_run,
+    check_same_parts,
     configuration_flags,
     of_task,
     preset_of,
@@ -150,8 +150,13 @@ def tasks(arguments: list[str]) -> TaskCommands:
     task, choice = read_choice(arguments, "infogoal train")
     if not task and choice.resume in (None, "", AUTO):
         return all_tasks(train, HELP, arguments, choice)
-    of_run = choice.resume not in (None, "", AUTO)
-    config = config_of_run(choice.resume, task, choice) if of_run else preset_of(task, choice)
+    if choice.resume in (None, "", AUTO):
+        config = preset_of(task, choice)
+    else:
+        from infogoal_jax.runs import configuration
+
+        config = configuration.read(Path(choice.resume)).config
+        check_same_parts(config, task, choice)
     return of_task(train, config, choice, arguments if task else [config.task, *arguments])
 
 

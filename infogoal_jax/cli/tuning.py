@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.choice import all_tasks, config_of_run, of_task, preset_of, read_choice
+from infogoal_jax.cli.choice import all_tasks, check_same_parts, of_task, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands, check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require
 
@@ -71,9 +71,15 @@ def tasks(arguments: list[str]) -> TaskCommands:
     task, choice = read_choice(arguments, "infogoal tune")
     if not task and not choice.resume:
         return all_tasks(tune, HELP, arguments, choice)
-    from infogoal_jax.train.tune import same_budget
+    if choice.resume:
+        from infogoal_jax.runs.search import read_plan
 
-    config = config_of_run(choice.resume, task, choice) if choice.resume else same_budget(preset_of(task, choice))
+        config = read_plan(Path(choice.resume))[0].config
+        check_same_parts(config, task, choice)
+    else:
+        from infogoal_jax.train.tune import same_budget
+
+        config = same_budget(preset_of(task, choice))
     return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
 
 

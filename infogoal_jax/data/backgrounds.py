@@ -29,6 +29,7 @@ CIFAR10_SHA256 = "c4a38c50a1bc5f3a1c5537f2155ab9d68f9f25eb1ed8d9ddda3db29a59bca1
 CIFAR10_FOLDER = "cifar-10-batches-bin"
 TRAIN_BATCHES = tuple(f"data_batch_{number}.bin" for number in range(1, 6))
 TEST_BATCHES = ("test_batch.bin",)
+REMEDY = "give a folder of images or of CIFAR-10's binary version; without one, shipped photographs are taken"
 RECORD = 1 + 3 * CROP_SIZE * CROP_SIZE  # Bytes: a label, then the red, the green and the blue plane.
 
 
@@ -74,12 +75,10 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
 
 def _read_folder(folder: Path, count: int) -> Backgrounds:
     """Whichever kind of backgrounds the folder holds."""
-    require(folder.exists(), "backgrounds", str(folder), "there is no such folder")
+    require(folder.exists(), "backgrounds", str(folder), f"there is no such folder; {REMEDY}")
     require(folder.is_dir(), "backgrounds", str(folder), "is a file; give the folder that holds it")
     names = sorted(entry.name for entry in folder.iterdir())
-    require(
-        len(names) > 0, "backgrounds", str(folder), "is empty; give a folder of images or of CIFAR-10's binary version"
-    )
+    require(len(names) > 0, "backgrounds", str(folder), f"is empty; {REMEDY}")
     if CIFAR10_FOLDER in names:
         return _read_cifar10(folder / CIFAR10_FOLDER, count)
     if set(names) & {*TRAIN_BATCHES, *TEST_BATCHES}:

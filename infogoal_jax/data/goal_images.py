@@ -16,12 +16,12 @@ import numpy as np
 
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.goal_uses import MOST_GOALS
 
 IMAGE_SHAPE = (64, 64, 3)
 USES = ("grid", "train", "validation", "test")
 """What an image is for; `GoalImages.uses` holds indices into this."""
 GRID, TRAIN, VALIDATION, TEST = range(4)
-MOST_IMAGES = 8192
 GRID_TOLERANCE = 1e-4
 """Positions of the grid may be off by this much, in m."""
 FIELDS = ("task", "about", "spacing", "grid_low", "grid_shape", "uses", "positions", "images")
@@ -119,7 +119,7 @@ def check_images(images) -> None:
     images = np.asarray(images)
     fits = images.dtype == np.uint8 and images.ndim == 4 and images.shape[1:] == IMAGE_SHAPE
     require(fits, "images", f"{images.dtype} {images.shape}", "give RGB images of 64 x 64, uint8 [N, 64, 64, 3]")
-    require(len(images) <= MOST_IMAGES, "images", len(images), f"give at most {MOST_IMAGES}; use a wider grid")
+    require(len(images) <= MOST_GOALS, "images", len(images), f"give at most {MOST_GOALS}; use a wider grid")
 
 
 def check_numbers(field: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -181,13 +181,13 @@ def read_fields(archive: archives.Archive, task: str) -> dict:
     fields = {}
     missing = [field for field in FIELDS if field not in archive.sizes]
     require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
-    largest = MOST_IMAGES * math.prod(IMAGE_SHAPE) + 4096
+    largest = MOST_GOALS * math.prod(IMAGE_SHAPE) + 4096
     longest = max(archive.sizes.values())
     require(
         longest <= largest,
         "arrays",
         f"one of {longest} bytes",
-        f"give at most {MOST_IMAGES} images, uint8 [N, 64, 64, 3]",
+        f"give at most {MOST_GOALS} images, uint8 [N, 64, 64, 3]",
     )
     for field in FIELDS:
         fields[field] = archives.member(archive, field, REMEDY)

@@ -43,8 +43,8 @@ class Environment:
     """
 
     goals: GoalSet | None
-    """The finite goal space. A goal is an int32 index into it. None: goals are not a finite set; such a task can be
-    stepped, but not trained on."""
+    """The finite goal space, of at most `goal_uses.MOST_GOALS`. A goal is an int32 index into it. None: goals are not a
+    finite set; such a task can be stepped, but not trained on."""
     action_size: int
     """Number of actions, or the size of an action vector."""
     episode_length: int

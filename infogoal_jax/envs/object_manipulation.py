@@ -19,15 +19,13 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
-from infogoal_jax.goal_uses import NO_USE, USES
+from infogoal_jax.goal_uses import MOST_GOALS, NO_USE, USES
 from infogoal_jax.goals import GoalSet
 
 REACHED = np.deg2rad(10.0)
 """Largest angle between the pose and the goal at which the goal is reached, in radians [P]."""
 FARTHEST_TEST = np.deg2rad(90.0)
 """Largest angle between a test pose and the nearest training pose, in radians [P]."""
-MOST_GOALS = 8192
-"""Largest number of orientations: the dissimilarity matrix grows with its square."""
 
 
 @dataclasses.dataclass(frozen=True)

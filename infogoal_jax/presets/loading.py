@@ -50,6 +50,8 @@ AGENT_FIELDS = {
 def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
     require(isinstance(name, str), "method", name, f"give the name of a method. Known: {', '.join(METHODS)}")
+    leo = METHODS["leo"].learner
+    require(name != leo, "method", name, f"is a learner alone; give leo, or --learner {leo} with another relabelling")
     if name in learners.registry:
         return Method(name)  # One that was registered after this module was imported, too.
     require(
@@ -204,7 +206,8 @@ def changed_flags(config: Any, default: Any, prefix: str = "") -> list[str]:
 def train_flags(config: TrainConfig) -> list[str]:
     """What follows `infogoal train TASK` for this configuration: the inverse of `load`."""
     names, name = names_of(config), name_of(config)
-    method = name if name in METHODS else names["learner"]
+    alone = "leo" if names["learner"] == METHODS["leo"].learner else names["learner"]
+    method = name if name in METHODS else alone
     default, flags = names_of(load(config.task, method)), ["--method", method]
     for kind, own in names.items():
         flags += [f"--{kind}", own] if own != default[kind] else []

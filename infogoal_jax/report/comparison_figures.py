@@ -32,6 +32,7 @@ from infogoal_jax.report.figures import (
     success_within,
 )
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, table_of
+from infogoal_jax.runs.folder import PREFIX
 from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
@@ -68,7 +69,8 @@ def draw_comparison(
     or a disk that refuses.
     """
     check_format(path)
-    require(0 < len(folders) <= len(COLOURS), "run", len(folders), f"give 1 to {len(COLOURS)} folders of runs")
+    given = tuple(map(str, folders))
+    require(0 < len(given) <= len(COLOURS), "runs", given, f"give 1 to {len(COLOURS)} folders of runs")
     compared = [read_compared(folder) for folder in folders]
     check_same_task([each.run for each in compared])
     for metric in metrics:
@@ -85,9 +87,7 @@ def read_compared(folder: Path) -> Compared:
     folder = run.folder
     diverged = diverged_seeds(folder)
     evaluations = table_of(folder, "evaluations", diverged)
-    require(
-        bool(evaluations.values), "run", str(folder), "has no evaluation of a seed that did not diverge; leave it out"
-    )
+    require(bool(evaluations.values), "run", run.name, "has no evaluation of a seed that did not diverge; leave it out")
     return Compared(run, evaluations, table_of(folder, "epochs", diverged), diverged)
 
 
@@ -116,26 +116,26 @@ def check_same_task(runs: list[Run]) -> None:
         require(
             run.config.task == first.config.task,
             "run",
-            str(run.folder),
-            f"is of task {run.config.task}, and {first.folder} of {first.config.task}; give runs of one task",
+            run.name,
+            f"is of task {run.config.task}, and {first.name} of {first.config.task}; give runs of one task",
         )
         for field in dataclasses.fields(first.config.env):
             own, other = (getattr(each.config.env, field.name) for each in (run, first))
             require(
                 own == other,
                 "run",
-                str(run.folder),
-                f"has env.{field.name} = {own!r}, and {first.folder} {other!r}; give runs of the same settings of the "
+                run.name,
+                f"has env.{field.name} = {own!r}, and {first.name} {other!r}; give runs of the same settings of the "
                 "task",
             )
 
 
 def titles_of(runs: list[Run]) -> list[str]:
-    """The names of the runs' methods; with the folder's name where two are of the same."""
+    """The names of the runs' methods; where two are of the same, with the name of the folder or the file, or that of a
+    shipped policy."""
     names = [presets.name_of(run.config) for run in runs]
-    return [
-        name if names.count(name) == 1 else f"{name} ({run.folder.name})" for name, run in zip(names, runs, strict=True)
-    ]
+    own = [run.name if run.name.startswith(PREFIX) else Path(run.name).name for run in runs]
+    return [name if names.count(name) == 1 else f"{name} ({place})" for name, place in zip(names, own, strict=True)]
 
 
 def small_print(compared: list[Compared], titles: list[str], *more: str) -> tuple[str, ...]:

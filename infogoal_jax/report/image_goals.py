@@ -116,15 +116,13 @@ def policy_video(
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
     if not has_image_goals(env):
         raise UserError(
-            f"run = {str(subject.run.folder)!r}: is of {subject.run.config.task}; videos are of tasks with image goals"
+            f"run = {subject.run.name!r}: is of {subject.run.config.task}; videos are of tasks with image goals"
         )
     if subject.params is None:
-        raise UserError(
-            f"run = {str(subject.run.folder)!r}: holds no parameters yet, or every seed diverged; train it first"
-        )
+        raise UserError(f"run = {subject.run.name!r}: holds no parameters yet, or every seed diverged; train it first")
     if "test" not in env.goals.groups:
         raise UserError(
-            f"run = {str(subject.run.folder)!r}: its goal images have no test goals to show; give others with "
+            f"run = {subject.run.name!r}: its goal images have no test goals to show; give others with "
             "--env.goal-images"
         )
     which = np.resize(

@@ -22,9 +22,11 @@ from infogoal_jax.train.rollout import Policy
 
 @dataclasses.dataclass(frozen=True)
 class Run(Description):
-    """A run in its folder: what its config.json says, its environment and its policies."""
+    """A run in its folder: what its config.json says, its environment and its policies. name: what it was asked for by,
+    its folder, its packed file or `shipped/NAME`; the folder of the last two is in the user's cache."""
 
     folder: Path
+    name: str
 
     @functools.cached_property
     def train(self) -> Train:
@@ -65,8 +67,8 @@ def load_run(folder: str | Path) -> Run:
 
     Raises `UserError` if there is none, or its config.json cannot be read.
     """
-    folder = find_run(folder)
-    return Run(**vars(configuration.read(folder)), folder=folder)
+    found = find_run(folder)
+    return Run(**vars(configuration.read(found)), folder=found, name=str(folder))
 
 
 def read_params(run: Run, train: Train) -> dict[str, Any]:

@@ -162,11 +162,11 @@ def evaluate_run(
 ) -> dict[str, np.ndarray]:
     """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
 
-    starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: share of random
-    actions, negative for the run's own; corruption: weight of the backgrounds of corrupted goals, None for the run's
-    own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge. Raises
-    `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or damaged
-    parameters.
+    starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: probability of a
+    random action, negative for the run's own; corruption: weight of the backgrounds of corrupted goals, None for the
+    run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
+    Raises `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or
+    damaged parameters.
     """
     require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
     require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
@@ -174,7 +174,7 @@ def evaluate_run(
         test_epsilon <= 1,
         "test_epsilon",
         test_epsilon,
-        "give a share from 0 to 1, or a negative number for the run's own",
+        "give a probability from 0 to 1, or a negative number for the run's own",
     )
     require(
         corruption is None or 0 <= corruption <= 1,

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.loading import train_flags
 from infogoal_jax.runs.configuration import Description
@@ -80,7 +81,7 @@ def command_of(result: TuneResult) -> str:
 def watching(config: TrainConfig, trials: int, seeds: int, folder: Path, command: str = "tune") -> Iterator[Watch]:
     """What accompanies a search: files after each evaluation, and a line of progress. command: of the command line that
     goes on with it."""
-    words = f"{config.task} {presets.name_of(config)}: {trials} trials x {seeds} seeds"
+    words = f"{config.task} {presets.name_of(config)}: {counted(trials, 'trial')} x {counted(seeds, 'seed')}"
     with progress_line(words, config.num_epochs) as line:
 
         def evaluated(result: TuneResult) -> None:
@@ -104,9 +105,8 @@ def print_result(result: TuneResult) -> None:
         table.add_row(name, f"{trial.score:.2f}{lost}", *(f"{value:.4g}" for value in trial.values.values()))
     console.print(table)
     lines = [
-        f"scores      success on {GROUPS[result.group]}, mean of {len(result.seeds)} seeds ({result.seeds[0]} to "
-        f"{result.seeds[-1]}), "
-        f"after epoch {result.epochs[-1]}",
+        f"scores      success on {GROUPS[result.group]}, mean of {counted(len(result.seeds), 'seed')} "
+        f"({result.seeds[0]} to {result.seeds[-1]}), after epoch {result.epochs[-1]}",
         f"data        {result.about.data}",
         f"time        {result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running",
         f"best        {command_of(result)}",

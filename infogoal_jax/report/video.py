@@ -70,9 +70,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
     25 frames a second are a Fetch task's own time. Raises `UserError` where the folder is missing, the ending is
     another, no frames are given, or the disk refuses.
     """
-    path = Path(path)
-    require(path.suffix in ENDINGS, "path", str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
-    require(path.parent.is_dir(), "path", str(path), "its folder is not there; make it first, or give another")
+    path = check_path(path)
     require(fps > 0, "fps", fps, "give a number greater than 0")
     beside = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     writer, count = None, 0
@@ -86,18 +84,23 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
                 count += 1
             require(writer is not None, "frames", "none", "give at least one")
             writer.release()
-            require(  # OpenCV's writer says nothing of a full disk.
-                path.suffix == ".gif" or frames_in(beside) == count,
-                "path",
-                str(path),
-                "could not be written to its end; free some space, or choose another folder",
-            )
+            if path.suffix != ".gif" and frames_in(beside) != count:  # OpenCV's writer says nothing of a full disk.
+                raise UserError(f"{path}: could not be written to its end; free some space, or choose another folder")
             os.replace(beside, path)
         except OSError as error:
             raise disk_error(path, error) from error
         finally:
             if isinstance(writer, cv2.VideoWriter):
                 writer.release()
+
+
+def check_path(path: str | Path, field: str = "path") -> Path:
+    """The path. Raises `UserError`, naming the field, if its ending is not that of a video, or its folder is not
+    there."""
+    path = Path(path)
+    require(path.suffix in ENDINGS, field, str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
+    require(path.parent.is_dir(), field, str(path), "its folder is not there; make it first, or give another")
+    return path
 
 
 def of_one_size(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:

@@ -69,7 +69,7 @@ class Asked:
         require(bool(runs), self.name, "", "these tasks, methods, variants and sets have no run in it; name others")
         if self.known is None:
             return runs
-        known = numbers.load(self.known)
+        known = numbers.load(self.known, "known")
         return [
             run for run in runs if not numbers.holds(known, run, config_of(run, self.goal_images), measured=self.retry)
         ]
@@ -106,7 +106,7 @@ def reproduce(asked: Asked) -> int:
     kinds = {state.kind for state in states.values()}
     if asked.draw and "left" not in kinds and kinds & {"done", "not measured"}:
         if deadline - time.time() > DRAWING:
-            known = {} if asked.known is None else numbers.load(asked.known)
+            known = {} if asked.known is None else numbers.load(asked.known, "known")
             draw(asked, known | numbers.of_folder(asked.out / "runs"))
         else:
             print("no time was left to draw; the same command draws")
@@ -116,7 +116,7 @@ def reproduce(asked: Asked) -> int:
 def check_size(asked: Asked) -> None:
     """Raise `UserError` where the folder, or the known numbers, hold runs at toy size and runs of full size are asked
     for, or the other way round: they would be drawn in one table."""
-    known = [] if asked.known is None else [run.name for run in numbers.load(asked.known)]
+    known = [] if asked.known is None else [run.name for run in numbers.load(asked.known, "known")]
     for flag, folder, names in (
         ("out", asked.out, (path.name.partition(".")[0] for path in (asked.out / "runs").rglob("seeds_*"))),
         ("known", asked.known, known),

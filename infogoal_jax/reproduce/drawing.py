@@ -136,7 +136,8 @@ def verdict_table(found: list) -> Table:
 def report(shown: list[Table], found: list, pictures: list[Path], path: Path) -> str:
     """The page of verdicts, as Markdown. pictures: the figures; path: of the page."""
     counts = [finding.verdict for _, finding in found]
-    kinds = ", ".join(f"{counts.count(kind)} {kind}" for kind in ("holds", "fails", "cannot be told"))
+    words = {"holds": ("holds", "hold"), "fails": ("fails", "fail"), "cannot be told": ("cannot be told",) * 2}
+    kinds = ", ".join(f"{counts.count(kind)} {forms[counts.count(kind) != 1]}" for kind, forms in words.items())
     lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", "", markdown(verdict_table(found))]
     for table in shown:
         lines += [f"## {table.title}", "", markdown(table)]

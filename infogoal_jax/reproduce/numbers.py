@@ -57,10 +57,11 @@ def is_study(path: Path) -> bool:
     return path.stem in HOMES
 
 
-def load(folder: Path) -> Results:
-    """The runs of the compact numbers in this folder. Raises `UserError` if there are none, or for a damaged file."""
+def load(folder: Path, field: str = "from") -> Results:
+    """The runs of the compact numbers in this folder. Raises `UserError`, naming the field, if there are none, or for a
+    damaged file."""
     paths = [folder / f"{home}.npz" for home in HOMES if (folder / f"{home}.npz").exists()]
-    require(bool(paths), "from", str(folder), f"holds no {', '.join(f'{home}.npz' for home in HOMES)}; {REMEDY}")
+    require(bool(paths), field, str(folder), f"holds no {', '.join(f'{home}.npz' for home in HOMES)}; {REMEDY}")
     found: Results = {}
     for path in paths:
         with archives.naming("numbers", path, REMEDY):
@@ -75,7 +76,7 @@ def load(folder: Path) -> Results:
                     }
                     result = files.unpacked(own | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
                     found[result.run] = result
-    return of_one_size(found, "from", str(folder))
+    return of_one_size(found, field, str(folder))
 
 
 def holds(results: Results, run: Run, config: TrainConfig, measured: bool = False) -> bool:
@@ -123,11 +124,11 @@ def save(results: Results, folder: Path) -> list[Path]:
 def merged(folders: list[Path], into: Path) -> Results:
     """The runs of the compact numbers in `into`, with those of these folders, of which the last one counts. Raises
     `UserError` for a folder that is missing or holds neither runs nor numbers."""
-    found = load(into) if any((into / f"{home}.npz").exists() for home in HOMES) else {}
+    found = load(into, "into") if any((into / f"{home}.npz").exists() for home in HOMES) else {}
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
-        new = load(folder) if any((folder / f"{home}.npz").exists() for home in HOMES) else of_folder(folder)
+        new = load(folder, "folders") if any((folder / f"{home}.npz").exists() for home in HOMES) else of_folder(folder)
         require(bool(new), "folders", str(folder), "holds no finished run")
         found = of_one_size(found | new, "folders", str(folder))
     return found

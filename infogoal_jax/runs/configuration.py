@@ -18,6 +18,7 @@ from infogoal_jax.runs import disk
 from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
 
 NAME = "config.json"
+GIVE_A_RUN = "give the folder of a run of `infogoal train`"
 MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
@@ -140,13 +141,13 @@ def write(folder: Path, description: Description, **more: Any) -> None:
     disk.write_json(folder / NAME, description.values() | more, indent=2)
 
 
-def read(folder: Path) -> Description:
-    """The description of the run in this folder. Raises `UserError` if there is none, or it is not one."""
-    place = Place(folder / NAME)
-    missing = f"run = {str(folder)!r}: holds no config.json; give the folder of a run of `infogoal train`"
+def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Description:
+    """The description of the run in this folder. Raises `UserError`, naming the field and what to give, if there is
+    none, or it is not one."""
+    place, given = Place(folder / NAME), f"{field} = {str(folder)!r}"
     if folder.exists() and not folder.is_dir():
-        raise UserError(f"run = {str(folder)!r}: could not be read (Not a directory); give the folder of a run")
-    return from_values(parse(read_bytes(place, missing), place), place)
+        raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
+    return from_values(parse(read_bytes(place, f"{given}: holds no config.json; {remedy}"), place), place)
 
 
 def from_values(values: Any, place: Place) -> Description:

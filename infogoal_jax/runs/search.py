@@ -18,6 +18,8 @@ from infogoal_jax.runs import configuration, disk
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.disk import Place, decode, parse, parse_lines, read_bytes
 
+GIVE_A_SEARCH = "give the folder of an `infogoal tune` or `infogoal final`"
+
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
@@ -133,12 +135,10 @@ def write_plan(folder: Path, about: Description, plan: Plan) -> None:
 
 def read_plan(folder: Path) -> tuple[Description, Plan]:
     """What a search is of and was to run. Raises `UserError` for a folder that holds none."""
-    about, place = configuration.read(folder), Place(folder / configuration.NAME)
+    about, place = configuration.read(folder, "search", GIVE_A_SEARCH), Place(folder / configuration.NAME)
     values = parse(read_bytes(place, f"{place.path}: not there"), place)
     if "drawn" not in values:
-        raise UserError(
-            f"search = {str(folder)!r}: is not of a search; give a folder of `infogoal tune` or `infogoal final`"
-        )
+        raise UserError(f"search = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
     plan = decode(Plan, values, place)
     check_alike(plan.drawn, place)
     return about, plan
@@ -159,7 +159,7 @@ def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
         f"search = {str(folder)!r}: holds no trials.jsonl; give the folder of a search, the --out of an `infogoal "
         "tune`",
     )
-    about = configuration.read(folder)
+    about = configuration.read(folder, "search", GIVE_A_SEARCH)
     lines = [decode(TrialLine, values, at) for at, values in parse_lines(content, place)]
     numbers = [line.trial for line in lines]
     if not lines or numbers != list(range(len(lines))):

@@ -16,6 +16,7 @@ from infogoal_jax.envs import target_states
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
+from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.learners.learner import Learner, View
 from infogoal_jax.relabelling.relabelling import Relabelling
@@ -96,8 +97,16 @@ def load_environment(config: TrainConfig, env: Any = None):
 
 
 def check_environment(config: TrainConfig, env: Any) -> None:
-    """Raise `UserError` for what is no environment, or one of another task than the configuration."""
+    """Raise `UserError` for what is no environment, one of another task than the configuration, or one of too many
+    goals."""
     require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    count = 0 if env.goals is None else env.goals.num_goals
+    require(
+        count <= MOST_GOALS,
+        "env.goals",
+        count,
+        f"give at most {MOST_GOALS}: the dissimilarity matrix takes as many bytes a seed as there are pairs of goals",
+    )
     check_same_task(config, env)
 
 

@@ -169,7 +169,7 @@ def test_positions_as_goals_are_refused_by_name():
 @pytest.mark.parametrize("name", list(learners.registry))
 def test_learners_said_to_have_no_loss_have_none(name):
     """A loss that looks at nothing is 0; one of its own cannot do without a batch."""
-    learner = make_learner(presets.load("object_search", name))
+    learner = make_learner(presets.load("object_search", learner=name))
     if has_own_loss(learner):
         with pytest.raises((AttributeError, TypeError)):
             learner.loss({}, (), None, NoHyperparameters(), None)
@@ -233,6 +233,11 @@ def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
     assert presets.names_of(config)["learner"] == presets.name_of(config) == "mine"
     assert from_dict(json.loads(json.dumps(to_dict(config)))) == config
     assert "mine" in train_flags(config)
+
+
+def test_goals_as_numbers_under_another_relabelling_are_changes_of_leo():
+    config = presets.load("object_search", learner="index", relabelling="her")
+    assert train_flags(config) == ["--method", "leo", "--relabelling", "her"]
 
 
 @pytest.mark.parametrize(

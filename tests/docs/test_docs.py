@@ -218,9 +218,14 @@ def test_the_api_has_everything_that_the_package_exports():
     assert set(infogoal_jax.__all__) - {"envs", "presets"} <= named
 
 
-def test_the_citation_names_this_version_and_the_paper():
+def test_the_changelog_begins_with_this_version():
+    first = re.search("^## (.*)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1]
+    version, dot, _ = infogoal_jax.__version__.partition(".dev")
+    assert first == f"{version}, unreleased" if dot else re.fullmatch(rf"{version}, \d{{4}}-\d\d-\d\d", first)
+
+
+def test_the_citation_names_the_paper():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
-    assert citation["version"] == infogoal_jax.__version__
     assert citation["preferred-citation"]["title"] in (ROOT / "README.md").read_text()
 
 

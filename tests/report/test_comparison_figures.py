@@ -21,7 +21,9 @@ from infogoal_jax.report.comparison_figures import (
     draw_comparison,
     metrics_while_training,
     read_compared,
+    titles_of,
 )
+from infogoal_jax.report.runs import load_run
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.configuration import to_dict
@@ -222,6 +224,15 @@ def test_command(folders, tmp_path, capsys):
     assert "holds no config.json" in capsys.readouterr().err
     assert main(["compare", "--out", str(tmp_path / "a.png")]) == 2
     assert "give 1 to 12 folders of runs" in capsys.readouterr().err
+
+
+def test_a_shipped_policy_is_called_by_its_name_and_not_by_its_place_in_the_cache(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    names = ["shipped/fetch_reach", "shipped/object_search"]
+    assert main(["compare", *names, "--out", str(tmp_path / "a.png")]) == 2
+    refusal = "run = 'shipped/object_search': is of task object_search, and shipped/fetch_reach of fetch_reach; give"
+    assert refusal in capsys.readouterr().err
+    assert titles_of([load_run(names[0]), load_run(names[0])])[0].endswith(" (shipped/fetch_reach)")
 
 
 def test_command_draws(tmp_path, capsys):
