@@ -262,6 +262,7 @@ def on_page(results: Results) -> dict[str, str]:
     found = {
         task: "\n\n".join(shown[name] for name in (f"{NAME}_{task}", f"{NAME}_{task}_differences") if name in shown)
         for task in AGENTS
+        if f"{NAME}_{task}" in shown
     }
     return found | {"costs": shown[f"{NAME}_costs"], "figure": f"![success on test goals](results/{NAME}.png)"}
 
