@@ -78,6 +78,8 @@ def reproduce(asked: Asked) -> int:
     require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
     paper = "the paper's runs let goals enter that are achieved; leave it out, or reproduce all_goals"
     require(asked.name in BESIDE or not asked.known_goals, "known_goals", asked.known_goals, paper)
+    verdicts = "is that of the verdicts on the paper; leave it out: OUT/all_goals.md has tables and figure"
+    require(asked.name not in BESIDE or asked.page is None, "page", str(asked.page), verdicts)
     by_ray = asked.engine == "ray"
     require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
     require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")

@@ -95,6 +95,8 @@ def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
     flags = ["--list", "--known-goals", "held_out", "--out", str(tmp_path)]
     assert main(["reproduce", "table1", *flags]) == 2
     assert "known_goals = ('held_out',): the paper's runs let goals enter that are achieved" in capsys.readouterr().err
+    assert main(["reproduce", "all_goals", *flags, "--page", str(tmp_path / "page.md")]) == 2
+    assert "page = " in capsys.readouterr().err
     assert main(["reproduce", "all_goals", *flags, "--tasks", "object_search", "--methods", "leo"]) == 0
     assert capsys.readouterr().out.count("object_search/leo+held_out/preset/set_") == 3
 

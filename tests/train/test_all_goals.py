@@ -48,6 +48,18 @@ def test_leo_learns_nothing_of_goals_that_are_held_out():
         assert (after[..., TRAIN] != before[name][..., TRAIN]).any((0, 1)).all()
 
 
+@pytest.mark.long
+def test_the_bare_agent_is_the_same_whatever_may_be_known():
+    """It learns of desired goals alone: `infogoal reproduce all_goals` trains it under one protocol for both."""
+    short = {"num_epochs": 4, "epochs_per_evaluation": 4}
+    found = [
+        run(make_train(hand_made.config("none", known_goals=known_goals, **short), hand_made.environment()))
+        for known_goals in ("visited", "held_out")
+    ]
+    assert found[0].state.seen[TEST].any()
+    jax.tree.map(np.testing.assert_array_equal, *(each.params for each in found))
+
+
 @pytest.mark.parametrize(("known_goals", "enter"), [("held_out", False), ("train", False), ("visited", True)])
 def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
     """Though every goal was achieved."""
