@@ -99,6 +99,8 @@ def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
     assert "page = " in capsys.readouterr().err
     assert main(["reproduce", "all_goals", *flags, "--tasks", "object_search", "--methods", "leo"]) == 0
     assert capsys.readouterr().out.count("object_search/leo+held_out/preset/set_") == 3
+    words = workers.arguments_of(Asked("all_goals", known_goals=("held_out",), out=tmp_path), 9.0)
+    assert words[words.index("--known-goals") + 1] == "held_out"
 
 
 def test_processes_are_spread_over_gpus(monkeypatch):
