@@ -13,8 +13,8 @@ from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
 from infogoal_jax.reproduce import claims
-from infogoal_jax.reproduce.files import Result, recorded_config
-from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, command_of, runs_of
+from infogoal_jax.reproduce.files import Result, command_of, recorded_config
+from infogoal_jax.reproduce.manifest import FETCH, PRESET, STUDIES, Choice, Lane, Run, runs_of
 from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
@@ -29,10 +29,9 @@ SUCCESS = {"infogoal": 0.9, "infobot": 0.7, "her": 0.6, "cher": 0.6, "ghrl": 0.6
 
 
 @functools.cache
-def configuration(task: str, method: str, relabelling: str | None, explorer: str | None) -> dict:
-    """The configuration that a run records, of goal set 0 and the preset's floats."""
-    (run,) = runs_of(("table1",), Choice((task,), (method,), sets=(0,)))
-    return recorded_config(config_of(dataclasses.replace(run, relabelling=relabelling, explorer=explorer)))
+def configuration(run: Run) -> dict:
+    """The configuration that a run records."""
+    return recorded_config(config_of(run))
 
 
 def result_of(run: Run, level: float | None = None, **about) -> Result:
@@ -40,7 +39,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
     draw = np.random.default_rng(zlib.crc32(run.name.encode()))
     level = SUCCESS.get(run.method, 0.4) if level is None else level
     kinds = ["train_goal", "test_goal", "test_goal_mean_code", "validation_goal"]
-    kinds += ["corrupted_train_goal", "corrupted_test_goal"] * (run.task in IMAGE_TASKS)
+    kinds += ["corrupted_train_goal", "corrupted_test_goal"] * (run.task in IMAGE_TASKS and run.method != "leo")
     shape = len(run.seeds), EVALUATIONS
     evaluations = {
         f"{kind}/success_rate": np.clip(level + 0.02 * draw.normal(size=shape), 0, 1).round(3) for kind in kinds
@@ -60,7 +59,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
     arrays |= codes_of(run, draw) if is_judged(run) else {}
     arrays |= {"near": np.arange(GOALS) % 2 == 0} if run.task in FETCH else {}
     known = {
-        "config": configuration(run.task, run.method, run.relabelling, run.explorer),
+        "config": configuration(dataclasses.replace(run, goal_set=0, lane=Lane(*PRESET), seeds=(0,), toy=False)),
         "data": "made up",
         "versions": {"jax": "0"},
         "machine": "a machine, 2026-11-23",
@@ -121,9 +120,9 @@ def pictures_of(run: Run, draw: np.random.Generator) -> dict[str, np.ndarray]:
     return {f"picture/{name}": value for name, value in found.items()}
 
 
-def results(seeds: int = 2, **chosen) -> Results:
-    """Every run of the manifest, compact, with so many seeds; chosen: further fields of the choice."""
-    runs = runs_of(tuple(STUDIES), Choice(**({"variants": ("paper", "her"), "seeds": seeds} | chosen)))
+def results(seeds: int = 2, studies: tuple[str, ...] = tuple(STUDIES), **chosen) -> Results:
+    """Every run of these studies, compact, with so many seeds; chosen: further fields of the choice."""
+    runs = runs_of(studies, Choice(**({"variants": ("paper", "her"), "seeds": seeds} | chosen)))
     return {run: compact(result_of(run)) for run in runs}
 
 

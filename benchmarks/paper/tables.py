@@ -8,13 +8,14 @@ is replaced by what the numbers of the source give. Sources:
     paper     Table I of the runs in table1.npz; docs/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv
+    all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in table1.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json
 
---take puts into these two, in place of what was there, what FOLDER has of flights.json and faults.json of the scripts,
-numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures draws
-docs/results/learning.png, the picture of the README, and docs/results/sb3_her/learning.png, too.
+--take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
+scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures
+draws docs/results/learning.png, the picture of the README, sb3_her/learning.png and all_goals.png, too.
 """
 
 import argparse
@@ -35,7 +36,7 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
-from infogoal_jax.reproduce import numbers, scores
+from infogoal_jax.reproduce import all_goals, numbers, scores
 from infogoal_jax.reproduce import tables as paper
 from infogoal_jax.reproduce.table_formats import markdown_cell, markdown_lines
 
@@ -60,8 +61,6 @@ def paper_tables() -> dict[str, str]:
 
 LANDINGS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
 """Words by which reasons of a landing are counted as one, in front of what is special to a flight."""
-
-
 DRONE = RESULTS / "drone.json"
 
 
@@ -233,6 +232,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "paper": paper_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
+    "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),
 }
@@ -291,6 +291,7 @@ def main():
         with figure_style():
             save(learning_figure(numbers.load(RESULTS)), picture := RESULTS / "learning.png")
             draw_sb3(sb3_curves(), SB3_HER / "learning.png")
+        all_goals.draw_figure(numbers.load(RESULTS), RESULTS / "all_goals.png")
         Image.open(picture).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 

@@ -13,8 +13,9 @@ from infogoal_jax.reproduce.paper import DESCRIPTIONS
 
 RENAMED = {"--ways": "--variants", "--lanes": "--vmap-size"}
 """Flags of earlier versions."""
-HELP = "Train what a table or figure of the paper needs, and draw it."
-TITLES = DESCRIPTIONS | {"all": "All tables and figures, and the verdict on every claim"}
+HELP = "Train what a table or figure of the paper needs, and draw it; or a study beside the paper."
+BESIDE = {"all_goals": "Beside the paper: LEO and the all-goals head against HER, under both protocols of known goals"}
+TITLES = DESCRIPTIONS | {"all": "All tables and figures of the paper, and the verdict on every claim"} | BESIDE
 
 
 def check_flags(arguments: list[str]) -> None:
@@ -47,13 +48,15 @@ def study(
     ray_address: str = "",
     draw: bool = True,
     format: Literal["png", "pdf", "svg"] = "png",
+    known_goals: tuple[str, ...] = (),
 ) -> int:
-    """A table or figure of the paper.
+    """A table or figure.
 
     Args:
         name: Of the table or figure.
         tasks: Tasks; empty: all.
-        methods: Rows of Table I; empty: all.
+        methods: Rows of Table I, or of the table of all_goals (none, her, leo, all_goals, infogoal+all_goals,
+            infobot+all_goals); empty: all.
         variants: Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too.
         sets: Goal sets; empty: all of each task.
         seeds: Seeds of each run, from 0 on.
@@ -74,6 +77,8 @@ def study(
             ray://HOST:10001 from outside; empty: one of this machine alone, which ends with the command.
         draw: Draw what there are numbers for at the end.
         format: Of the figures; PNG is written besides, for the pages.
+        known_goals: Protocols of all_goals: visited, in which goals that are achieved may enter; held_out, in which
+            test and validation goals never do; empty: both.
 
     Returns:
         0 when all is done; 1 when a run failed; 130 when there is more to do.
@@ -106,6 +111,7 @@ def study(
             ray_address,
             draw,
             format,
+            known_goals,
         )
     )
 

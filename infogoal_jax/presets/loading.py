@@ -153,9 +153,12 @@ def belongs(name: str, hyper: Hyperparameters) -> bool:
 
 
 def method_of(task: str, names: dict[str, str]) -> str:
-    """The name of the method that parts of these names make on a task; of a combination without one, that of its
-    learner."""
-    own = names["relabelling"] == preset_of(task).relabelling
+    """The name of the method that parts of these names make on a task; of a combination without one, `infobot+her`
+    where the preset has changes for it, else that of its learner."""
+    preset, combined = preset_of(task), f"{names['learner']}+{names['relabelling']}"
+    if combined in preset.methods:
+        return combined
+    own = names["relabelling"] == preset.relabelling
     parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"])
     return next((name for name, known in METHODS.items() if known == parts), names["learner"])
 

@@ -12,6 +12,7 @@ PRESET = Preset(
         # [M]
         "infogoal": Changes(hyper={"learning_rate": 5e-4, "intrinsic_weight": 3.0}, training={"num_epochs": 100}),
         "infobot": Changes(hyper=INFOBOT),
+        "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.01}),  # [M], docs/all_goals.md
         # [T]
         "cogoal": Changes(
             hyper={"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341}

@@ -29,7 +29,8 @@ class Preset:
     every learner that has them. state_encoder: fields of the state encoder.
     agents, relabellings: fields of an agent and of a relabelling by their names. hyper, training: as in `Changes`, for
     every method.
-    methods: what each method, or learner, changes. description: the task in a line, for the help of the command line.
+    methods: what each method changes, or learner, or learner with a relabelling (`infobot+all_goals`).
+    description: the task in a line, for the help of the command line.
     """
 
     agent: str

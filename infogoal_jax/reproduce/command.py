@@ -8,8 +8,7 @@ from pathlib import Path
 from infogoal_jax.errors import require
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.files import was_made_with
-from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, Run, runs_of
-from infogoal_jax.reproduce.paper import TASKS
+from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
 from infogoal_jax.reproduce.work import Work, work_on
 from infogoal_jax.reproduce.workers import arguments_of, work_side_by_side
@@ -46,21 +45,17 @@ class Asked:
     ray_address: str = ""
     draw: bool = True
     format: str = "png"
+    known_goals: tuple[str, ...] = ()
 
     @property
     def studies(self) -> tuple[str, ...]:
-        """The tables and figures that were asked for."""
+        """The tables and figures that were asked for; all are those of the paper."""
         return tuple(STUDIES) if self.name == "all" else (self.name,)
 
     def choice(self) -> Choice:
         """What was asked for, as the manifest takes it."""
         return Choice(
-            self.tasks or TASKS,
-            self.methods or tuple(METHODS),
-            self.variants,
-            self.sets or None,
-            self.seeds,
-            self.quick,
+            self.tasks, self.methods, self.variants, self.sets or None, self.seeds, self.quick, self.known_goals
         )
 
     def runs(self) -> list[Run]:
@@ -81,6 +76,10 @@ def reproduce(asked: Asked) -> int:
     require(asked.vmap_size > 0, "vmap_size", asked.vmap_size, "give at least 1")
     require(0 <= asked.processes <= 1000, "processes", asked.processes, "give 0 to 1000")
     require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
+    paper = "the paper's runs let goals enter that are achieved; leave it out, or reproduce all_goals"
+    require(asked.name in BESIDE or not asked.known_goals, "known_goals", asked.known_goals, paper)
+    verdicts = "is that of the verdicts on the paper; leave it out: OUT/all_goals.md has tables and figure"
+    require(asked.name not in BESIDE or asked.page is None, "page", str(asked.page), verdicts)
     by_ray = asked.engine == "ray"
     require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
     require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")
@@ -182,12 +181,18 @@ def merge(folders: list[Path], into: Path) -> int:
     if others:
         print(f"{len(others)} runs were made with other settings than the presets have now: {', '.join(others)}")
     print(f"{len(results)} runs; draw them: infogoal reproduce all --from {into} --out FOLDER")
+    if any(not run.of_paper for run in results):
+        print(f"and beside the paper: infogoal reproduce all_goals --from {into} --out FOLDER")
     return DONE
 
 
 def draw(asked: Asked, results: numbers.Results) -> None:
     """Write the tables, figures, verdicts and the page of what was asked for."""
-    from infogoal_jax.reproduce import drawing
+    from infogoal_jax.reproduce import all_goals, drawing
 
-    for path in drawing.draw(asked.studies, results, asked.out, asked.page, asked.format):
+    if asked.name in BESIDE:
+        paths = all_goals.draw(results, asked.out, asked.format)
+    else:
+        paths = drawing.draw(asked.studies, results, asked.out, asked.page, asked.format)
+    for path in paths:
         print(path)

@@ -19,7 +19,7 @@ from infogoal_jax.report import canvas
 from infogoal_jax.reproduce import claims, tables
 from infogoal_jax.reproduce.evidence import INTERVALS
 from infogoal_jax.reproduce.figures import FIGURES
-from infogoal_jax.reproduce.manifest import STUDIES, Choice
+from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import DESCRIPTIONS
 from infogoal_jax.reproduce.table_formats import WRITERS, Cell, Table, markdown
@@ -43,13 +43,9 @@ def draw(
     """Write what these studies show, as far as there are numbers; the paths of the files. verdicts: the file of the
     verdicts, which are written with all studies; None: OUT/reproduction.md; format: figures are written in this one of
     `canvas.FORMATS` beside PNG, which the pages show."""
+    results = {run: result for run, result in results.items() if run.of_paper}
     shown = [table for table in tables.all_tables(results) if is_shown(table.name, studies)]
-    found, paths = claims.verdicts(results), []
-    disk.make_folder(out / "tables")
-    for table in shown:
-        for ending, write in WRITERS.items():
-            paths.append(out / "tables" / f"{table.name}.{ending}")
-            disk.write_text(paths[-1], write(table))
+    found, paths = claims.verdicts(results), write_tables(shown, out / "tables")
     with canvas.figure_style():
         for name in (study for study in studies if study in FIGURES):
             paths += draw_figure(name, results, out / "figures", format)
@@ -62,9 +58,25 @@ def draw(
     return paths
 
 
+def write_tables(shown: list[Table], folder: Path) -> list[Path]:
+    """Write tables in every format; the paths."""
+    disk.make_folder(folder)
+    paths = []
+    for table in shown:
+        for ending, write in WRITERS.items():
+            paths.append(folder / f"{table.name}.{ending}")
+            disk.write_text(paths[-1], write(table))
+    return paths
+
+
 def draw_figure(name: str, results: Results, folder: Path, format: str) -> list[Path]:
     """Write a figure as PNG and in this format; the paths. What was drawn before of other numbers is deleted."""
-    figure, path, numbers = FIGURES[name](results), folder / f"{name}.png", digest(results, name)
+    return write_figure(FIGURES[name](results), folder / f"{name}.png", digest(results, name), format)
+
+
+def write_figure(figure: Figure | None, path: Path, numbers: str, format: str) -> list[Path]:
+    """Write a figure as this PNG, and beside it in this format; the paths. numbers: the digest of what it was drawn
+    from. What was drawn before of other numbers is deleted."""
     if figure is None or drawn_from(path) != numbers:
         for ending in canvas.FORMATS:
             path.with_suffix(f".{ending}").unlink(missing_ok=True)
@@ -90,11 +102,11 @@ def save_in_few_colours(figure: Figure, path: Path, numbers: str) -> None:
 
 def digest(results: Results, name: str) -> str:
     """What tells the numbers that a figure is drawn from: those of the runs of its study."""
-    of_study = STUDIES[name](Choice())
-    wanted = {(run.task, run.method, run.relabelling, run.explorer, run.lane.name) for run in of_study}
+    of_study = (STUDIES | BESIDE)[name](Choice())
+    wanted = {run.row for run in of_study}
     found = hashlib.sha256()
     for run in sorted(results, key=lambda run: run.name):
-        if (run.task, run.method, run.relabelling, run.explorer, run.lane.name) in wanted:
+        if run.row in wanted:
             found.update(run.name.encode())
             evaluations = {key: value.astype(np.float32) for key, value in results[run].evaluations.items()}
             for key, value in sorted((evaluations | results[run].arrays).items()):

@@ -20,14 +20,46 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce import plan
-from infogoal_jax.reproduce.manifest import Lane, Run, command_of
+from infogoal_jax.reproduce.manifest import FETCH, PRESET, Lane, Run
 from infogoal_jax.reproduce.plan import GOAL_SET_FIELDS
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.configuration import from_dict, to_dict
 
 FORMAT = 1
 REMEDY = "run it again"
+GOAL_IMAGES = "GOAL_IMAGES"
+"""Stands in commands for the folder of the further goal images of Fetch, wherever it lies."""
+ADDED = {"agent": None, "known_goals": "visited"}
+"""Fields of a run that files of the paper's runs do not have, and what they mean then."""
 Status = Literal["done", "not measured", "damaged", "other settings", "failed", "left"]
+
+
+def home_of(run: Run) -> str:
+    """The study whose compact numbers hold the run; other studies find it there."""
+    if not run.of_paper:
+        return "all_goals"
+    if run.explorer is not None:
+        return "fig8"
+    if run.lane.name == PRESET[0]:
+        return "table1"
+    return "fig15" if run.method == "infogoal" and run.task in FETCH else "fig9"
+
+
+def command_of(run: Run) -> list[str]:
+    """The words of the command line that makes a run, with those of its study that share its flags."""
+    study = home_of(run)
+    method = f"{run.method}+all_goals" if run.relabelling == "all_goals" else run.method
+    words = ["infogoal", "reproduce", study, "--tasks", run.task, "--methods", method]
+    if study == "all_goals":
+        words += ["--known-goals", run.known_goals, "--sets", str(run.goal_set), "--seeds", str(len(run.seeds))]
+    elif study == "table1":
+        words += ["--variants", "her" if run.relabelling == "her" else "paper", "--sets", str(run.goal_set)]
+        words += ["--seeds", str(len(run.seeds))]
+    elif len(run.seeds) > 1:
+        words += ["--seeds", str(len(run.seeds))]
+    if run.task in FETCH and run.goal_set:
+        words += ["--goal-images", GOAL_IMAGES]
+    return words + ["--quick"] * run.toy
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,8 +106,9 @@ def was_made_with(result: "Result", config: TrainConfig) -> bool:
 
 
 def run_values(run: Run) -> dict[str, Any]:
-    """A run as JSON values."""
-    return json.loads(json.dumps(dataclasses.asdict(run)))
+    """A run as JSON values, without what is as it is in the paper."""
+    values = json.loads(json.dumps(dataclasses.asdict(run)))
+    return {name: value for name, value in values.items() if name not in ADDED or value != ADDED[name]}
 
 
 def run_from(values: dict[str, Any]) -> Run:

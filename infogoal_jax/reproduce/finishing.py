@@ -13,8 +13,8 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.reproduce import files, lanes, measure, plan
-from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import Run, command_of
+from infogoal_jax.reproduce.files import Result, command_of
+from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.train.host import describe
 
 

@@ -1,9 +1,9 @@
 """The compact numbers of a reproduction: one file a study, from which every table and figure is drawn again.
 
-    FOLDER/table1.npz, fig8.npz, fig9.npz, fig15.npz
+    FOLDER/table1.npz, fig8.npz, fig9.npz, fig15.npz, all_goals.npz
 
-Each holds the runs of which `manifest.home_of` says so: their success at every evaluation, seed by seed, and the arrays
-of their pictures. Equal numbers give equal bytes.
+Each holds the runs of which `files.home_of` says so: their success at every evaluation, seed by seed, and the arrays of
+their pictures. Equal numbers give equal bytes.
 """
 
 import dataclasses
@@ -17,32 +17,34 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce import files, plan
-from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import Run, home_of
+from infogoal_jax.reproduce.files import Result, home_of
+from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.runs import disk
 
-HOMES = ("table1", "fig8", "fig9", "fig15")
+HOMES = ("table1", "fig8", "fig9", "fig15", "all_goals")
 REMEDY = "give a folder that `infogoal reproduce merge` wrote"
 Results = dict[Run, Result]
 
 
-def is_kept(metric: str) -> bool:
+def is_kept(metric: str, run: Run) -> bool:
     """Whether a metric is kept in the compact numbers: success in every setting, paths of clean goals, and what the
-    learner says of its code."""
-    score = metric.rpartition("/")[2]
+    learner says of its code. Of a run that the paper does not have paths and mean codes are not shown."""
+    is_path = metric.rpartition("/")[2] in ("spl", "episode_length")
+    if not run.of_paper:
+        return not is_path and "mean_code" not in metric
     plain = "corrupted" not in metric and "mean_code" not in metric and "validation" not in metric
-    return score not in ("spl", "episode_length") or plain
+    return not is_path or plain
 
 
 def compact(result: Result) -> Result:
     """A run with the numbers that tables and figures are made of. Of `first_reached` [seeds, M, starts] that of the
-    evaluation at which the run levelled off stays."""
-    arrays = dict(result.arrays)
-    first = arrays["first_reached"]
-    if first.ndim == 4:
+    evaluation at which the run levelled off stays; of the study of all goals at once nothing is made of it."""
+    arrays = dict(result.arrays) if result.run.of_paper else {}
+    first = arrays.get("first_reached")
+    if first is not None and first.ndim == 4:
         last = plan.shown(result.evaluations["train_goal/success_rate"]).stop
         arrays["first_reached"] = first[:, last - 1]
-    evaluations = {name: value for name, value in result.evaluations.items() if is_kept(name)}
+    evaluations = {name: value for name, value in result.evaluations.items() if is_kept(name, result.run)}
     return dataclasses.replace(result, evaluations=evaluations, arrays=arrays)
 
 

@@ -14,7 +14,23 @@ DESCRIPTIONS = {
     "fig15": "Fig. 15: success under fixed beta and under the adaptive one",
 }
 
-
+METHODS = {
+    "infogoal": "InfoGoal",
+    "infobot": "InfoBot",
+    "cogoal": "COGOAL",
+    "gcb": "GCB",
+    "vae": "VAE",
+    "dgrl": "DGRL",
+    "rad": "RAD",
+    "none": "DQN/HRAC/CQL",
+    "her": "HER",
+    "cher": "CHER",
+    "ghrl": "GHRL",
+}
+"""The rows of Table I, in its order."""
+LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
+WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
+"""Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
 TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "fetch_pick_and_place", "embodied_qa")
 IMAGE_TASKS = TASKS[1:5]
 """Tasks with goals that are images: only they have corrupted goals."""

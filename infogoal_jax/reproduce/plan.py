@@ -27,8 +27,8 @@ from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.envs.graph import UNREACHABLE, DetectionWalk, GraphWalk
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.reproduce.manifest import DRAWN, FETCH, METHODS, PRESET, WITH_LOSS, Run
-from infogoal_jax.reproduce.paper import IMAGE_TASKS
+from infogoal_jax.reproduce.manifest import DRAWN, FETCH, PRESET, Run
+from infogoal_jax.reproduce.paper import IMAGE_TASKS, METHODS, WITH_LOSS
 from infogoal_jax.runs.configuration import to_dict
 
 GOAL_SET_FIELDS = ("dataset", "generator_seed", "goal_seed", "goal_images")
@@ -213,12 +213,13 @@ def has_share(run: Run) -> bool:
 
 def is_pictured(run: Run) -> bool:
     """Whether a figure shows codes or trajectories of this run."""
-    return run.goal_set == 0 and run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
+    shown = run.task in PICTURED and run.method in DRAWN and run.relabelling != "her"
+    return run.of_paper and run.goal_set == 0 and shown
 
 
 def is_judged(run: Run) -> bool:
     """Whether a claim compares the codes of this run: of all its seeds, on every goal set."""
-    plain = run.lane.name == PRESET[0] and run.explorer is None and run.relabelling != "her"
+    plain = run.of_paper and run.lane.name == PRESET[0] and run.explorer is None and run.relabelling != "her"
     return run.task in PICTURED and run.method in JUDGED and plain
 
 

@@ -17,9 +17,9 @@ from scipy import stats
 from infogoal_jax.report.statistics import CONFIDENCE, mean_interval
 from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import LEARNERS, METHODS, PRESET, WITH_LOSS, parts_of
+from infogoal_jax.reproduce.manifest import PRESET, parts_of
 from infogoal_jax.reproduce.numbers import Results
-from infogoal_jax.reproduce.paper import IMAGE_TASKS, TASKS
+from infogoal_jax.reproduce.paper import IMAGE_TASKS, LEARNERS, METHODS, TASKS, WITH_LOSS
 
 REPETITIONS = 2000
 """Of the bootstrap."""
@@ -234,17 +234,18 @@ def scores_of(result: Result, metric: str) -> np.ndarray:
     return result.evaluations[metric][kept, which].mean(1)
 
 
+def by_goal_set(results: Results, row: tuple) -> dict[int, Result]:
+    """The runs of a row (`Run.row`) by goal set, those of the most seeds where there are several."""
+    by_seeds = sorted((run for run in results if run.row == row), key=lambda run: len(run.seeds))
+    return {run.goal_set: results[run] for run in by_seeds}
+
+
 def row_of(results: Results, variant: str, task: str, method: str, lane: str = PRESET[0], explorer=None) -> Row | None:
-    """The runs of a row of Table I, or of another lane or explorer, those of the most seeds where there are several;
-    None where there are none."""
+    """The runs of a row of Table I, or of another lane or explorer; None where there are none."""
     parts = parts_of(variant, task, method)
     if parts is None:
         return None
-    by_set: dict[int, Result] = {}
-    for run, result in sorted(results.items(), key=lambda item: len(item[0].seeds)):
-        own = run.task, run.method, run.relabelling, run.explorer, run.lane.name
-        if own == (task, method, parts[0], explorer, lane):
-            by_set[run.goal_set] = result
+    by_set = by_goal_set(results, (task, method, parts[0], explorer, lane, None, "visited"))
     if not by_set:
         return None
     in_table = explorer is None and lane == PRESET[0]  # What is beside it is run on the first goal set alone.
@@ -259,6 +260,7 @@ def goal_sets_of(results: Results, variant: str, task: str) -> frozenset[int]:
         run.goal_set
         for run in results
         if (run.task, run.explorer, run.lane.name) == (task, None, PRESET[0])
+        and run.of_paper
         and run.method in relabellings
         and run.relabelling == relabellings[run.method]
     )

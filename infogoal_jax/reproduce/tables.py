@@ -286,6 +286,7 @@ def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:
 
 
 def all_tables(results: Results) -> list[Table]:
-    """Every table that there are numbers for."""
+    """Every table of the paper's runs that there are numbers for."""
+    results = {run: result for run, result in results.items() if run.of_paper}
     made = [make(results, variant) for variant in VARIANTS for make in (table1, over_tasks)]
     return [table for table in (*made, table2(results), near_and_far(results), costs(results)) if table is not None]

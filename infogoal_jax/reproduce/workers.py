@@ -113,6 +113,7 @@ def arguments_of(asked, minutes: float) -> list[str]:
         ("methods", asked.methods),
         ("variants", asked.variants),
         ("sets", asked.sets),
+        ("known-goals", asked.known_goals),
     ):
         words += [f"--{flag}", *map(str, values)] if values else []
     words += ["--known", str(asked.known)] if asked.known else []

@@ -184,9 +184,11 @@ def check_combination(config: TrainConfig, env: Any = None) -> None:
 
 def check_same_task(config: TrainConfig, env: Any) -> None:
     """Raise `UserError` for an environment that is plainly of another task than the configuration."""
-    should_be, seen = traits_declared(config), traits_seen(env.unwrapped)
+    should_be, own = traits_declared(config), env.unwrapped
     if should_be is None:
         return
+    # One that was loaded for goals by their number is still the task's.
+    seen = traits_seen(own)._replace(image_goals=own.train_backgrounds is not None)
     for trait in ("finite_goals", "image_goals", "moves", "finite_observations", "recorded"):
         wanted, found = getattr(should_be, trait), getattr(seen, trait)
         require(

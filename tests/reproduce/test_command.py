@@ -91,6 +91,18 @@ def test_a_flag_of_an_earlier_version_is_refused_with_its_name_today(old, new, c
     assert capsys.readouterr().err == f"infogoal: {old.partition('=')[0]}: is called {new} today\n"
 
 
+def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
+    flags = ["--list", "--known-goals", "held_out", "--out", str(tmp_path)]
+    assert main(["reproduce", "table1", *flags]) == 2
+    assert "known_goals = ('held_out',): the paper's runs let goals enter that are achieved" in capsys.readouterr().err
+    assert main(["reproduce", "all_goals", *flags, "--page", str(tmp_path / "page.md")]) == 2
+    assert "page = " in capsys.readouterr().err
+    assert main(["reproduce", "all_goals", *flags, "--tasks", "object_search", "--methods", "leo"]) == 0
+    assert capsys.readouterr().out.count("object_search/leo+held_out/preset/set_") == 3
+    words = workers.arguments_of(Asked("all_goals", known_goals=("held_out",), out=tmp_path), 9.0)
+    assert words[words.index("--known-goals") + 1] == "held_out"
+
+
 def test_processes_are_spread_over_gpus(monkeypatch):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     found = [workers.environment(number, 5, 2) for number in range(5)]
@@ -130,6 +142,22 @@ def test_two_processes_train_what_one_would(tmp_path, capsys):
     assert "2 runs: 2 done" in printed and "0: object_search" in printed and "1: object_search" in printed
     names = {files.read(path).run.label for path in Path(tmp_path).rglob("runs/**/*.npz")}
     assert names == {"none", "her"} and (tmp_path / "index.html").exists()
+
+
+@pytest.mark.long
+def test_the_quick_way_trains_the_study_of_all_goals(tmp_path):
+    """The head on object search under both protocols, and on the shelf: from training to its tables and figure."""
+    flags = ["--tasks", "object_search", "embodied_qa", "--methods", "all_goals", "--out", str(tmp_path / "runs")]
+    assert main(["reproduce", "all_goals", "--quick", *flags]) == 0
+    assert {path.stem for path in tmp_path.rglob("figures/*")} == {"all_goals"}
+    assert main(["reproduce", "merge", str(tmp_path / "runs"), "--into", str(tmp_path / "numbers")]) == 0
+    assert [path.name for path in (tmp_path / "numbers").iterdir()] == ["all_goals.npz"]
+    made = numbers.load(tmp_path / "numbers")
+    names = {f"{run.task}/{run.label}" for run in made}
+    assert names == {"object_search/all_goals", "object_search/all_goals+held_out", "embodied_qa/all_goals"}
+    for run, result in made.items():
+        assert result.about["config"]["known_goals"] == run.known_goals
+        assert np.isfinite(result.evaluations["test_goal/success_rate"]).all() and not result.missing()
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from places import ROOT
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import claims, drawing, numbers, table_formats, tables
+from infogoal_jax.reproduce import all_goals, claims, drawing, numbers, table_formats, tables
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, runs_of
 
@@ -142,6 +142,99 @@ def test_a_few_runs_are_enough_to_draw():
     )
     assert re.fullmatch(r"\| InfoGoal \| 0\.\d\d \(0\.93\) \|", line)
     assert FIGURES["fig10"](results) is not None and claims.verdicts(results)
+
+
+@pytest.fixture(scope="module")
+def study():
+    """The runs of the study of all goals at once, those that it shares with the paper among them."""
+    return made_up_results.results(seeds=3, studies=("all_goals",))
+
+
+def test_the_study_s_cells_are_means_of_its_runs(study):
+    """Of the protocol that the column names; the bare agent's are the same under both, and LEO has no images."""
+    for task, protocol in (("object_search", "held_out"), ("object_manipulation", "visited")):
+        table = all_goals.success_table(study, task)
+        row = dict(zip(table.head, next(row for row in table.rows if row[0] == "InfoGoal + head"), strict=True))
+        own = [run for run in study if (run.task, run.method, run.known_goals) == (task, "infogoal", protocol)]
+        assert len(own) == 3 and {run.relabelling for run in own} == {"all_goals"}
+        mean = np.mean([study[run].evaluations["test_goal/success_rate"][:, 5:8].mean() for run in own])
+        cell = row[f"test, {protocol}"]
+        assert cell.ours.mean == pytest.approx(mean) and cell.rank == 1 and cell.run in {run.name for run in own}
+    rows = {row[0]: dict(zip(table.head, row, strict=True)) for row in table.rows}
+    assert rows["bare agent"]["test, visited"].ours == rows["bare agent"]["test, held_out"].ours
+    assert rows["LEO"]["corrupted test, visited"].ours is None
+    assert all_goals.success_table(study, "embodied_qa").head == ["method", "training", "validation", "test"]
+
+
+def test_the_study_s_differences_are_paired_by_goal_set_and_seed(study):
+    """Seeds that differ much, methods that differ little: the interval is that of the differences."""
+    draw, shifted = np.random.default_rng(0), {}
+    for run, result in study.items():
+        level = np.random.default_rng(run.goal_set).random((3, 1))
+        gain = 0.1 * (run.label == "all_goals") + 0.001 * draw.normal(size=(3, 1))
+        found = result.evaluations | {"test_goal/success_rate": level + gain + np.zeros((1, 8))}
+        shifted[run] = dataclasses.replace(result, evaluations=found)
+    table = all_goals.differences_table(shifted, "embodied_qa")
+    rows = {row[0]: row[table.head.index("test")] for row in table.rows}
+    for other in ("HER", "LEO"):
+        value, low, high = map(float, re.findall(r"-?\d\.\d\d", rows[f"all-goals head minus {other}"]))
+        assert low > 0.09 and value == pytest.approx(0.1, abs=0.005) and high < 0.11
+    assert rows["InfoBot + head minus HER"] == "0.00 [0.00, 0.00]"
+
+
+def test_a_faulty_row_of_the_study_is_marked_in_both_tables(study):
+    """LEO still rises on the shelf, and InfoBot's head lacks a goal set."""
+    rising = np.linspace(0, 1, 8) * np.ones((3, 1))
+    found = {
+        run: dataclasses.replace(
+            result,
+            evaluations=result.evaluations
+            | ({"train_goal/success_rate": rising} if (run.task, run.method) == ("embodied_qa", "leo") else {}),
+        )
+        for run, result in study.items()
+        if (run.task, run.label, run.goal_set) != ("embodied_qa", "infobot+all_goals", 2)
+    }
+    success, differences = (
+        make(found, "embodied_qa") for make in (all_goals.success_table, all_goals.differences_table)
+    )
+    marks = {row[0]: row[1].marks for row in success.rows}
+    assert marks["LEO"] == "†" and marks["InfoBot + head"] == "¶" and marks["all-goals head"] == ""
+    assert {cell.rank for row in success.rows for cell in row[1:]} == {0}
+    last = {row[0]: row[-1] for row in differences.rows}
+    assert last["InfoBot + head minus LEO"].endswith("¶†") and last["all-goals head minus HER"].endswith("]")
+
+
+def test_seconds_are_shared_out_among_what_a_program_trained(study):
+    """A program of five lanes took 20 seconds for eight evaluations."""
+    result = next(iter(study.values()))
+    assert all_goals.seconds_of(result).tolist() == pytest.approx([0.5 * number for number in range(1, 9)])
+    row = all_goals.rows_of(study, "object_search")["leo", "held_out"]
+    found = all_goals.progress_of(row)
+    assert found.steps[-1] == 8 and found.success.shape == (3, 8)
+    lost = dataclasses.replace(row.results[1], about=row.results[1].about | {"diverged": [1]})
+    assert all_goals.progress_of(row._replace(results=(row.results[0], lost))).success.shape == (2, 8)
+
+
+def test_the_study_is_drawn_from_its_numbers(study, tmp_path):
+    """Tables, the figure and what the page of the docs shows; nothing of it before its first run. Of the shelf."""
+    study = {run: result for run, result in study.items() if run.task == "embodied_qa"}
+    numbers.save(study, tmp_path / "numbers")
+    assert main(["reproduce", "all_goals", "--from", str(tmp_path / "numbers"), "--out", str(tmp_path)]) == 0
+    assert (imread(tmp_path / "figures" / "all_goals.png")[..., :3].min(-1) < 0.9).mean() > 0.01
+    page, shown = (tmp_path / "all_goals.md").read_text(), all_goals.on_page(study)
+    assert {path.name for path in tmp_path.iterdir()} == {"numbers", "tables", "figures", "all_goals.md"}
+    assert shown.keys() == {"embodied_qa", "costs", "figure"}
+    lines = {line for name, text in shown.items() if name != "figure" for line in text.splitlines()}
+    assert lines <= set(page.splitlines())
+    before = {run: result for run, result in study.items() if run.of_paper}
+    assert all_goals.on_page(before) == {} and all_goals.figure(before) is None
+
+
+def test_the_paper_s_tables_have_no_number_of_the_study(results, study):
+    """Not even of what it cost."""
+    both = {run: result for run, result in results.items() if run.method in ("her", "none")}
+    beside = {run: result for run, result in study.items() if not run.of_paper}
+    assert len(beside) == 72 and written(both | beside) == written(both) != {}
 
 
 @pytest.mark.long

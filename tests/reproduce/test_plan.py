@@ -1,19 +1,29 @@
-"""The manifest has the paper's tables and figures, runs that share a program are planned together, and training stops
-where success on training goals has levelled off, and not before."""
+"""The manifest has the paper's tables and figures and the study beside it, runs that share a program are planned
+together, and training stops where success on training goals has levelled off, and not before."""
 
+import re
+from collections import Counter
+
+import hand_made_frames
 import numpy as np
 import pytest
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import plan
-from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, command_of, home_of, runs_of
-from infogoal_jax.reproduce.paper import DESCRIPTIONS, TABLE, TASKS
+from infogoal_jax.reproduce.files import command_of, home_of, run_from, run_values
+from infogoal_jax.reproduce.manifest import ALL_GOALS, BESIDE, STUDIES, Choice, runs_of
+from infogoal_jax.reproduce.paper import DESCRIPTIONS, METHODS, TABLE, TASKS
 
 
 def table1(**chosen) -> list:
     """The runs of Table I."""
     return runs_of(("table1",), Choice(**chosen))
+
+
+def all_goals(**chosen) -> list:
+    """The runs of the study of all goals at once."""
+    return runs_of(("all_goals",), Choice(**chosen))
 
 
 def test_table_1_has_every_number_of_the_paper():
@@ -38,9 +48,55 @@ def test_with_her_every_learner_relabels():
 
 
 def test_no_run_is_planned_twice():
-    runs = runs_of(tuple(STUDIES), Choice(variants=("paper", "her")))
+    runs = runs_of((*STUDIES, *BESIDE), Choice(variants=("paper", "her")))
     assert len({run.name for run in runs}) == len(runs) == len(set(runs))
     assert STUDIES.keys() == DESCRIPTIONS.keys()
+
+
+def test_the_study_of_all_goals_trains_what_the_paper_does_not_have():
+    """The bare agent, and HER where achieved goals may enter, are the paper's where the agent is. On the shelf, and for
+    the bare agent, both protocols are the same run."""
+    runs = all_goals()
+    shared = set(runs) & set(table1(variants=("paper", "her")))
+    assert shared == {run for run in runs if run.of_paper}
+    assert {run.task + "/" + run.label for run in shared} == {
+        "object_search/none",
+        "object_search/her",
+        "embodied_qa/none+unrelabelled",
+        "embodied_qa/her",
+    }
+    assert Counter(run.task for run in runs) == {"object_search": 33, "object_manipulation": 33, "embodied_qa": 18}
+    cubes = plan.programs_of([run for run in runs if run.task == "object_manipulation" and run.method == "leo"])
+    assert [len(program.runs) for program in cubes] == [3, 3], "goal sets share a program, protocols do not"
+
+
+def test_agent_and_protocol_of_a_run_are_in_its_configuration():
+    agents = {"object_search": "dqn", "object_manipulation": "dqn", "embodied_qa": "cql"}
+    for run in all_goals(sets=(0,)):
+        config = plan.config_of(run)
+        names = presets.names_of(config)
+        assert (config.known_goals, names["agent"]) == (run.known_goals, agents[run.task])
+        assert (names["relabelling"] == "all_goals") == (run.label.split("+")[0] == "leo" or "all_goals" in run.label)
+    (tuned,) = all_goals(tasks=("object_search",), methods=("infobot+all_goals",), known_goals=("held_out",), sets=(0,))
+    hyper, with_her = plan.config_of(tuned).hyper, presets.load("object_search", "infobot", relabelling="her").hyper
+    assert hyper.learner_weight == 0.01 != with_her.learner_weight
+    assert hyper.learner.beta == with_her.learner.beta
+
+
+def test_files_of_the_paper_s_runs_say_nothing_of_agents_and_protocols():
+    """They read and are written as before there were others."""
+    old, new = table1(tasks=("object_search",))[0], all_goals(known_goals=("held_out",), tasks=("object_manipulation",))
+    assert not {"agent", "known_goals"} & run_values(old).keys()
+    assert all(run_from(run_values(run)) == run for run in (old, *new))
+
+
+def test_flights_over_the_shelf_achieve_no_goal_that_is_evaluated_later():
+    """Therefore both protocols of known goals are the same there, though the objects asked for are in view."""
+    env = hand_made_frames.qa()
+    evaluated = np.asarray(env.goals.validation_mask | env.goals.test_mask)
+    achieved = np.asarray(env.achieved_goals)
+    assert evaluated.any() and np.asarray(env.in_view)[:, evaluated].any()
+    assert not evaluated[achieved[achieved >= 0]].any()
 
 
 def test_settings_of_floats_and_goal_sets_share_a_program():
@@ -81,19 +137,24 @@ def test_the_command_of_a_further_goal_set_of_fetch_names_its_folder():
     assert "--goal-images" not in words[0] and words[1][words[1].index("--goal-images") + 1] == "GOAL_IMAGES"
 
 
-@pytest.mark.parametrize("study", STUDIES)
+NAMED = {"variants": "variants", "known_goals": "known-goals"}
+"""Choices that a command names, and their flags."""
+
+
+@pytest.mark.parametrize("study", [*STUDIES, *BESIDE])
 def test_the_command_of_a_run_makes_it(study):
     """Tasks, methods, ways, sets and seeds of the command line choose the run, and its own study has it."""
-    for run in runs_of((study,), Choice(seeds=3))[:20]:
+    for run in runs_of((study,), Choice(seeds=3))[:40:2]:
         words = command_of(run)
         flags = {word[2:]: value for word, value in zip(words, [*words[1:], ""], strict=True) if word.startswith("--")}
         chosen = {"tasks": (flags["tasks"],), "methods": (flags["methods"],), "seeds": int(flags.get("seeds", 5))}
-        chosen |= {"variants": (flags["variants"],), "sets": (int(flags["sets"]),)} if "sets" in flags else {}
+        chosen |= {name: (flags[flag],) for name, flag in NAMED.items() if flag in flags}
+        chosen |= {"sets": (int(flags["sets"]),)} if "sets" in flags else {}
         assert words[2] == home_of(run) and run in runs_of((words[2],), Choice(**chosen))
 
 
 def test_the_quick_way_has_something_for_every_figure():
-    for study in STUDIES:
+    for study in (*STUDIES, *BESIDE):
         assert runs_of((study,), Choice(toy=True, variants=("paper", "her"))), study
 
 
@@ -102,6 +163,7 @@ def test_the_quick_way_has_something_for_every_figure():
     [
         ({"tasks": ("fetch",)}, "tasks"),
         ({"methods": ("dqn",)}, "methods"),
+        ({"methods": ("leo",)}, "methods = 'leo': give some of infogoal, "),
         ({"variants": ("his",)}, "variants"),
         ({"seeds": 0}, "seeds"),
     ],
@@ -109,6 +171,19 @@ def test_the_quick_way_has_something_for_every_figure():
 def test_unknown_names_are_refused(chosen, words):
     with pytest.raises(UserError, match=words):
         table1(**chosen)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"tasks": ("fetch_push",)}, "tasks = 'fetch_push': give some of object_search, "),
+        ({"methods": ("infogoal",)}, f"methods = 'infogoal': give some of {', '.join(ALL_GOALS)}"),
+        ({"known_goals": ("train",)}, "known_goals = 'train': give some of visited, held_out"),
+    ],
+)
+def test_names_that_the_study_of_all_goals_does_not_have_are_refused(chosen, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        all_goals(**chosen)
 
 
 def test_every_method_has_a_title():

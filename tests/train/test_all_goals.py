@@ -3,6 +3,7 @@
 import dataclasses
 
 import hand_made
+import hand_made_frames
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.combinations import check_combination
+from infogoal_jax.train.parts import load_environment
 from infogoal_jax.train.sampling import draw_goals
 from infogoal_jax.train.update import under_all_goals
 
@@ -46,6 +48,18 @@ def test_leo_learns_nothing_of_goals_that_are_held_out():
         after = result.params["agent"][name]
         np.testing.assert_array_equal(after[..., TEST], before[name][..., TEST])
         assert (after[..., TRAIN] != before[name][..., TRAIN]).any((0, 1)).all()
+
+
+@pytest.mark.long
+def test_the_bare_agent_is_the_same_whatever_may_be_known():
+    """It learns of desired goals alone: `infogoal reproduce all_goals` trains it under one protocol for both."""
+    short = {"num_epochs": 4, "epochs_per_evaluation": 4}
+    found = [
+        run(make_train(hand_made.config("none", known_goals=known_goals, **short), hand_made.environment()))
+        for known_goals in ("visited", "held_out")
+    ]
+    assert found[0].state.seen[TEST].any()
+    jax.tree.map(np.testing.assert_array_equal, *(each.params for each in found))
 
 
 @pytest.mark.parametrize(("known_goals", "enter"), [("held_out", False), ("train", False), ("visited", True)])
@@ -125,6 +139,16 @@ def test_what_does_not_go_together_is_refused():
         make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, head="index")), env)
     with pytest.raises(UserError, match="relabelling.achieved_share = 2"):
         hand_made.config("none", relabelling=presets.REGISTRIES["relabelling"]["all_goals"].config(achieved_share=2))
+
+
+def test_an_environment_with_goals_by_number_can_be_given_again():
+    """As `infogoal reproduce` does: one is loaded, and its training function is made of it. Its images count as before
+    in what the task is."""
+    config = hand_made_frames.manipulation_config("leo", agent="dqn")
+    env = load_environment(config, hand_made_frames.manipulation())
+    assert env.goals.by_index and load_environment(config, env).goals.by_index
+    with pytest.raises(UserError, match="image_goals is True, should be False"):
+        load_environment(presets.load("object_search", "leo"), env)
 
 
 def test_names_say_what_is_learned_from():

@@ -61,10 +61,10 @@ def test_what_cannot_be_trained_is_refused_before_compiling(tmp_path, capsys):
     assert main(["pretrain", "fetch_slide"]) == 2
     assert "Known: fetch_reach, fetch_push, fetch_pick_and_place" in capsys.readouterr().err
     assert main(["pretrain"]) == 2 and "Known: fetch_reach, fetch_push" in capsys.readouterr().err
-    for arguments in (["--seeds", "3"], ["fetch_reach", "--task", "fetch_push"]):
-        with pytest.raises(SystemExit) as stopped:
-            main(["pretrain", *arguments])
-        assert stopped.value.code == 2 and arguments[-2] in capsys.readouterr().err
+    assert main(["pretrain", "--seeds", "3"]) == 2 and "'--seeds': flags come after" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as stopped:
+        main(["pretrain", "fetch_reach", "--task", "fetch_push"])
+    assert stopped.value.code == 2 and "--task" in capsys.readouterr().err
     assert main(["pretrain", "fetch_reach", "--seeds", "0", "--out", str(tmp_path / "new")]) == 2
     (tmp_path / "low_level").write_bytes(b"precious")
     assert main(["pretrain", "fetch_reach", "--out", str(tmp_path)]) == 2

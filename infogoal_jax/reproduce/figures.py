@@ -1,6 +1,7 @@
-"""Figures 8, 13 and 15: success with and without SSE-DB, beta and accuracy while training, and success under fixed
-beta."""
+"""Figures 8 to 15 of the paper, each drawn from the compact numbers by a function of its own. Here stand Figures 8, 13
+and 15: success with and without SSE-DB, beta and accuracy while training, and success under fixed beta."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from infogoal_jax.report.canvas import USE_COLOURS, USE_TITLES, draw_curve, empt
 from infogoal_jax.report.comparison_figures import COLOURS
 from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, success_within
 from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.reproduce.code_figures import fig9, fig10, fig11, fig12, fig14
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import EXTERNAL, FETCH, FIXED_BETAS, PRESET, fixed
 from infogoal_jax.reproduce.numbers import Results
@@ -146,3 +148,16 @@ def fig15(results: Results) -> Figure | None:
         axes.plot([], [], marker, color="black", markersize=5, label=TITLES[task])
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+FIGURES: dict[str, Callable[[Results], Figure | None]] = {
+    "fig8": fig8,
+    "fig9": fig9,
+    "fig10": fig10,
+    "fig11": fig11,
+    "fig12": fig12,
+    "fig13": fig13,
+    "fig14": fig14,
+    "fig15": fig15,
+}
+"""(results) -> the figure, or None where there are no numbers for it."""
