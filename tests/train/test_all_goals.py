@@ -74,6 +74,7 @@ def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
     assert experience.known[TEST].any() == experience.usable[TEST].any() == enter
 
 
+@pytest.mark.long
 def test_same_key_gives_the_same_bits():
     train = training("none", num_epochs=2)
     again = jax.jit(train)

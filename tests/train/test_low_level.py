@@ -162,6 +162,7 @@ def test_targets_move_as_a_high_level_moves_them(moving_targets):
     assert (np.abs(aimed - np.clip(grip, low, high)) <= FARTHEST + 1e-6).all()
 
 
+@pytest.mark.long
 def test_same_key_gives_the_same_bits(moving_targets):
     first, again, other = (moving_targets(seed) for seed in (8, 8, 9))
     jax.tree.map(np.testing.assert_array_equal, first, again)

@@ -28,7 +28,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 RECORDINGS = FIXTURES / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")
 FAITHFUL, DEFAULT = "faithful", "default"
-QUICK = (("fetch_reach", DEFAULT), ("fetch_reach", FAITHFUL))
+QUICK = (("fetch_reach", DEFAULT),)
 """Each replay compiles for 20 to 50 seconds; the others are long tests."""
 GRIP_LIMITS = {
     ("fetch_reach", FAITHFUL): {"random": 1.0, "held": 4.0, "scripted": 1.0},
