@@ -88,7 +88,7 @@ def on(train: Train, config: TrainConfig, env: Any) -> Train:
 
 def subject_of(train: Train, params: Any, seed: int) -> Subject:
     """One seed of a run, as the figures of a run take it."""
-    run = RunInFolder(train.config, [seed], train.env.source, {}, "", Path())
+    run = RunInFolder(train.config, [seed], train.env.source, {}, device="", folder=Path(), name="")
     return Subject(run, train, None, None, {}, params, seed)
 
 

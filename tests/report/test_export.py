@@ -160,7 +160,9 @@ def test_both_levels_of_continuous_policies_do_as_with_jax(make, tmp_path):
 
 
 def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
-    run = runs.Run(config=shelf.train.config, seeds=[0, 1], data="", versions={}, device="", folder=tmp_path)
+    run = runs.Run(
+        config=shelf.train.config, seeds=[0, 1], data="", versions={}, device="", folder=tmp_path, name="run"
+    )
     with pytest.raises(UserError, match="seed = 7"):
         export.export(run, tmp_path / "policy.npz", 7)
 

@@ -31,23 +31,11 @@ from infogoal_jax.train.program import make_train
 
 SEEDS = [3, 4, 5]
 FIGURES = EVERY_TASKS_FIGURES | {"trajectories", "intrinsic_reward"}
-IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
-
-
-def house_from_above():
-    """The hand-made task with its plan: a cross of places 0.6 m apart, room r at r quarter turns."""
-    position = np.zeros((4 * (1 + hand_made.ROOMS * hand_made.DEPTH), 3), np.float32)
-    for state in range(len(position)):
-        place, heading = divmod(state, 4)
-        room, depth = divmod(place - 1, hand_made.DEPTH)
-        distance, angle = (0.6 * (depth + 1) if place else 0.0), room * math.pi / 2
-        position[state] = distance * math.cos(angle), distance * math.sin(angle), heading * math.pi / 2
-    return hand_made.environment().replace(position=jnp.asarray(position))
 
 
 @pytest.fixture(scope="module")
 def env():
-    return house_from_above()
+    return hand_made.environment_from_above()
 
 
 @pytest.fixture(scope="module")

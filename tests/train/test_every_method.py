@@ -43,10 +43,9 @@ def working() -> list[tuple[str, str]]:
 def train_of(task: str, method: str):
     """Training of this method on the small counterpart of this task."""
     make_config, make_environment = TASKS[task]
-    parts = presets.METHODS[method]
     preset = presets.load(task, method)
     changes = {name: getattr(preset, name) for name in ("relabelling", "explorer")}
-    config = make_config(parts.learner, **SHORT, **changes)
+    config = make_config(method, **SHORT, **changes)
     names = [
         name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name) and hasattr(config.agent, name)
     ]
