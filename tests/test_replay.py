@@ -1,6 +1,8 @@
 """What training draws: the replay buffer samples uniformly and never looks across an episode; goal pairs and the
 dissimilarity matrix keep Algorithm 1's promises; keys with Threefry's rounds written out give jax's own numbers."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,22 +38,23 @@ def rows() -> Trajectories:
                     truncated[row, column + step - 1] = not reached and step == length
             column += length + 1
     goal, decided = observation[:, :-1] // 1000, observation[:, :-1] % 1000 % 3 == 0
-    return jax.tree.map(
-        jnp.asarray,
-        Trajectories(
-            observation, observation, np.zeros((6, 25), np.int32), goal, valid, terminated, truncated, decided
-        ),
-    )
+    cell = np.zeros((6, 25), np.int32)
+    return Trajectories(observation, observation, cell, goal, valid, terminated, truncated, decided)
 
 
-def sampled(key, rows: Trajectories, starts, count: int, num_steps: int) -> replay.Transitions:
+def sampled(seed: int, rows: Trajectories, starts, count: int, num_steps: int) -> replay.Transitions:
     """So many transitions that start at any of these steps, bool [R, T]."""
-    places = replay.draw(key, replay.running_count(starts), count, rows.valid.shape[1])
-    return replay.transitions_at(rows, *places, num_steps)
+
+    @jax.jit
+    def draw(key, rows, starts):
+        places = replay.draw(key, replay.running_count(starts), count, rows.valid.shape[1])
+        return replay.transitions_at(rows, *places, num_steps)
+
+    return jax.device_get(draw(jax.random.key(seed), rows, starts))
 
 
 def test_transitions_stay_within_their_episode_and_step_by_one(rows):
-    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
+    batch = sampled(0, rows, rows.valid, 2000, 3)
     taken = batch.mask.sum(1).astype(int)
     assert (taken >= 1).all()
     # Same episode: only the step has grown.
@@ -63,33 +66,32 @@ def test_transitions_stay_within_their_episode_and_step_by_one(rows):
 
 
 def test_termination_is_that_of_the_last_step_taken(rows):
-    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
-    ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(np.asarray(rows.terminated)), strict=True)}
+    batch = sampled(0, rows, rows.valid, 2000, 3)
+    ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(rows.terminated), strict=True)}
     np.testing.assert_array_equal(batch.terminated, [int(last) in ends for last in batch.next_observation])
     assert batch.terminated.any() and not batch.terminated.all()
 
 
 def test_short_transitions_end_an_episode_or_a_row(rows):
-    batch = sampled(jax.random.key(0), rows, rows.valid, 2000, 3)
+    batch = sampled(0, rows, rows.valid, 2000, 3)
     over = rows.terminated | rows.truncated
-    over = over.at[:, -1].set(rows.valid[:, -1] | over[:, -1])
-    ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(np.asarray(over)), strict=True)}
-    for last in np.asarray(batch.next_observation)[np.asarray(batch.mask.sum(1)) < 3]:
+    over[:, -1] |= rows.valid[:, -1]
+    ends = {int(rows.observation[r, t + 1]) for r, t in zip(*np.nonzero(over), strict=True)}
+    for last in batch.next_observation[batch.mask.sum(1) < 3]:
         assert int(last) in ends
 
 
 def test_first_steps_are_uniform_over_all_valid_transitions(rows):
-    batch = sampled(jax.random.key(2), rows, rows.valid, 20_000, 1)
-    valid_starts = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid)]
-    count = np.array([(np.asarray(batch.observation) == start).sum() for start in valid_starts])
+    batch = sampled(2, rows, rows.valid, 20_000, 1)
+    count = np.array([(batch.observation == start).sum() for start in rows.observation[:, :-1][rows.valid]])
     assert count.sum() == 20_000  # Nothing but valid transitions.
     assert scipy.stats.chisquare(count).pvalue > 1e-6
 
 
 def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decisions(rows):
-    batch = sampled(jax.random.key(3), rows, rows.valid & rows.decided, 20_000, 3)
-    decisions = np.asarray(rows.observation[:, :-1])[np.asarray(rows.valid & rows.decided)]
-    count = np.array([(np.asarray(batch.observation) == start).sum() for start in decisions])
+    batch = sampled(3, rows, rows.valid & rows.decided, 20_000, 3)
+    decisions = rows.observation[:, :-1][rows.valid & rows.decided]
+    count = np.array([(batch.observation == start).sum() for start in decisions])
     assert count.sum() == 20_000 and (batch.observation % 1000 % 3 == 0).all()
     assert scipy.stats.chisquare(count).pvalue > 1e-6
     whole = batch.mask.sum(1) == 3
@@ -100,20 +102,23 @@ def test_transitions_of_an_agent_that_decides_now_and_then_start_at_its_decision
 @pytest.mark.parametrize("window", [0, 1, 5])
 def test_pairs_lie_within_the_window_of_one_episode(rows, window):
     achieved = rows.observation % 3 != 0
-    first, second = replay.sample_within_window(
-        jax.random.key(0), rows, achieved, replay.running_count(achieved), 3000, window
-    )
+
+    @jax.jit
+    def draw(key, rows, achieved):
+        return replay.sample_within_window(key, rows, achieved, replay.running_count(achieved), 3000, window)
+
+    first, second = jax.device_get(draw(jax.random.key(0), rows, achieved))
     np.testing.assert_array_equal(first // 1000, second // 1000)
-    lag = np.asarray(second - first)
+    lag = second - first
     assert abs(lag).max() <= window and (lag.min() < 0 < lag.max() or window == 0)
     assert (first % 3 != 0).all() and (second % 3 != 0).all()
 
 
 def test_new_rows_replace_the_oldest(rows):
-    buffer = replay.empty(rows, 2)
-    assert not buffer.valid.any()
+    buffer, add = replay.empty(rows, 2), jax.jit(replay.add)
+    assert not np.asarray(buffer.valid).any()
     for epoch in range(3):
-        buffer = replay.add(buffer, rows.replace(goal=jnp.full_like(rows.goal, epoch)), epoch)
+        buffer = add(buffer, rows.replace(goal=np.full_like(rows.goal, epoch)), epoch)
     np.testing.assert_array_equal(np.unique(buffer.goal[:6]), [2])
     np.testing.assert_array_equal(np.unique(buffer.goal[6:]), [1])
 
@@ -140,46 +145,45 @@ def similar_by_hand(goals, episode, window: int, num_goals: int = 12):
     return similar
 
 
+@functools.partial(jax.jit, static_argnums=3)
+def without_similar(matrix, goals, episode, window: int):
+    """`pairs.remove_similar`; window: in steps."""
+    return pairs.remove_similar(matrix, goals, episode, window)
+
+
 def test_matrix_loses_exactly_the_pairs_seen_within_the_window():
     for seed, window in [(0, 0), (1, 2), (2, 7)]:
         goals, episode = random_rows(seed)
-        matrix = pairs.remove_similar(pairs.initial_dissimilarity(12), jnp.asarray(goals), jnp.asarray(episode), window)
+        matrix = without_similar(pairs.initial_dissimilarity(12), goals, episode, window)
         expected = ~similar_by_hand(goals, episode, window) & ~np.eye(12, dtype=bool)
         np.testing.assert_array_equal(matrix, expected)
 
 
 def test_matrix_is_symmetric_and_only_ever_loses_entries():
-    matrix = pairs.initial_dissimilarity(12)
+    matrix = np.asarray(pairs.initial_dissimilarity(12))
     for seed in range(5):
-        goals, episode = random_rows(seed, rows=1, steps=6)
-        smaller = pairs.remove_similar(matrix, jnp.asarray(goals), jnp.asarray(episode), 2)
+        smaller = np.asarray(without_similar(matrix, *random_rows(seed, rows=1, steps=6), 2))
         assert not (smaller & ~matrix).any()
         np.testing.assert_array_equal(smaller, smaller.T)
-        assert not jnp.diagonal(smaller).any()
+        assert not np.diagonal(smaller).any()
         matrix = smaller
 
 
 def test_negatives_are_known_and_dissimilar_or_carry_no_weight():
-    goals, episode = random_rows(3)
-    matrix = pairs.remove_similar(pairs.initial_dissimilarity(12), jnp.asarray(goals), jnp.asarray(episode), 1)
-    known = jnp.arange(12) % 3 != 0
-    anchors = jnp.tile(jnp.arange(12), 200)[:, None]
-    negative, weight = pairs.sample_negatives(jax.random.key(0), matrix, known, anchors)
+    matrix = np.asarray(without_similar(pairs.initial_dissimilarity(12), *random_rows(3), 1))
+    known, anchors = np.arange(12) % 3 != 0, np.tile(np.arange(12), 200)[:, None]
+    negative, weight = jax.device_get(jax.jit(pairs.sample_negatives)(jax.random.key(0), matrix, known, anchors))
     for anchor in range(12):
-        allowed = set(np.flatnonzero(np.asarray(matrix[anchor] & known)))
-        chosen = negative[anchors == anchor][np.asarray(weight[anchors == anchor]) > 0]
-        assert set(np.asarray(chosen).tolist()) == allowed  # All that are allowed come up in 200 draws, and no other.
+        allowed = set(np.flatnonzero(matrix[anchor] & known))
+        chosen = negative[(anchors == anchor) & (weight > 0)]
+        assert set(chosen.tolist()) == allowed  # All that are allowed come up in 200 draws, and no other.
 
 
 def test_anchor_without_dissimilar_goals_carries_no_weight():
-    _, weight = pairs.sample_negatives(
-        jax.random.key(0), jnp.zeros((5, 5), bool), jnp.ones(5, bool), jnp.arange(5)[:, None]
-    )
-    assert not weight.any()
-    _, weight = pairs.sample_negatives(
-        jax.random.key(0), pairs.initial_dissimilarity(5), jnp.zeros(5, bool), jnp.arange(5)[:, None]
-    )
-    assert not weight.any()
+    draw, anchors = jax.jit(pairs.sample_negatives), np.arange(5)[:, None]
+    for dissimilar, known in ((np.zeros((5, 5), bool), np.ones(5, bool)), (~np.eye(5, dtype=bool), np.zeros(5, bool))):
+        _, weight = draw(jax.random.key(0), dissimilar, known, anchors)
+        assert not np.asarray(weight).any()
 
 
 def test_choosing_from_a_mask_is_uniform_over_its_true_entries():
@@ -190,9 +194,9 @@ def test_choosing_from_a_mask_is_uniform_over_its_true_entries():
 
 
 def test_choosing_among_achieved_goals_never_invents_one():
-    goals = jnp.asarray([[3, -1, 5], [-1, -1, -1], [2, -1, -1]])
+    goals, choose = np.asarray([[3, -1, 5], [-1, -1, -1], [2, -1, -1]]), jax.jit(pairs.choose_goal)
     for seed in range(20):
-        chosen = pairs.choose_goal(jax.random.key(seed), goals)
+        chosen = np.asarray(choose(jax.random.key(seed), goals))
         assert int(chosen[0]) in (3, 5) and int(chosen[1]) == -1 and int(chosen[2]) == 2
 
 
@@ -214,7 +218,8 @@ DRAWS = {
 @pytest.mark.parametrize("draw", DRAWS.values(), ids=DRAWS)
 def test_whatever_is_drawn_is_what_jax_draws(draw):
     keys = jax.random.split(jax.random.key(3), 4)
-    np.testing.assert_array_equal(jax.vmap(draw)(written_out(keys)), jax.vmap(draw)(keys))
+    one, other = jax.jit(lambda keys: (jax.vmap(draw)(written_out(keys)), jax.vmap(draw)(keys)))(keys)
+    np.testing.assert_array_equal(one, other)
 
 
 def test_keys_of_other_generators_are_left_alone():

@@ -89,6 +89,8 @@ def paths_not_shorter(results: Results) -> Finding:
 
 CORRUPTED = ("corrupted_train_goal", "corrupted_test_goal")
 Rows = dict[str, Row]
+LEAST = 1e-6
+"""A beta below it compresses nothing: its logarithm is that of this one, since 0 has none."""
 
 
 def infogoal_on_pick_and_place(results: Results, lane: str = PRESET[0]) -> Row | None:
@@ -101,7 +103,7 @@ def near(metric: str, target: float, tolerance: float, ratio: bool = False) -> C
     number. ratio: the distance is that of logarithms, and the tolerance a factor."""
 
     def left(value: float) -> float:
-        off = abs(np.log(value / target)) if ratio else abs(value - target)
+        off = abs(np.log(max(value, LEAST) / target)) if ratio else abs(value - target)
         return (np.log(tolerance) if ratio else tolerance) - off
 
     def find(results: Results) -> Finding:

@@ -214,3 +214,13 @@ def test_a_claim_about_several_methods_is_one_about_each(results):
     assert found.verdict == "fails" and "InfoGoal minus CHER" in found.words and "weakest of 3" in found.words
     without = {run: result for run, result in results.items() if run.method != "ghrl"}
     assert finding(without, "relabelling-below-infogoal").verdict == "cannot be told"
+
+
+@pytest.mark.parametrize(("beta", "verdict"), [(0.013, "holds"), (0.0, "fails")])
+def test_a_beta_that_fell_to_nothing_is_as_far_off_as_any(results, beta, verdict):
+    def with_beta(result):
+        values = np.full_like(result.evaluations["infogoal/beta"], beta)
+        return dataclasses.replace(result, evaluations=result.evaluations | {"infogoal/beta": values})
+
+    there = {"task": "fetch_pick_and_place", "method": "infogoal"}
+    assert finding(changed(results, with_beta, **there), "beta").verdict == verdict

@@ -45,7 +45,9 @@ def train_of(task: str, method: str):
     make_config, make_environment = TASKS[task]
     preset = presets.load(task, method)
     changes = {name: getattr(preset, name) for name in ("relabelling", "explorer")}
-    config = make_config(method, **SHORT, **changes)
+    learner = presets.METHODS[method].learner
+    # LEO's learner is no method of its own.
+    config = make_config(method if method == "leo" else learner, **SHORT, **changes)
     names = [
         name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name) and hasattr(config.agent, name)
     ]
