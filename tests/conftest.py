@@ -16,6 +16,7 @@ import pytest
 from hand_made_frames import TINY_HOUSE
 
 from infogoal_jax import presets
+from infogoal_jax.__main__ import GARBAGE
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.reproduce import lanes
@@ -62,9 +63,6 @@ LONGEST_FIRST = (
 )
 """Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about
 the same time."""
-GARBAGE = 50_000, 20, 50
-"""Python looks for cycles after so many new objects, not after 700: tracing makes millions that stay, and a tenth of
-the time went into this."""
 ON_DISK = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 """Small programs too: a file of tests has hundreds, and reading one takes a fraction of the time of compiling it."""
 

@@ -62,7 +62,7 @@ def chunk_config(**changes):
     return hand_made.config(**({"num_epochs": 12, "epochs_per_evaluation": 2, "updates_per_epoch": 5} | changes))
 
 
-def brief_config(**changes):
+def small_config(**changes):
     """A run of the small program: so many chunks that a signal meets it on the way."""
     return chunk_config(**({"num_epochs": 24} | changes))
 
@@ -149,9 +149,9 @@ def short(folder: Path) -> bool:
     return not host.run(config, [0], folder, env=hand_made.environment()).stopped
 
 
-def brief(folder: Path) -> bool:
+def small(folder: Path) -> bool:
     """A run of two seeds, without a figure."""
-    return run_of(brief_config(), folder)
+    return run_of(small_config(), folder)
 
 
 def real(folder: Path) -> bool:
@@ -169,7 +169,7 @@ def child(kind: str, folder: str, shared) -> None:
     """What a process does: exit status 0 for a run that finished, `STOPPED` or `REFUSED` otherwise."""
     global moment
     moment = shared
-    if kind not in ("brief", "real"):
+    if kind not in ("small", "real"):
         jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
     if kind != "real":
         host.make_train = search.make_train = small_train
@@ -187,7 +187,7 @@ def child(kind: str, folder: str, shared) -> None:
 
 
 def start(kind: str, folder: Path) -> tuple[multiprocessing.Process, Callable[[], str]]:
-    """A process that runs `train`, `tune`, `final`, `short`, `brief` or `real` in this folder, and what tells which of
+    """A process that runs `train`, `tune`, `final`, `short`, `small` or `real` in this folder, and what tells which of
     `MOMENTS` it is at; one that has everything imported forks it, which saves seconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["killed_run"])

@@ -9,6 +9,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.files import was_made_with
 from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice, Run, runs_of
+from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
 from infogoal_jax.reproduce.work import Work, work_on
 from infogoal_jax.reproduce.workers import arguments_of, work_side_by_side
@@ -64,10 +65,15 @@ class Asked:
         require(bool(runs), self.name, "", "these tasks, methods, variants and sets have no run in it; name others")
         if self.known is None:
             return runs
-        known = numbers.load(self.known, "known")
+        known = self.known_results
         return [
             run for run in runs if not numbers.holds(known, run, config_of(run, self.goal_images), measured=self.retry)
         ]
+
+    @functools.cached_property
+    def known_results(self) -> Results:
+        """The runs of the folder of known numbers; none without one. They are read once."""
+        return {} if self.known is None else numbers.load(self.known, "known")
 
 
 def reproduce(asked: Asked) -> int:
@@ -105,8 +111,7 @@ def reproduce(asked: Asked) -> int:
     kinds = {state.kind for state in states.values()}
     if asked.draw and "left" not in kinds and kinds & {"done", "not measured"}:
         if deadline - time.time() > DRAWING:
-            known = {} if asked.known is None else numbers.load(asked.known, "known")
-            draw(asked, known | numbers.of_folder(asked.out / "runs"))
+            draw(asked, asked.known_results | numbers.of_folder(asked.out / "runs"))
         else:
             print("no time was left to draw; the same command draws")
     return FAILED if "failed" in kinds else DONE if kinds <= {"done", "not measured"} else MORE
@@ -115,7 +120,7 @@ def reproduce(asked: Asked) -> int:
 def check_size(asked: Asked) -> None:
     """Raise `UserError` where the folder, or the known numbers, hold runs at toy size and runs of full size are asked
     for, or the other way round: they would be drawn in one table."""
-    known = [] if asked.known is None else [run.name for run in numbers.load(asked.known, "known")]
+    known = [run.name for run in asked.known_results]
     for flag, folder, names in (
         ("out", asked.out, (path.name.partition(".")[0] for path in (asked.out / "runs").rglob("seeds_*"))),
         ("known", asked.known, known),

@@ -59,6 +59,11 @@ def is_study(path: Path) -> bool:
     return path.stem in HOMES
 
 
+def has_numbers(folder: Path) -> bool:
+    """Whether a folder holds compact numbers of any study."""
+    return any((folder / f"{home}.npz").exists() for home in HOMES)
+
+
 def load(folder: Path, field: str = "from") -> Results:
     """The runs of the compact numbers in this folder. Raises `UserError`, naming the field, if there are none, or for a
     damaged file."""
@@ -126,11 +131,11 @@ def save(results: Results, folder: Path) -> list[Path]:
 def merged(folders: list[Path], into: Path) -> Results:
     """The runs of the compact numbers in `into`, with those of these folders, of which the last one counts. Raises
     `UserError` for a folder that is missing or holds neither runs nor numbers."""
-    found = load(into, "into") if any((into / f"{home}.npz").exists() for home in HOMES) else {}
+    found = load(into, "into") if has_numbers(into) else {}
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
-        new = load(folder, "folders") if any((folder / f"{home}.npz").exists() for home in HOMES) else of_folder(folder)
+        new = load(folder, "folders") if has_numbers(folder) else of_folder(folder)
         require(bool(new), "folders", str(folder), "holds no finished run")
         found = of_one_size(found | new, "folders", str(folder))
     return found

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import killed_run
 import numpy as np
 import pytest
-from killed_run import brief_config
+from killed_run import small_config
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, tables
@@ -36,18 +36,18 @@ def env():
 
 @pytest.fixture(autouse=True)
 def small_program(monkeypatch):
-    """The small program in place of InfoGoal's own, in this process as in those of `brief` runs."""
+    """The small program in place of InfoGoal's own, in this process as in those of `small` runs."""
     monkeypatch.setattr(host, "make_train", killed_run.small_train)
 
 
-def start(folder: Path, kind: str = "brief") -> multiprocessing.Process:
-    """The run in a process of its own. brief: of the small program; real: of InfoGoal's own, which is compiled once and
+def start(folder: Path, kind: str = "small") -> multiprocessing.Process:
+    """The run in a process of its own. small: of the small program; real: of InfoGoal's own, which is compiled once and
     shared (conftest.py), so that kills hit the run and not the compiler."""
     process, _ = killed_run.start(kind, folder)
     return process
 
 
-def finish(folder: Path, kind: str = "brief") -> Path:
+def finish(folder: Path, kind: str = "small") -> Path:
     """Run to the end. Returns the folder."""
     process = start(folder, kind)
     process.join()
@@ -129,7 +129,7 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
     )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
     with pytest.raises(UserError, match="damaged|no checkpoint|cannot be resumed"):
-        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
     assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
 
 
@@ -160,7 +160,7 @@ def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, en
     elif spoiled is not None:
         table.write_bytes(spoiled)
     before = {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
-    longer = dataclasses.replace(brief_config(), num_epochs=num_epochs)
+    longer = dataclasses.replace(small_config(), num_epochs=num_epochs)
     with pytest.raises(UserError, match=f"{table.name}.*(; bring back a copy|not there)"):
         last_point(copy_of_whole, host.describe(longer, env, [0, 1]), states_shape(env))
     assert before == {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
@@ -168,7 +168,7 @@ def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, en
 
 def states_shape(env):
     """Shapes of the states of two seeds."""
-    train = host.make_train(brief_config(), env)
+    train = host.make_train(small_config(), env)
     keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
     return jax.eval_shape(jax.vmap(lambda key: train.initial(key, train.config.hyper, env)), keys)
 
@@ -178,7 +178,7 @@ def test_a_checkpoint_of_an_epoch_that_is_none_is_refused(copy_of_whole, env, ep
     header, _ = checkpoint.read_header(copy_of_whole / "checkpoint")
     checkpoint.save(copy_of_whole / "checkpoint", header | {"epoch": epoch}, {})
     with pytest.raises(UserError, match="checkpoint.*epoch = "):
-        last_point(copy_of_whole, host.describe(brief_config(), env, [0, 1]), None)
+        last_point(copy_of_whole, host.describe(small_config(), env, [0, 1]), None)
 
 
 def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninterrupted, copy_of_whole, env):
@@ -188,7 +188,7 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines[:3]) + b'{"seed": 0, "epo')
     (copy_of_whole / "evaluations.jsonl").unlink()
     (copy_of_whole / "evaluations.csv").unlink()
-    now = host.describe(brief_config(), env, [0, 1])
+    now = host.describe(small_config(), env, [0, 1])
     assert last_point(copy_of_whole, now, None) == BEGINNING
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines))  # Later rows: a checkpoint was lost.
     with pytest.raises(UserError, match="there is no checkpoint"):
@@ -196,25 +196,25 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
 
 
 def test_a_checkpoint_of_another_configuration_names_the_fields(copy_of_whole, env):
-    other = brief_config(batch_size=64)
+    other = small_config(batch_size=64)
     with pytest.raises(UserError, match="batch_size was 32, now 64"):
         host.run(other, [0, 1], copy_of_whole, resume=True, env=env)
     with pytest.raises(UserError, match=r"seeds was \[0, 1\], now \[0, 1, 2\]"):
-        host.run(brief_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
+        host.run(small_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
     before = {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
     with pytest.raises(UserError, match="holds a run already"):
-        host.run(brief_config(), [0, 1], copy_of_whole, env=env)
+        host.run(small_config(), [0, 1], copy_of_whole, env=env)
     assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
 def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_path):
     """Poison one seed's parameters in a checkpoint of the small program, go on for a chunk, and compare with going on
     from the sound checkpoint. `test_training.py` poisons a seed of the real one."""
-    folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(brief_config(), num_epochs=26)
-    host.run(brief_config(), [0, 1], folder, env=env)
+    folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(small_config(), num_epochs=26)
+    host.run(small_config(), [0, 1], folder, env=env)
     shutil.copytree(folder, sound)
     header, states = checkpoint.load(folder / "checkpoint", states_shape(env))
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
@@ -269,9 +269,9 @@ def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
     path = copy_of_whole / "checkpoint"
     path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
     with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
-        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
     about = json.loads((copy_of_whole / "config.json").read_text())
     del about["config"]["format"]
     (copy_of_whole / "config.json").write_text(json.dumps(about))
     with pytest.raises(UserError, match="config.format = 1.*use the version that wrote the run"):
-        host.run(brief_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
