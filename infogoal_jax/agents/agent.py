@@ -27,8 +27,9 @@ class AgentTraits(NamedTuple):
 class AllGoals:
     """The transitions of a batch under G goals at once."""
 
-    weight: jax.Array
-    """float32 [G], 1 for goals that are known, 0 for those that nothing is learned of."""
+    share: jax.Array
+    """float32 [G], of each goal in the loss, 1 together: as much for every known goal, 0 for those that nothing is
+    learned of."""
     code: jax.Array
     """float32 [G, d]. Where G is the number of goals of the task, they are all of them, in order."""
     target_code: jax.Array

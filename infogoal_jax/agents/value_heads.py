@@ -180,23 +180,22 @@ def target_of_all(
     return jax.lax.stop_gradient(reward + discount * best)
 
 
-def mean_over_goals(values: jax.Array, weight: jax.Array) -> jax.Array:
-    """The mean of values [..., G] over all axes; goals count by their weight [G]."""
-    share = weight / jnp.maximum(weight.sum(), 1.0)
+def mean_over_goals(values: jax.Array, share: jax.Array) -> jax.Array:
+    """The mean of values [..., G] over all axes; goals count by their share [G]."""
     return (values * share).sum(-1).mean()
 
 
 def td_loss_of_all(
-    predicted: jax.Array, target: jax.Array, weight: jax.Array, huber: bool
+    predicted: jax.Array, target: jax.Array, share: jax.Array, huber: bool
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Temporal-difference error of values [B, G] against their targets [B, G], over goals of weight above 0 alone:
+    """Temporal-difference error of values [B, G] against their targets [B, G], over goals with a share alone:
     (loss, metrics). Without `huber` it is LEO's half of the mean square."""
     error = networks.squared_or_huber(predicted, target, huber)
     metrics = {
-        "td_error": mean_over_goals(jnp.abs(predicted - target), weight),
-        "value": mean_over_goals(predicted, weight),
+        "td_error": mean_over_goals(jnp.abs(predicted - target), share),
+        "value": mean_over_goals(predicted, share),
     }
-    return mean_over_goals(error, weight), metrics
+    return mean_over_goals(error, share), metrics
 
 
 def value_loss(
@@ -212,13 +211,13 @@ def value_loss(
     target = target_of_all(goals.reward, goals.discount, following, batch.next_action_mask)
     if regulariser is None:
         predicted = head.taken_of_all(params, batch.features, batch.action, goals.code)
-        return td_loss_of_all(predicted, target, goals.weight, huber)
+        return td_loss_of_all(predicted, target, goals.share, huber)
     values = head.values_of_all(params, batch.features, goals.code)
     predicted = of_actions(values, batch.action)
-    error, metrics = td_loss_of_all(predicted, target, goals.weight, huber)
+    error, metrics = td_loss_of_all(predicted, target, goals.share, huber)
     extra, own_metrics = jax.vmap(lambda under_one: regulariser(under_one, batch, hyper), in_axes=-1)(values)
-    own_metrics = {name: mean_over_goals(value, goals.weight) for name, value in own_metrics.items()}
-    return error + mean_over_goals(extra, goals.weight), metrics | own_metrics
+    own_metrics = {name: mean_over_goals(value, goals.share) for name, value in own_metrics.items()}
+    return error + mean_over_goals(extra, goals.share), metrics | own_metrics
 
 
 def critic_loss(
@@ -242,5 +241,5 @@ def critic_loss(
     )
     target = jax.lax.stop_gradient(goals.reward + goals.discount * following.min(0))
     values = critic.apply(params["critic"], batch.features, batch.action, goals.code, method="of_all")
-    loss, metrics = jax.vmap(lambda twin: td_loss_of_all(twin, target, goals.weight, huber=True))(values)
+    loss, metrics = jax.vmap(lambda twin: td_loss_of_all(twin, target, goals.share, huber=True))(values)
     return loss.sum(), jax.tree.map(jnp.mean, metrics)

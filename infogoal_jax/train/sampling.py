@@ -42,6 +42,7 @@ class Sample:
     bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B];
     None without an explorer.
     all_goals: int32 [G], the goals that the agent learns every transition from; None without, or for all of the task.
+    goal_share: float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without.
     relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what
     the agent sees.
     """
@@ -56,6 +57,7 @@ class Sample:
     move: tuple | None = None
     relabelled: RelabelledBatch | None = None
     all_goals: jax.Array | None = None
+    goal_share: jax.Array | None = None
 
 
 def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
@@ -79,7 +81,8 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         )
     if spec_of(parts) is not None:
         known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
-        drawn = drawn.replace(all_goals=draw_goals(spec_of(parts), known, drawn.achieved, goals_key))
+        goals = draw_goals(spec_of(parts), known, drawn.achieved, goals_key)
+        drawn = drawn.replace(all_goals=goals, goal_share=shares(known if goals is None else known[goals]))
     if spec.first_seen:
         led_to = jnp.minimum(step[:, None] + 1 + jnp.arange(num_steps), buffer.valid.shape[1])
         drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
@@ -150,6 +153,15 @@ def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: j
     found = of_transition[jax.random.randint(which_key, (count,), 0, achieved.shape[0])]
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
     return anything.at[:count].set(jnp.where(found >= 0, found, anything[:count]))
+
+
+def shares(known: jax.Array) -> jax.Array:
+    """The share of each goal in a mean over the known ones, float32 [G]: known bool [G].
+
+    Drawn with the goals, not in the loss: there XLA sums it again for every tile of the values on a GPU, which took a
+    fifth of an update of the cube.
+    """
+    return known / jnp.maximum(known.sum(), 1)
 
 
 def with_relabelled_goals(

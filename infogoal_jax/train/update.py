@@ -15,7 +15,7 @@ from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.experience import Experience, goals_to_learn
+from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import encode_states, training_view
 from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample, spec_of
 
@@ -104,13 +104,13 @@ def under_all_goals(
     target_params,
     batch: Transitions,
     goals: jax.Array | None,
-    known: jax.Array,
+    share: jax.Array,
     view_key: jax.Array,
     key: jax.Array,
 ) -> AllGoals:
-    """The transitions under these goals [G], or under all goals of the task, of which unknown ones have no weight.
+    """The transitions under these goals [G], or under all goals of the task, of which unknown ones have no share.
 
-    known: bool [N]; view_key: of how goal inputs are varied; key: of the noise of codes.
+    share: float32 [G]; view_key: of how goal inputs are varied; key: of the noise of codes.
     """
     goals = jnp.arange(env.goals.num_goals) if goals is None else goals
     records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
@@ -125,7 +125,7 @@ def under_all_goals(
     keys = jax.random.split(key)
     mean = spec_of(parts).mean_code
     return AllGoals(
-        weight=known[goals].astype(jnp.float32),
+        share=share,
         code=code.mean if mean else code.sample(keys[0]),
         target_code=target_code.mean if mean else target_code.sample(keys[1]),
         reward=reward,
@@ -190,10 +190,10 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         encode = GoalEncoding(learner, params["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
         if spec_of(parts) is not None:
-            known, noise_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
+            noise_key = jax.random.fold_in(key, 5)
             codes = codes.replace(
                 all_goals=under_all_goals(
-                    parts, env, hyper, params, targets, batch, drawn.all_goals, known, view_key, noise_key
+                    parts, env, hyper, params, targets, batch, drawn.all_goals, drawn.goal_share, view_key, noise_key
                 )
             )
         seen = LearnerBatch(

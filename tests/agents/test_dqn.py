@@ -129,7 +129,7 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     mask = jnp.ones((steps * width, 4), bool)
     target = value_heads.target_of_all(reward, discount, values_of_all(recorded["weights"], following, None), mask)
     np.testing.assert_allclose(target, recorded["targets"].reshape(-1, goals), atol=1e-5)
-    under = AllGoals(jnp.ones(goals), None, None, reward, discount)
+    under = AllGoals(jnp.full(goals, 1 / goals), None, None, reward, discount)
     batch = batch_of(first, following, recorded["actions"].reshape(-1), under, mask)
 
     def loss(weights):
@@ -182,12 +182,12 @@ def test_bounded_values_lie_between_0_and_1():
     assert values.min() >= 0 and values.max() <= 1 and values.std() > 0.3
 
 
-def test_goals_without_weight_teach_nothing():
+def test_goals_without_a_share_teach_nothing():
     """The loss does not depend on their values, and the mean is over the others."""
     predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
-    loss, _ = value_heads.td_loss_of_all(predicted, target, jnp.array([1.0, 1.0, 0.0]), huber=False)
+    loss, _ = value_heads.td_loss_of_all(predicted, target, jnp.array([0.5, 0.5, 0.0]), huber=False)
     np.testing.assert_allclose(loss, 0.125)
-    gradient = jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([1.0, 1.0, 0.0]), True)[0])(
+    gradient = jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([0.5, 0.5, 0.0]), True)[0])(
         predicted
     )
     assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()
@@ -217,11 +217,11 @@ def test_product_critics_value_all_goals_as_each_alone():
 
 
 def test_td3_under_all_goals_is_td3_under_each():
-    """Without noise, the loss is the mean over goals of TD3's own critic loss; a goal without weight is left out."""
+    """Without noise, the loss is the mean over goals of TD3's own critic loss; a goal without a share is left out."""
     critic, actor, params, features, actions, codes = critic_of_vectors()
     keys = jax.random.split(jax.random.key(2), 2)
     reward = jax.random.bernoulli(keys[0], 0.3, (B, G)).astype(jnp.float32)
-    under = AllGoals(jnp.ones(G).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
+    under = AllGoals(jnp.full(G, 1 / 6).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
     batch = batch_of(features, features + 1.0, actions, under, None)
     found, _ = value_heads.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
     joined, losses = td3.OfInputs(critic, F), []

@@ -16,7 +16,7 @@ from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.combinations import check_combination
 from infogoal_jax.train.parts import load_environment
-from infogoal_jax.train.sampling import draw_goals
+from infogoal_jax.train.sampling import draw_goals, shares
 from infogoal_jax.train.update import under_all_goals
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
@@ -106,13 +106,13 @@ def test_rewards_are_those_of_each_goal_alone(goals):
         start, arrived, jnp.zeros(count, int), None, arrived[:, None], jnp.ones((count, 1)), jnp.zeros(count, bool)
     )
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
-    key = jax.random.key(1)
-    found = under_all_goals(train.parts, env, hyper, params, params, batch, goals, known, key, key)
+    share, key = shares(known if goals is None else known[goals]), jax.random.key(1)
+    found = under_all_goals(train.parts, env, hyper, params, params, batch, goals, share, key, key)
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)
         np.testing.assert_allclose(found.discount[:, place], hyper.discount * ~reached)
-        assert found.weight[place] == (goal != 0)
+        np.testing.assert_allclose(found.share[place], (goal != 0) / (7 if goals is None else 2))
 
 
 @pytest.mark.long
