@@ -100,7 +100,9 @@ def success_table(results: Results, task: str) -> Table | None:
     foot = [
         "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t). Bold: best of a column; "
         "underlined: second best, once every method ran on every goal set. "
-        f"{' or '.join(map(str, seeds))} seed(s) on each goal set. Corrupted: background of weight 0.4.",
+        f"{' or '.join(map(str, seeds))} seed(s) on each goal set."
+        + " Corrupted: background of weight 0.4."
+        * any("corrupted" in kind for kind, _ in shown),
         protocols_in_words(task),
         *legend(rows.values()),
         f"{'; '.join(dict.fromkeys(result.about['machine'] for row in rows.values() for result in row.results))}.",
@@ -254,15 +256,15 @@ def draw_figure(results: Results, path: Path, format: str = "png") -> list[Path]
 
 
 def on_page(results: Results) -> dict[str, str]:
-    """What docs/all_goals.md shows, by name: the tables of each task, what it cost, and the figure; nothing before the
-    first run of the study."""
+    """What docs/all_goals.md shows, by name: the tables of each task, or that it was not run yet, what it cost, and the
+    figure; nothing before the first run of the study."""
     if all(run.of_paper for run in results):
         return {}
     shown = {table.name: markdown(table).strip() for table in all_tables(results)}
     found = {
         task: "\n\n".join(shown[name] for name in (f"{NAME}_{task}", f"{NAME}_{task}_differences") if name in shown)
+        or "Not run yet."
         for task in AGENTS
-        if f"{NAME}_{task}" in shown
     }
     return found | {"costs": shown[f"{NAME}_costs"], "figure": f"![success on test goals](results/{NAME}.png)"}
 
