@@ -32,7 +32,7 @@ LONGEST_FIRST = (
     "same_numbers",
     "every_method",
     "fly",
-    "kills",
+    "folder",
     "programs",
     "parity",
     "hrac_program",

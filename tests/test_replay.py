@@ -81,6 +81,15 @@ def test_short_transitions_end_an_episode_or_a_row(rows):
         assert int(last) in ends
 
 
+def test_steps_left_counts_to_the_end_of_the_episode(rows):
+    valid = np.asarray(rows.valid)
+    expected = np.zeros(valid.shape, int)
+    for row, column in np.ndindex(*valid.shape):
+        while column + expected[row, column] < valid.shape[1] and valid[row, column + expected[row, column]]:
+            expected[row, column] += 1
+    np.testing.assert_array_equal(replay.steps_left(rows.valid), expected)
+
+
 def test_first_steps_are_uniform_over_all_valid_transitions(rows):
     batch = sampled(2, rows, rows.valid, 20_000, 1)
     count = np.array([(batch.observation == start).sum() for start in rows.observation[:, :-1][rows.valid]])
