@@ -97,12 +97,11 @@ def success_table(results: Results, task: str) -> Table | None:
         for line, (method, cell) in zip(body, column.items(), strict=True):
             line.append(cell._replace(rank=rank.get(method, 0)))
     seeds = sorted({row.seeds for row in rows.values()})
+    corrupted = " Corrupted: background of weight 0.4." if any("corrupted" in kind for kind, _ in shown) else ""
     foot = [
         "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t). Bold: best of a column; "
         "underlined: second best, once every method ran on every goal set. "
-        f"{' or '.join(map(str, seeds))} seed(s) on each goal set."
-        + " Corrupted: background of weight 0.4."
-        * any("corrupted" in kind for kind, _ in shown),
+        f"{' or '.join(map(str, seeds))} seed(s) on each goal set.{corrupted}",
         protocols_in_words(task),
         *legend(rows.values()),
         f"{'; '.join(dict.fromkeys(result.about['machine'] for row in rows.values() for result in row.results))}.",
