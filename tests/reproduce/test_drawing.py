@@ -74,6 +74,21 @@ def test_a_merge_names_runs_of_other_settings(tmp_path, capsys):
     assert f"1 runs were made with other settings than the presets have now: {runs[1].name}\n" in printed
 
 
+def test_a_merge_says_what_it_takes_away(results, tmp_path, capsys):
+    """A run of another study may have been made without the pictures of codes."""
+    run = next(run for run, result in results.items() if any(key.startswith("picture/") for key in result.arrays))
+    bare = dataclasses.replace(
+        results[run], arrays={k: v for k, v in results[run].arrays.items() if not k.startswith("picture/")}
+    )
+    numbers.save({run: results[run]}, tmp_path / "all")
+    numbers.save({run: bare}, tmp_path / "some")
+    merge = ["reproduce", "merge", str(tmp_path / "some"), "--into", str(tmp_path / "all")]
+    assert main(merge) == 0
+    assert f"{run.name} had picture, which" in capsys.readouterr().out
+    assert main(merge) == 0
+    assert "which the run in its place" not in capsys.readouterr().out
+
+
 def test_damaged_numbers_are_refused(folder, tmp_path):
     content = (folder / "table1.npz").read_bytes()
     (tmp_path / "table1.npz").write_bytes(content[: len(content) // 2])
