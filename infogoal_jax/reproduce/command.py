@@ -180,14 +180,14 @@ def merge(folders: list[Path], into: Path) -> int:
     """Put the finished runs of these folders into the compact numbers. Returns the exit status."""
     require(bool(folders), "folders", "", "give folders of infogoal reproduce")
     before = numbers.load(into, "into") if numbers.has_numbers(into) else {}
-    results = numbers.merged(folders, into)
+    results = numbers.merged(before, folders)
     for path in numbers.save(results, into):
         print(f"{path}: {path.stat().st_size:,} bytes")
     others = [run.name for run, result in results.items() if not was_made_with(result, config_of(run, Path()))]
     if others:
         print(f"{len(others)} runs were made with other settings than the presets have now: {', '.join(others)}")
     for run, result in before.items():
-        lost = sorted({key.partition("/")[0] for key in result.arrays.keys() - results[run].arrays.keys()})
+        lost = [name for name in results[run].missing() if name not in result.missing()]
         if lost:
             print(f"{run.name} had {', '.join(lost)}, which the run in its place was not measured for")
     print(f"{len(results)} runs; draw them: infogoal reproduce all --from {into} --out FOLDER")

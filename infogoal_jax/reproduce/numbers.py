@@ -128,10 +128,10 @@ def save(results: Results, folder: Path) -> list[Path]:
     return paths
 
 
-def merged(folders: list[Path], into: Path) -> Results:
-    """The runs of the compact numbers in `into`, with those of these folders, of which the last one counts. Raises
-    `UserError` for a folder that is missing or holds neither runs nor numbers."""
-    found = load(into, "into") if has_numbers(into) else {}
+def merged(before: Results, folders: list[Path]) -> Results:
+    """These runs, with those of the folders, of which the last one counts. Raises `UserError` for a folder that is
+    missing or holds neither runs nor numbers."""
+    found = before
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")

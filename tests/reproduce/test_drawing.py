@@ -56,11 +56,12 @@ def test_a_merge_adds_and_replaces(results, folder, tmp_path):
     run = next(iter(results))
     new = made_up_results.result_of(run, 0.5)
     numbers.save({run: numbers.compact(new)}, tmp_path)
-    merged = numbers.merged([tmp_path], folder)
+    before = numbers.load(folder)
+    merged = numbers.merged(before, [tmp_path])
     assert merged.keys() == results.keys()
     assert merged[run].evaluations["test_goal/success_rate"].mean() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(UserError, match="no such folder"):
-        numbers.merged([tmp_path / "nothing"], folder)
+        numbers.merged(before, [tmp_path / "nothing"])
 
 
 def test_a_merge_names_runs_of_other_settings(tmp_path, capsys):
@@ -84,7 +85,7 @@ def test_a_merge_says_what_it_takes_away(results, tmp_path, capsys):
     numbers.save({run: bare}, tmp_path / "some")
     merge = ["reproduce", "merge", str(tmp_path / "some"), "--into", str(tmp_path / "all")]
     assert main(merge) == 0
-    assert f"{run.name} had picture, which" in capsys.readouterr().out
+    assert f"{run.name} had pictures, which" in capsys.readouterr().out
     assert main(merge) == 0
     assert "which the run in its place" not in capsys.readouterr().out
 
