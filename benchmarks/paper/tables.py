@@ -7,7 +7,7 @@ is replaced by what the numbers of the source give. Sources:
 
     paper     Table I of the runs in table1.npz; docs/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl
-    trials    the trials of trials.py, in trials/numbers.csv
+    trials    the trials of trials.py, in trials/numbers.csv.gz
     all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in table1.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv

@@ -1,5 +1,5 @@
-"""What is kept of the trials: docs/results/trials/numbers.csv, one row for every evaluation of every lane and seed, the
-tables made of it, and the probe that says what a code still tells of its goal.
+"""What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every lane and seed,
+the tables made of it, and the probe that says what a code still tells of its goal.
 
     trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
     known_goals                      the protocol; empty in older rows, which were all under `visited`
@@ -22,6 +22,8 @@ Both for clean images, and for images under test backgrounds: `corrupted_...`.
 """
 
 import csv
+import gzip
+import io
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -33,9 +35,10 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulation
 from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.reproduce.table_formats import markdown_lines
+from infogoal_jax.runs import disk
 from infogoal_jax.train.evaluation import corrupted_images
 
-FILE = "numbers.csv"
+FILE = "numbers.csv.gz"
 LAST = 3
 """Evaluations over which tables take the mean: a single one of few goals jumps by 0.05 and more."""
 FEWEST_SEEDS = 3
@@ -65,24 +68,26 @@ Row = dict[str, str]
 
 
 def read(path: Path) -> list[Row]:
-    """The rows of a file of trials."""
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+    """The rows of a file of trials, CSV as it is or compressed."""
+    content = path.read_bytes()
+    text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+    return list(csv.DictReader(io.StringIO(text, newline="")))
 
 
 def write(rows: list[Row], path: Path) -> None:
-    """Write these rows, with every column that holds something anywhere, the machine last."""
+    """Write these rows compressed, with every column that holds something anywhere, the machine last."""
     columns = [
         column
         for column in dict.fromkeys(column for row in rows for column in row)
         if any(row.get(column) for row in rows)
     ]
-    with open(path, "w", newline="") as file:
-        table = csv.DictWriter(
-            file, sorted(columns, key="machine".__eq__), restval="", extrasaction="ignore", lineterminator="\n"
-        )
-        table.writeheader()
-        table.writerows(rows)
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(
+        text, sorted(columns, key="machine".__eq__), restval="", extrasaction="ignore", lineterminator="\n"
+    )
+    table.writeheader()
+    table.writerows(rows)
+    disk.write_atomically(path, lambda file: file.write(gzip.compress(text.getvalue().encode(), mtime=0)))
 
 
 def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:

@@ -9,7 +9,7 @@ by side in one program.
 and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation of
 every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
-FOLDER into docs/results/trials/numbers.csv, in place of what was there of the same trials; `tables.py trials` then
+FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
 writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has
 come in that file.
 """

@@ -113,14 +113,29 @@ def of_row(row: Row, number: Callable[[Result], dict[int, float]]) -> Paired:
     return {place: seeds for place, seeds in found.items() if seeds}
 
 
+def shared(*several: Paired) -> list[Paired]:
+    """Several numbers on the goal sets and seeds of which all have one."""
+    places = sorted(set(several[0]).intersection(*several[1:]))
+    seeds = {
+        place: sorted(set(several[0][place]).intersection(*(each[place] for each in several[1:]))) for place in places
+    }
+    return [
+        {place: {seed: each[place][seed] for seed in own} for place, own in seeds.items() if own} for each in several
+    ]
+
+
 def combined(function: Callable[..., float], *several: Paired) -> Paired:
     """The function of several numbers on the same goal set and seed, where all have one."""
-    found = {}
-    for place in set(several[0]).intersection(*several[1:]):
-        seeds = sorted(set(several[0][place]).intersection(*(each[place] for each in several[1:])))
-        if seeds:
-            found[place] = {seed: float(function(*(each[place][seed] for each in several))) for seed in seeds}
-    return dict(sorted(found.items()))
+    first, *others = shared(*several)
+    return {
+        place: {seed: float(function(value, *(each[place][seed] for each in others))) for seed, value in own.items()}
+        for place, own in first.items()
+    }
+
+
+def mean_number(numbers: Paired) -> float:
+    """The mean over goal sets of the mean over seeds."""
+    return float(np.mean([np.mean([*seeds.values()]) for seeds in numbers.values()]))
 
 
 def difference(first: Paired, second: Paired) -> Paired:
@@ -135,8 +150,8 @@ def mean_of(several: Sequence[Paired]) -> Paired:
 
 def by_task(tasks: dict[str, Paired]) -> str:
     """`mean over Push 0.12, EQA 0.15`: a mean may hide a task that is otherwise."""
-    means = {task: np.mean([np.mean([*seeds.values()]) for seeds in sets.values()]) for task, sets in tasks.items()}
-    return f"mean over {', '.join(f'{TITLES[task]} {mean + 0.0:.2f}' for task, mean in means.items())}"
+    means = {task: mean_number(sets) + 0.0 for task, sets in tasks.items()}
+    return f"mean over {', '.join(f'{TITLES[task]} {mean:.2f}' for task, mean in means.items())}"
 
 
 def left_out_words(left_out: Sequence[str]) -> str:
@@ -169,12 +184,15 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
         rows = {method: row for method, row in rows.items() if row is not None and row.mean(kind)}
         if "infogoal" not in rows or len(rows) < 2:
             return Finding(None, "no runs")
-        means = {method: row.mean(kind).mean for method, row in rows.items()}
         found = []
         for method in (method for method in rows if method != "infogoal"):
-            other = f"{METHODS[method]} {means[method]:.2f}"
-            words = f"InfoGoal {means['infogoal']:.2f}, {other}, least certain of {len(rows) - 1}"
-            found.append(finding({task: paired(rows["infogoal"], rows[method], kind)}, words, [*rows.values()]))
+            both = shared(*(of_row(rows[each], success(kind)) for each in ("infogoal", method)))
+            if not both[0]:
+                found.append(Finding(None, f"InfoGoal and {METHODS[method]}: no goal set that both ran on"))
+                continue
+            means = [mean_number(own) for own in both]
+            words = f"InfoGoal {means[0]:.2f}, {METHODS[method]} {means[1]:.2f}, least certain of {len(rows) - 1}"
+            found.append(finding({task: difference(*both)}, words, [*rows.values()]))
         return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
 
     return find

@@ -22,10 +22,12 @@ from infogoal_jax.reproduce.evidence import (
     lacking_rows,
     left_out_words,
     longer_paths,
+    mean_number,
     mean_of,
     metric_of,
     of_row,
     pair_words,
+    shared,
     success,
     weakest,
 )
@@ -73,8 +75,10 @@ def less_than_infogoal(results: Results) -> Finding:
     infogoal, explorer = rows_of(results, "infogoal")[1], rows_of(results, "none")[0]
     if infogoal is None or explorer is None:
         return Finding(None, "no runs")
-    numbers = [of_row(row, success("test_goal")) for row in (infogoal, explorer)]
-    means = [np.mean([value for seeds in each.values() for value in seeds.values()]) for each in numbers]
+    numbers = shared(*(of_row(row, success("test_goal")) for row in (infogoal, explorer)))
+    if not numbers[0]:
+        return Finding(None, "no runs")
+    means = [mean_number(each) for each in numbers]
     words = f"test goals: {METHODS['infogoal']} {means[0]:.2f}, DQN + SSE-DB {means[1]:.2f}"
     return finding({TASK: difference(*numbers)}, words, (infogoal, explorer))
 
@@ -124,18 +128,15 @@ def rows_of_lane(results: Results, lane: str) -> Rows | None:
     return None if None in rows.values() else rows
 
 
-def gains(first: Rows, second: Rows, kinds: Sequence[str]) -> dict[str, Paired]:
-    """Success of the first rows minus that of the second, mean over kinds of goals, by task."""
-    numbers = [
-        {task: mean_of([of_row(row, success(kind)) for kind in kinds]) for task, row in rows.items()}
-        for rows in (first, second)
-    ]
-    return {task: difference(numbers[0][task], numbers[1][task]) for task in first}
-
-
-def mean_success(rows: Rows, kinds: Sequence[str]) -> float:
-    """Success of rows, mean over tasks and kinds of goals."""
-    return float(np.mean([row.mean(kind).mean for row in rows.values() for kind in kinds]))
+def side_by_side(first: Rows, second: Rows, kinds: Sequence[str]) -> tuple[dict[str, Paired], float, float]:
+    """Success, mean over kinds of goals, on the goal sets and seeds of both rows: that of the first minus that of the
+    second by task, and the mean over tasks of each."""
+    numbers = {
+        task: shared(*(mean_of([of_row(rows[task], success(kind)) for kind in kinds]) for rows in (first, second)))
+        for task in first
+    }
+    means = [float(np.mean([mean_number(both[place]) for both in numbers.values()])) for place in (0, 1)]
+    return {task: difference(*both) for task, both in numbers.items()}, *means
 
 
 def fixed_against_adaptive(results: Results) -> Finding:
@@ -145,11 +146,12 @@ def fixed_against_adaptive(results: Results) -> Finding:
     adaptive = rows_of_lane(results, PRESET[0])
     if not lanes or adaptive is None:
         return Finding(None, "no runs")
-    means = {beta: mean_success(rows, CORRUPTED) for beta, rows in lanes.items()}
-    best = max(means, key=means.get)
-    words = f"adaptive {mean_success(adaptive, CORRUPTED):.2f}, best fixed beta {best:g} {means[best]:.2f}"
+    compared = {beta: side_by_side(adaptive, rows, CORRUPTED) for beta, rows in lanes.items()}
+    best = max(compared, key=lambda beta: compared[beta][2])
+    gains, ours, fixed_best = compared[best]
+    words = f"adaptive {ours:.2f}, best fixed beta {best:g} {fixed_best:.2f}"
     every = [*adaptive.values(), *(row for rows in lanes.values() for row in rows.values())]
-    found = finding(gains(adaptive, lanes[best], CORRUPTED), words, every, above=-COMPARABLE)
+    found = finding(gains, words, every, above=-COMPARABLE)
     return found if len(lanes) == len(FIXED_BETAS) else lacking_rows(found)
 
 
@@ -161,10 +163,9 @@ def beta_gain(better: float, worse: float) -> Callable[[Results], Finding]:
         first, second = (rows_of_lane(results, fixed(beta)[0]) for beta in (better, worse))
         if first is None or second is None:
             return Finding(None, "no runs")
-        words = ", ".join(
-            f"beta {beta:g}: {mean_success(rows, kinds):.2f}" for beta, rows in ((better, first), (worse, second))
-        )
-        return finding(gains(first, second, kinds), words, [*first.values(), *second.values()])
+        gains, *means = side_by_side(first, second, kinds)
+        words = ", ".join(f"beta {beta:g}: {mean:.2f}" for beta, mean in zip((better, worse), means, strict=True))
+        return finding(gains, words, [*first.values(), *second.values()])
 
     return find
 
@@ -175,9 +176,11 @@ def less_information(results: Results) -> Finding:
     rows = [infogoal_on_pick_and_place(results, lane) for lane in (PRESET[0], fixed(0.1)[0])]
     if None in rows:
         return Finding(None, "no runs")
-    adaptive, high = (of_row(row, metric_of("infogoal/kl")) for row in rows)
+    adaptive, high = shared(*(of_row(row, metric_of("infogoal/kl")) for row in rows))
+    if not adaptive:
+        return Finding(None, "no runs")
     ratio = combined(lambda x, y: np.log(max(x, 1e-6)) - np.log(max(y, 1e-6)), adaptive, high)
-    means = [np.mean([value for seeds in each.values() for value in seeds.values()]) for each in (adaptive, high)]
+    means = [mean_number(each) for each in (adaptive, high)]
     words = f"log ratio of the KL: adaptive {means[0]:.1f}, beta 0.1 {means[1]:.2f} nats"
     return finding({rows[0].results[0].run.task: ratio}, words, rows)
 

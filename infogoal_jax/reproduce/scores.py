@@ -178,8 +178,9 @@ MARKS = {
     "sets": ("¶", "other methods ran on goal sets of the task on which it did not"),
 }
 """What is wrong with a row: its mark, and in words."""
-NOT_COUNTED = {"rises", "off", "unmeasured", "sets"}
-"""Faults with which a row does not count for verdicts."""
+NOT_COUNTED = {"rises", "off", "unmeasured"}
+"""Faults with which a row does not count for verdicts. Rows on different goal sets are compared on those that both
+have."""
 
 
 class Row(NamedTuple):

@@ -159,6 +159,11 @@ def counts(row: Row) -> bool:
     return not NOT_COUNTED.intersection(row.faults())
 
 
+def counts_alone(row: Row) -> bool:
+    """Whether its mean may stand beside those of other rows, which takes the same goal sets."""
+    return counts(row) and not row.lacking
+
+
 def over_tasks(results: Results, variant: str) -> Table | None:
     """The interquartile mean of each method over the tasks on which its row counts, and the probability that InfoGoal
     is better over those on which both do; by kind of goals, of the tasks on which all of the methods ran."""
@@ -181,7 +186,7 @@ def over_tasks(results: Results, variant: str) -> Table | None:
         cells = [METHODS[method]]
         for kind in kinds:
             ran = len(tasks_of[kind])
-            own = [rows[task, method] for task in tasks_of[kind] if counts(rows[task, method])]
+            own = [rows[task, method] for task in tasks_of[kind] if counts_alone(rows[task, method])]
             cells.append(over_some(interquartile_mean, ran, [row.scores(kind) for row in own]))
             both = [pair for pair in pairs_of(rows, tasks_of[kind], method) if all(map(counts, pair))]
             scores = [[scores_of_sets(row, other, kind) for row, other in (pair, pair[::-1])] for pair in both]
@@ -195,7 +200,7 @@ def over_tasks(results: Results, variant: str) -> Table | None:
         "Interquartile mean over runs and tasks, and probability that a run of InfoGoal has more success than one of "
         "the method on the same goal set (rliable's definitions), with the 95 % interval of a bootstrap over goal sets "
         "and seeds within tasks. Rows that do not count are left out: interquartile means over different tasks are not "
-        "to be compared."
+        "to be compared. A row that lacks a goal set is left out of the means alone."
     ]
     for kind in kinds:
         foot.append(f"{KINDS[kind]}: {', '.join(TITLES[task] for task in tasks_of[kind])}.")
@@ -229,7 +234,8 @@ def over_some(function: Callable[..., np.ndarray], ran: int, *methods: list) -> 
 
 def left_out(rows: dict[tuple[str, str], Row], task: str, methods: list[str]) -> str:
     """The methods whose rows on a task do not count, with their marks."""
-    names = [f"{METHODS[method]}{rows[task, method].marks()}" for method in methods if not counts(rows[task, method])]
+    left = [method for method in methods if not counts_alone(rows[task, method])]
+    names = [f"{METHODS[method]}{rows[task, method].marks()}" for method in left]
     return f"{', '.join(names)} on {TITLES[task]}" if names else ""
 
 
