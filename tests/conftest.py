@@ -97,10 +97,13 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session", autouse=True)
 def as_from_a_terminal():
-    """Let Ctrl-C reach the tests and what they start: a shell begins its background jobs with SIGINT ignored, and
-    processes inherit that."""
+    """Let signals reach the tests and what they start: a shell begins its background jobs with SIGINT ignored, `nohup`
+    its command with SIGHUP, and processes inherit that. A handler they do not inherit, so that with one for SIGHUP the
+    tests themselves still outlive their terminal."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 @pytest.fixture(autouse=True, scope="module")
