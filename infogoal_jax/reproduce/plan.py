@@ -5,9 +5,10 @@ And when a run is complete: how long it is trained, and what is measured of it b
 A run is trained until success on training goals has levelled off, by one rule for all methods. The budget of a task is
 the largest that its preset gives to a row of Table I. A run is evaluated ten times within it. It has levelled off at
 the first evaluation, from the sixth on, by which the mean success on training goals over the last three evaluations is
-less than 0.02 above that over the three before them; the mean is over its seeds. Its numbers are means over these last
-three evaluations. A run that has not levelled off by three times the budget is stopped there, and marked: its training
-curve still rises. Validation and test goals have no say in it.
+less than 0.02 above that over the three before them; the mean is over its seeds. Where it is below 0.1, the run is on
+the floor, from which some rise late: it is not taken to be level before its budget is spent. Its numbers are means over
+these last three evaluations. A run that has not levelled off by three times the budget is stopped there, and marked.
+Validation and test goals have no say in it.
 """
 
 import dataclasses
@@ -41,8 +42,8 @@ EVALUATIONS = 10
 """Within the budget of a task."""
 FIRST, MOST = 6, 30
 """The evaluations at which training may stop first, and at which it does."""
-WINDOW, RISE = 3, 0.02
-"""Evaluations whose mean is compared, and shown; and what it may still rise."""
+WINDOW, RISE, FLOOR = 3, 0.02, 0.1
+"""Evaluations whose mean is compared, and shown; what it may still rise; and below which it is on the floor."""
 
 
 class Program(NamedTuple):
@@ -177,8 +178,8 @@ def levelled(curve: np.ndarray) -> int | None:
     None if it has not yet."""
     mean = np.asarray(curve, float).mean(0)
     for count in range(FIRST, len(mean) + 1):
-        rise = mean[count - WINDOW : count].mean() - mean[count - 2 * WINDOW : count - WINDOW].mean()
-        if rise < RISE:
+        before, last = mean[count - 2 * WINDOW : count - WINDOW].mean(), mean[count - WINDOW : count].mean()
+        if last - before < RISE and (last >= FLOOR or count >= EVALUATIONS):
             return count
     return None
 

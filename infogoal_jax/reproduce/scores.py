@@ -171,7 +171,7 @@ TITLES = {
 LEAST_SHARE = 0.01
 """Of the goal encoder's gradient that a method's own loss has to make; below it the row is the bare agent's."""
 MARKS = {
-    "rises": ("†", "its training curve still rises where training stopped"),
+    "rises": ("†", "it had not levelled off where training stopped"),
     "off": ("‡", f"the method's own loss makes less than {LEAST_SHARE:.0%} of the goal encoder's gradient"),
     "diverged": ("§", "seeds diverged and are left out"),
     "unmeasured": ("°", "the share of the method's own loss in the gradient was not measured"),

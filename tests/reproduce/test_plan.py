@@ -199,7 +199,9 @@ def curve(*values: float) -> np.ndarray:
     ("values", "count"),
     [
         ((1, 1, 1, 1, 1, 1), 6),
-        ((0, 0, 0, 0, 0, 0), 6),
+        ((0, 0, 0, 0, 0, 0), None),
+        ([0] * 12, 10),
+        ([0.05] * 6 + [0.15] * 6, 12),
         ((1, 1, 1, 1, 1), None),
         (np.linspace(0, 1, 15), None),
         ((0, 0.2, 0.4, 0.6, 0.8, 1, 1, 1, 1, 1, 1), 11),
@@ -207,6 +209,7 @@ def curve(*values: float) -> np.ndarray:
     ],
 )
 def test_a_curve_levels_off_where_its_last_window_is_no_higher(values, count):
+    """And not on the floor before the budget is spent."""
     assert plan.levelled(curve(*values)) == count
     assert plan.still_rises(curve(*values)) == (count is None)
 
