@@ -17,9 +17,9 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.reproduce import files, finishing, lanes
+from infogoal_jax.reproduce import files, lanes
 from infogoal_jax.reproduce.manifest import Run
-from infogoal_jax.reproduce.plan import program_key
+from infogoal_jax.reproduce.plan import is_trained, program_key
 from infogoal_jax.runs import checkpoint, disk
 from infogoal_jax.runs.configuration import from_dict
 from infogoal_jax.train import host
@@ -83,7 +83,7 @@ def lanes_of(training: lanes.Training) -> dict[str, dict[str, Any]]:
         run.name: {
             "place": place,
             "lanes": [which.start, which.stop],
-            "of": [floats[which.start], list(run.seeds), training.env_of(place).source],
+            "of": [floats[which.start], list(run.seeds), training.batch.envs[place].source],
         }
         for run, (place, which) in training.batch.places.items()
     }
@@ -99,7 +99,7 @@ def save(path: Path, training: lanes.Training) -> None:
         "finite": training.finite.tolist(),
         "seconds": [training.compile_seconds, training.run_seconds],
         "spans": training.spans_until_now(),
-        "trained": finishing.cost_of(training) if finishing.is_finished(training) else None,
+        "costs": training.costs,
     }
     disk.make_folder(path.parent)
     checkpoint.save(path, header, training.states)
@@ -144,12 +144,14 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: lanes.Tra
         for name, history in header["history"].items()
     }
     training.finite = finite[places][:, which]
-    share = training.finite.size / finite.size  # Of what the larger batch took.
+    costs = header.get("costs", {})
+    training.costs = {name: costs[name] for name in lanes_of(training) if name in costs}
+    going_on = {name: np.ptp(own["lanes"]) for name, own in header["runs"].items() if name not in costs}
+    own = sum(size for name, size in going_on.items() if name in lanes_of(training))
+    share = own / max(1, sum(going_on.values()))  # Of what the larger batch took.
     training.compile_seconds += share * header["seconds"][0]
     training.run_seconds = share * header["seconds"][1]
     training.spans = header["spans"]
-    # A part of what was stopped goes on by itself; a part of what was trained to the end is only measured.
-    training.trained = header.get("trained") if finishing.is_finished(training) else None
 
 
 def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[list[int], list[int]]:
@@ -171,8 +173,8 @@ def delete_measured(folder: Path, runs: Iterable[Run]) -> None:
 
 
 def is_measured(folder: Path, name: str, header: dict[str, Any]) -> bool:
-    """Whether the run of this name is finished and measured, with the settings of this checkpoint and no less far: an
-    older file of the run is not what the checkpoint is kept for."""
+    """Whether the run of this name is trained to its end and measured, with the settings of this checkpoint: an older
+    file of the run is not what the checkpoint is kept for."""
     path = folder / "runs" / f"{name}.npz"
     try:
         found = files.read(path)
@@ -182,4 +184,4 @@ def is_measured(folder: Path, name: str, header: dict[str, Any]) -> bool:
     curve = found.evaluations["train_goal/success_rate"]
     of = json.loads(json.dumps([values_of(config.hyper), found.run.seeds, found.about["data"]]))
     same = settings_of(config) == header["program"]["config"] and of == header["runs"][name]["of"]
-    return same and curve.shape[1] >= header["evaluations"] and not found.missing()
+    return same and is_trained(curve, found.run.task, found.run.toy) and not found.missing()

@@ -4,7 +4,7 @@ import shlex
 import time
 import traceback
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -31,19 +31,31 @@ def mean_success(training: lanes.Training, run: Run) -> tuple[float, float]:
     )
 
 
-def is_finished(training: lanes.Training) -> bool:
-    """Whether every run of the batch has levelled off, or the ceiling is reached."""
+def ended(training: lanes.Training) -> list[Run]:
+    """The runs of a batch that are trained to their end: each has levelled off, or the ceiling is reached."""
     if not training.evaluations:
-        return False
-    if training.evaluations >= plan.budget_of(training.batch.config.task, is_toy(training)).evaluations:
-        return True
-    curves = (curve_of(training, run, "train_goal/success_rate") for run in training.batch.runs.values())
-    return all(plan.levelled(curve) is not None for curve in curves)
+        return []
+    curves = {run: curve_of(training, run, "train_goal/success_rate") for run in training.batch.runs.values()}
+    return [run for run, curve in curves.items() if plan.is_trained(curve, run.task, run.toy)]
 
 
-def is_toy(training: lanes.Training) -> bool:
-    """Whether the batch is at a size at which nothing is learned."""
-    return next(iter(training.batch.runs.values())).toy
+def share_out(training: lanes.Training, runs: list[Run]) -> float:
+    """Share out what the batch took so far between the runs that end now and those that go on, lane by lane. Returns
+    the seconds of those that end."""
+    going_on = [run for run in training.batch.runs.values() if run.name not in training.costs]
+    count = sum(len(run.seeds) for run in runs)
+    share = count / sum(len(run.seeds) for run in going_on)
+    seconds = share * training.compile_seconds, share * training.run_seconds
+    own = {
+        "runs": sorted(run.name for run in runs),
+        "lanes": count,
+        "compile_seconds": round(seconds[0], 1),
+        "run_seconds": round(seconds[1], 1),
+    }
+    training.costs |= {run.name: own for run in runs}
+    training.compile_seconds -= seconds[0]
+    training.run_seconds -= seconds[1]
+    return sum(seconds)
 
 
 class Extras(NamedTuple):
@@ -63,7 +75,7 @@ class Extras(NamedTuple):
 def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured: Extras) -> Result:
     """What a run of a finished batch came to. config: of the run."""
     batch, (place, which) = training.batch, training.batch.places[run]
-    env = training.env_of(place)
+    env = training.batch.envs[place]
     evaluations = {
         name: curve_of(training, run, name).astype(float) for name in training.history if name != "first_reached"
     }
@@ -78,7 +90,7 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "learner_share": measured.share,
         "measuring_failed": measured.error or (plan.NO_TIME if measured.missing(run) else ""),
         "episode_length": env.episode_length,
-        "program": cost_of(training),
+        "program": training.costs[run.name] | {"spans": training.spans_until_now()},
         "measure_seconds": round(measured.seconds, 1),
         "command": shlex.join(command_of(run)),
     }
@@ -90,19 +102,6 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
     if env.near_goals is not None:
         arrays["near"] = np.asarray(env.near_goals)[np.asarray(env.goals.evaluated)]
     return Result(run, about, evaluations, arrays | measured.arrays)
-
-
-def cost_of(training: lanes.Training) -> dict[str, Any]:
-    """What the file of each run says of the program that trained it. Where a part of a batch is measured later, it is
-    that of the whole batch, whose other runs say the same: costs are counted once a program."""
-    batch = training.batch
-    own = {
-        "runs": sorted(each.name for each in batch.runs.values()),
-        "lanes": len(batch.envs) * len(batch.lanes),
-        "compile_seconds": round(training.compile_seconds, 1),
-        "run_seconds": round(training.run_seconds, 1),
-    }
-    return (training.trained or own) | {"spans": training.spans_until_now()}
 
 
 def known_of(folder: Path, training: lanes.Training, run: Run) -> Extras:
@@ -123,14 +122,14 @@ def share_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
     place, which = training.batch.places[run]
     state, hyper = jax.tree.map(lambda leaf: leaf[place, which.start], (training.states, training.hyper))
     last = training.evaluations * training.batch.config.epochs_per_evaluation - 1
-    return Extras(float(training.share(state, last, hyper, training.env_of(place))))
+    return Extras(float(training.share(state, last, hyper, training.batch.envs[place])))
 
 
 def codes_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
     """What claims say of the codes of all seeds."""
     place, which = training.batch.places[run]
     params = jax.tree.map(lambda leaf: leaf[place, which], training.states.params)
-    train = measure.on(training.train, config, training.env_of(place))
+    train = measure.on(training.train, config, training.batch.envs[place])
     return Extras(arrays=measure.judged_codes(train, params, run.seeds))
 
 
@@ -138,7 +137,7 @@ def pictures_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extr
     """What the pictures of the first seed are drawn from."""
     place, which = training.batch.places[run]
     params = jax.tree.map(lambda leaf: leaf[place, which.start], training.states.params)
-    train = measure.on(training.train, config, training.env_of(place))
+    train = measure.on(training.train, config, training.batch.envs[place])
     return Extras(arrays=measure.pictures(measure.subject_of(train, params, run.seeds[0])))
 
 

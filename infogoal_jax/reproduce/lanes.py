@@ -54,9 +54,10 @@ class Training:
     """A batch while it is trained. initial: makes the first states; compiling: begins to compile the program, and
     returns what waits for it; share: `measure.learner_share`, which compiles at its first call; states: [goal sets,
     lanes, ...], their shapes before `prepare` or a checkpoint gives them; finite: bool [goal sets, lanes]; started:
-    seconds of `time.time()`; chunk: the program, None before `prepare`; history: of each metric a list of arrays [goal
-    sets, lanes, ...], one an evaluation; spans: from when to when earlier processes worked on it; trained: what the
-    files of its runs say of the program, where an earlier process trained it to the end, perhaps in a larger batch."""
+    seconds of `time.time()`; prepare_seconds: that `prepare` took; chunk: the program, None before it; history: of each
+    metric a list of arrays [goal sets, lanes, ...], one an evaluation; spans: from when to when earlier processes
+    worked on it; costs: by name of each run that has ended, what its file says of the program, the same for all that
+    ended at one evaluation; compile_seconds, run_seconds: of those that go on; idle_seconds: of lanes that ended."""
 
     batch: Batch
     train: Train
@@ -69,12 +70,14 @@ class Training:
     finite: np.ndarray
     started: float
     compile_seconds: float = 0.0
+    prepare_seconds: float = 0.0
     chunk: Callable | None = None
     history: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
     run_seconds: float = 0.0
     last_seconds: float = 0.0
     spans: list[list[float]] = dataclasses.field(default_factory=list)
-    trained: dict[str, Any] | None = None
+    costs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
+    idle_seconds: float = 0.0
 
     @property
     def evaluations(self) -> int:
@@ -84,10 +87,6 @@ class Training:
     def spans_until_now(self) -> list[list[float]]:
         """From when to when processes worked on it, seconds of `time.time()`; the last one until now."""
         return [*self.spans, [round(self.started), round(time.time())]]
-
-    def env_of(self, place: int) -> Any:
-        """The environment of a goal set."""
-        return self.batch.envs[place]
 
 
 def without_words(env: Any) -> Any:
@@ -242,7 +241,8 @@ def prepare(training: Training) -> None:
     if not training.evaluations:
         training.states = training.initial()
     training.chunk = compiled()
-    training.compile_seconds += time.perf_counter() - started
+    training.prepare_seconds = time.perf_counter() - started
+    training.compile_seconds += training.prepare_seconds
 
 
 def learned_names(train: Train, epochs: dict) -> list[str]:
@@ -263,3 +263,36 @@ def go_on(training: Training) -> None:
         training.history.setdefault(name, []).append(np.asarray(value))
     training.last_seconds = time.perf_counter() - started
     training.run_seconds += training.last_seconds
+
+
+def without_ended(training: Training, ended: set[Run]) -> Training:
+    """Before an evaluation: the training of the goal sets and lanes on which a run goes on, not yet compiled. The same
+    one where these are all, or where lanes that have ended have not cost yet what compiling anew would; if not, its
+    states are given up."""
+    batch = training.batch
+    runs = {key: run for key, run in batch.runs.items() if run not in ended}
+    places = sorted({place for place, _ in runs})
+    which = [number for number, (lane, _) in enumerate(batch.lanes) if any(lane == each for _, each in runs)]
+    idle = 1 - len(places) * len(which) / training.finite.size
+    if not idle or training.idle_seconds < training.prepare_seconds:
+        training.idle_seconds += idle * training.last_seconds
+        return training
+
+    def part(values: Any) -> Any:
+        return values[np.asarray(places)][:, np.asarray(which)]
+
+    def moved(leaf: jax.Array) -> jax.Array:
+        own = part(leaf)
+        leaf.delete()  # The device's memory may not hold both.
+        return own
+
+    runs = {(places.index(place), lane): run for (place, lane), run in runs.items()}
+    envs, flat = tuple(batch.envs[place] for place in places), tuple(batch.lanes[number] for number in which)
+    smaller = begin(Batch(batch.config, envs, flat, runs))
+    smaller.states = jax.tree.map(moved, training.states)
+    smaller.history = {name: [part(value) for value in values] for name, values in training.history.items()}
+    smaller.finite = part(training.finite)
+    smaller.started, smaller.spans, smaller.last_seconds = training.started, training.spans, training.last_seconds
+    smaller.compile_seconds += training.compile_seconds
+    smaller.run_seconds = training.run_seconds
+    return smaller

@@ -138,40 +138,56 @@ def report_failure(runs: list[Run], error: Exception, work: Work, outcome: Outco
 
 
 def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
-    """Train a batch until each of its runs has levelled off, or the ceiling, write their files and measure them; or
-    until the clock or a signal says stop, and keep a checkpoint."""
-    training, path = lanes.begin(batch), checkpoints.path_of(work.folder, batch)
+    """Train a batch until each of its runs has levelled off, or the ceiling, and write and measure each as soon as it
+    has; or until the clock or a signal says stop, and keep a checkpoint."""
+    training, ended = lanes.begin(batch), set[Run]()
     name = f"{batch.config.task} {next(iter(batch.runs.values())).label}"
     if checkpoints.resume(work.folder, training):
         work.say(f"{name}: goes on after evaluation {training.evaluations}")
-    resumed_at, size = training.evaluations, bytes_of(training.states)
-    if not finishing.is_finished(training):
-        lanes.prepare(training)
-        work.say(f"{name}: {training.finite.size} seeds and settings compiled in {training.compile_seconds:.0f} s")
+    kept_at = training.evaluations
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
-        while not finishing.is_finished(training):
-            if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + size / BYTES_A_SECOND:
-                if training.evaluations > resumed_at:
-                    checkpoints.save(path, training)
+        while True:
+            now = [run for run in finishing.ended(training) if run not in ended]
+            if now and end(now, training, work, stop, outcome):
+                kept_at = training.evaluations
+            ended.update(now)
+            if ended.issuperset(batch.runs.values()) or outcome.stopped:
+                break
+            training = lanes.without_ended(training, ended)
+            if training.chunk is None:
+                lanes.prepare(training)
+                seconds = training.prepare_seconds
+                work.say(f"{name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
+            writing = bytes_of(training.states) / BYTES_A_SECOND
+            if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing:
+                if training.evaluations > kept_at:
+                    checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
                 work.say(f"{name}: stopped after evaluation {training.evaluations}; a checkpoint is kept")
                 outcome.stopped = True
-                return
+                break
             lanes.go_on(training)
             say_how_far(name, training, work)
-            for run in batch.runs.values():
+            for run in set(batch.runs.values()) - ended:
                 progress.note(work.folder, run, training.evaluations, training.last_seconds)
             progress.write(work.folder, all_runs)
-        if training.evaluations > resumed_at:
-            if any(Extras().missing(run) for run in batch.places):
-                checkpoints.save(path, training)  # Until all is measured, however this process ends.
-            seconds = training.compile_seconds + training.run_seconds
-            progress.keep_times(work.folder, batch.config.task, len(batch.runs), seconds)
-        finish(training, work, stop, outcome)
         checkpoints.delete_measured(work.folder, batch.places)
     finally:
         stop.finishing = ""
     progress.write(work.folder, all_runs)
+
+
+def end(runs: list[Run], training: lanes.Training, work: Work, stop: StopRequest, outcome: Outcome) -> bool:
+    """Write and measure the runs of a batch that are trained to their end. Returns whether a checkpoint was written."""
+    new = [run for run in runs if run.name not in training.costs]
+    is_kept = any(Extras().missing(run) for run in new)
+    if new:
+        seconds = finishing.share_out(training, new)
+        progress.keep_times(work.folder, training.batch.config.task, len(new), seconds)
+    if is_kept:  # Until all is measured, however this process ends.
+        checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
+    finish(runs, training, work, stop, outcome)
+    return is_kept
 
 
 def say_how_far(name: str, training: lanes.Training, work: Work) -> None:
@@ -181,18 +197,20 @@ def say_how_far(name: str, training: lanes.Training, work: Work) -> None:
     rate = updates / training.last_seconds
     work.say(f"{name}: evaluation {training.evaluations}, {rate:,.0f} updates/s; training, test goals:")
     for run in batch.runs.values():
+        if run.name in training.costs:
+            continue
         train, test = finishing.mean_success(training, run)
         work.say(f"    {run.name.split('/', 1)[1]}: {train:.2f}, {test:.2f}")
 
 
-def finish(training: lanes.Training, work: Work, stop: StopRequest, outcome: Outcome) -> None:
-    """Write the files of a trained batch, then measure what is missing of its runs, as long as there is time."""
+def finish(runs: list[Run], training: lanes.Training, work: Work, stop: StopRequest, outcome: Outcome) -> None:
+    """Write the files of trained runs of a batch, then measure what is missing of them, as long as there is time."""
 
     def keep(run: Run) -> None:
         config = config_of(run, work.goal_images)
         files.save(work.folder, finishing.result_of(training, run, config, measured[run]))
 
-    measured = {run: finishing.known_of(work.folder, training, run) for run in training.batch.places}
+    measured = {run: finishing.known_of(work.folder, training, run) for run in runs}
     for run in measured:
         keep(run)
         files.path_of(work.folder, run, "failed.json").unlink(missing_ok=True)

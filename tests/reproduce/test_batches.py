@@ -122,7 +122,7 @@ def test_the_share_of_the_learner_follows_its_weight(together):
     """No weight, no share; a large one, nearly all."""
     state, hyper = jax.tree.map(lambda leaf: leaf[0, 0], (together.states, together.hyper))
     share = jax.jit(measure.learner_share(together.train))
-    env, shares = together.env_of(0), []
+    env, shares = together.batch.envs[0], []
     for weight in (0.0, 0.1, 1.0, 1e4):
         shares.append(float(share(state, 0, hyper.replace(learner_weight=jnp.float32(weight)), env)))
     assert shares[0] < 1e-3 and shares == sorted(shares) and shares[-1] > 0.99

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from killed_reproduction import SEEDS, log_of, reproduce, runs
 
-from infogoal_jax.reproduce import files, lanes, progress
+from infogoal_jax.reproduce import files, lanes, plan, progress
+from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.runs.folder import locked
 
 LONGEST = 600
@@ -25,6 +26,13 @@ def whole(tmp_path_factory):
     outcome = reproduce(folder, 2)
     assert outcome.finished == runs(2) and not outcome.failed and not outcome.stopped
     return folder
+
+
+def are_same(folder, whole, run, count: int) -> None:
+    """A run has the numbers of the first evaluations of the one that was left alone."""
+    mine, other = (files.read(files.path_of(each, run)).evaluations for each in (folder, whole))
+    for name, value in mine.items():
+        np.testing.assert_allclose(value, other[name][:, :count], atol=1e-5)
 
 
 def test_a_run_keeps_its_numbers(whole):
@@ -155,9 +163,58 @@ def test_the_clock_stops_with_a_checkpoint_that_goes_on(whole, tmp_path, evaluat
     assert reproduce(tmp_path, 1).finished == runs(1) and evaluations == [1, 2, 3, 4, 5, 6]
     assert not list((tmp_path / "unfinished").iterdir())
     for run in runs(1):
-        mine, other = (files.read(files.path_of(folder, run)).evaluations for folder in (tmp_path, whole))
-        for name, value in mine.items():
-            np.testing.assert_allclose(value, other[name], atol=1e-5)
+        are_same(tmp_path, whole, run, 6)
+
+
+FIRST, SECOND = runs(1)
+
+
+@pytest.fixture
+def first_levels_early(whole, monkeypatch):
+    """From now on the first run levels off at its third evaluation, the second one never."""
+    own = files.read(files.path_of(whole, FIRST)).evaluations["train_goal/success_rate"][:, :3]
+
+    def levelled(curve):
+        return 3 if np.shape(curve)[1] >= 3 and np.allclose(np.asarray(curve)[:, :3], own, atol=1e-5) else None
+
+    monkeypatch.setattr(plan, "levelled", levelled)
+
+
+@pytest.mark.parametrize(("seconds", "sizes"), [(0.0, [4, 4, 4, 2, 2, 2]), (1e9, [4] * 6)], ids=["leaves", "stays"])
+def test_a_run_that_has_levelled_off_is_written_at_once(
+    seconds, sizes, whole, first_levels_early, tmp_path, monkeypatch
+):
+    """It leaves the batch where compiling that anew takes no longer than it costs. The other one never notices."""
+    prepare, go_on, found, measured = lanes.prepare, lanes.go_on, [], []
+
+    def prepared(training):
+        prepare(training)
+        training.prepare_seconds = seconds
+
+    def noted(training):
+        found.append(training.finite.size)
+        go_on(training)
+
+    def judge(training, run, config):
+        measured.append((run, training.evaluations, files.path_of(tmp_path, SECOND).exists()))
+        return Extras(arrays={"codes/closeness": np.zeros((len(SEEDS), 1))})
+
+    monkeypatch.setattr(lanes, "prepare", prepared)
+    monkeypatch.setattr(lanes, "go_on", noted)
+    assert reproduce(tmp_path, 1, judge).finished == [FIRST, SECOND]
+    assert found == sizes and measured == [(FIRST, 3, False), (SECOND, 6, True)]
+    assert not list((tmp_path / "unfinished").iterdir())
+    for run, count in ((FIRST, 3), (SECOND, 6)):
+        are_same(tmp_path, whole, run, count)
+        program = files.read(files.path_of(tmp_path, run)).about["program"]
+        assert program["runs"] == [run.name] and program["lanes"] == len(SEEDS)
+
+
+def test_what_goes_on_without_a_levelled_run_is_stopped_and_goes_on(whole, first_levels_early, tmp_path, evaluations):
+    assert reproduce(tmp_path, 1, deadline=time.time() + 3600).finished == [FIRST]
+    assert reproduce(tmp_path, 1).finished == [SECOND] and evaluations == [1, 2, 3, 4, 5, 6]
+    assert not list((tmp_path / "unfinished").iterdir())
+    are_same(tmp_path, whole, SECOND, 6)
 
 
 def test_the_page_counts_and_tells_the_time_to_go(whole):
