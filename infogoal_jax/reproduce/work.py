@@ -117,8 +117,8 @@ def train_program(program: Program, all_runs: list[Run], work: Work, stop: StopR
             report_failure(runs, error, work, outcome)
             continue
         for batch in batches:
-            if stop.requested or work.left() < BEGINNING:
-                outcome.stopped = True
+            outcome.stopped |= stop.requested or work.left() < BEGINNING
+            if outcome.stopped:
                 return
             try:
                 train_batch(batch, all_runs, work, stop, outcome)
