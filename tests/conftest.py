@@ -24,7 +24,7 @@ from infogoal_jax.stand_ins import house
 from infogoal_jax.train import host
 
 MEMORY_MAPS = Path("/proc/self/maps")
-MANY_MAPS = 20_000
+MANY_MAPS = 30_000
 """A large program lies in thousands of memory maps on a CPU. Linux allows a process 65,530, and LLVM aborts it at the
 next."""
 LONGEST_FIRST = (

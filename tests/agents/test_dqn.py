@@ -164,7 +164,7 @@ def inputs_of(kind: str):
     return head, head.init(keys[2], features[0], codes[0]), features, codes
 
 
-@pytest.mark.parametrize("kind", ["concatenated", "product", "index"])
+@pytest.mark.parametrize("kind", [pytest.param("concatenated", marks=pytest.mark.long), "product", "index"])
 def test_all_goals_at_once_have_the_values_of_each_alone(kind):
     head, params, features, codes = inputs_of(kind)
     alone = jnp.stack([head.values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
@@ -206,6 +206,7 @@ def critic_of_vectors():
     return critic, actor, params, features, actions, codes
 
 
+@pytest.mark.long
 def test_product_critics_value_all_goals_as_each_alone():
     critic, _, params, features, actions, codes = critic_of_vectors()
     alone = jnp.stack([critic.apply(params["critic"], features, actions, jnp.tile(code, (B, 1))) for code in codes], -1)
@@ -216,6 +217,7 @@ def test_product_critics_value_all_goals_as_each_alone():
     np.testing.assert_allclose(each, alone, atol=1e-6)
 
 
+@pytest.mark.long
 def test_td3_under_all_goals_is_td3_under_each():
     """Without noise, the loss is the mean over goals of TD3's own critic loss; a goal without a share is left out."""
     critic, actor, params, features, actions, codes = critic_of_vectors()

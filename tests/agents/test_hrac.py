@@ -118,7 +118,7 @@ def by_hand(rows, discount: float, step_reward):
     return found
 
 
-@pytest.mark.parametrize("intrinsic_weight", [0.0, 3.0])
+@pytest.mark.parametrize("intrinsic_weight", [pytest.param(0.0, marks=pytest.mark.long), 3.0])
 def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weight):
     """Eq. 5 and Eq. 16 over the steps of an interval; nothing after the end of an episode counts, and only termination
     ends what follows."""

@@ -74,6 +74,7 @@ def test_brax_sees_the_first_observation_of_the_next_episode_and_what_ended_the_
         assert np.array_equal(np.asarray(state.reward), np.where(at_goal, 0.0, -1.0))
 
 
+@pytest.mark.long
 def test_reaching_the_goal_ends_the_episode_as_done_and_not_as_truncated(brax_reach):
     _, reset, step = brax_reach
     state = reset(jax.random.split(jax.random.PRNGKey(1), 3))

@@ -158,6 +158,7 @@ def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):
     )
 
 
+@pytest.mark.long
 def test_a_batch_repeats_itself_under_one_seed_and_takes_goals(vector):
     runs = []
     for _ in range(2):

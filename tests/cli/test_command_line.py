@@ -186,7 +186,13 @@ def spoil_by_removing_images(house):
         path.unlink()
 
 
-@pytest.mark.parametrize("spoil", [spoil_annotations, spoil_image, spoil_by_removing_images])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        spoil_image,
+        *(pytest.param(each, marks=pytest.mark.long) for each in (spoil_annotations, spoil_by_removing_images)),
+    ],
+)
 def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
     spoil, tmp_path, capsys, no_compilation
 ):

@@ -75,6 +75,7 @@ def run(*arguments):
     assert main([str(argument) for argument in arguments]) == 0
 
 
+@pytest.mark.long
 def test_poses_of_a_turntable(tmp_path, capsys):
     """Imported, checked, trained on with image goals, evaluated."""
     photograph_turntable(tmp_path / "photos")

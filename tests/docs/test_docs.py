@@ -181,6 +181,7 @@ def test_python_blocks_compile(page):
         ast.parse(block)
 
 
+@pytest.mark.long
 def test_the_readme_s_python_trains_one_seed_and_sixteen(monkeypatch):
     """The block as it stands, for one epoch of the bare agent on the hand-made rooms instead of InfoGoal in a house."""
     (block,), load, names = blocks(PAGES[0], "python"), presets.load, {}

@@ -61,12 +61,14 @@ def own_learner() -> dict:
         yield names
 
 
+@pytest.mark.long
 def test_the_learners_loss_is_reported_under_its_name_and_falls(own_learner):
     pull, floor = (np.asarray(own_learner["result"].epochs[f"mine/{name}"]) for name in ("pull", "floor"))
     assert np.isfinite(pull).all() and pull.shape == (LEARNER_SIZES["num_epochs"],)
     assert (pull + floor)[-1] < 0.1 * (pull + floor)[0]
 
 
+@pytest.mark.long
 def test_goals_of_one_room_come_to_lie_together(own_learner):
     """Goals in view together are pulled together; the floor keeps the rooms apart. Under the agent's loss alone they
     lie about equally far."""
@@ -82,6 +84,7 @@ def test_goals_of_one_room_come_to_lie_together(own_learner):
     assert within.mean() < 0.1 * between.mean()
 
 
+@pytest.mark.long
 def test_a_window_of_the_learner_that_makes_no_sense_is_refused(own_learner):
     with pytest.raises(infogoal_jax.UserError, match="learner.window"):
         hand_made.config("none", learner=own_learner["MineConfig"](window=-1))
@@ -94,6 +97,7 @@ def own_agent() -> dict:
         yield names
 
 
+@pytest.mark.long
 def test_the_agent_trains_with_infogoal_and_reports_the_spread(own_agent):
     result, config = own_agent["result"], own_agent["config"]
     assert presets.names_of(config)["agent"] == "qr_dqn" and presets.names_of(config)["learner"] == "infogoal"
@@ -110,6 +114,7 @@ def test_the_agent_learns_its_training_goals():
     assert 2 * chance < success > 0.7
 
 
+@pytest.mark.long
 def test_the_agents_loss_finds_the_quantiles_of_the_reward(own_agent):
     """Of one state whose action ends the episode with a reward that is uniform in [0, 1]: 1/16, 3/16, ..., 15/16."""
     env = hand_made.environment()
@@ -147,6 +152,7 @@ def test_the_agents_loss_finds_the_quantiles_of_the_reward(own_agent):
     assert metrics["value"][-1] == pytest.approx(0.5, abs=0.03)
 
 
+@pytest.mark.long
 def test_settings_of_the_agent_that_make_no_sense_are_refused(own_agent):
     with pytest.raises(infogoal_jax.UserError, match="agent.num_steps"):
         hand_made.config("infogoal", agent=own_agent["QRDQNConfig"](num_steps=21))
@@ -169,6 +175,7 @@ def test_the_task_is_learned():
     assert metrics["train_goal/success_rate"][-1] > 0.8 and metrics["test_goal/success_rate"][-1] > 0.7
 
 
+@pytest.mark.long
 def test_the_task_keeps_the_contract(own_task):
     """What is not written has the default that most tasks need."""
     env = own_task["train"].env
@@ -182,6 +189,7 @@ def test_the_task_keeps_the_contract(own_task):
     )
 
 
+@pytest.mark.long
 def test_the_door_is_the_only_way(own_task):
     """Every cell can be reached from every other through the door, and only through it."""
     env = own_task["train"].env
@@ -198,6 +206,7 @@ def test_the_door_is_the_only_way(own_task):
     assert sorted(map(tuple, np.asarray(crossings).tolist())) == [(25, 33), (33, 25)]
 
 
+@pytest.mark.long
 def test_all_actions_can_be_taken_after_vectors_too(own_task):
     """The contract's default tells the axes of a batch from those of an observation."""
     env = own_task["train"].env

@@ -239,6 +239,7 @@ def test_datasets_that_cannot_be_used():
     refused(nothing, "no recorded moves")
 
 
+@pytest.mark.long
 def test_questions_of_the_test_are_never_learned_from(env):
     """Under the preset no draw of an update, relabelled goal or pair, is a question of validation or test."""
     train = make_train(hand_made_frames.qa_config("infogoal"), env)

@@ -121,6 +121,7 @@ def test_too_many_goals(data):
         lay_out(data, hand_made_frames.backgrounds(), ObjectManipulationConfig(num_goals=(300, 0, 1)))
 
 
+@pytest.mark.long
 def test_views_of_one_state(data):
     """Where several images show a state, a step arrives at any of them, and moves are those of the state."""
     twice = dataclasses.replace(

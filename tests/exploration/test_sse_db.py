@@ -84,6 +84,7 @@ def trained(explorer, params, state, world: World, share: jax.Array, key: jax.Ar
     return params, metrics
 
 
+@pytest.mark.long
 def test_bonus_falls_with_familiarity():
     """Early in training (docs/methods.md says what becomes of it): made often, a move ends with less of a bonus
     than it began with, and than moves that are never made.
@@ -114,6 +115,7 @@ def test_bonus_falls_with_familiarity():
     assert (known < before / 2).all() and (known < unknown).all() and (known < never).all()
 
 
+@pytest.mark.long
 def test_next_state_is_learned_to_be_told():
     """Given time and a wide bottleneck, the code of a move tells where it leads: accuracy and likelihood rise."""
     world = make_world(jax.random.key(1))
@@ -201,6 +203,7 @@ def returns_by_hand(bonus: np.ndarray, rows: Trajectories, written: np.ndarray) 
     return found
 
 
+@pytest.mark.long
 def test_returns_of_the_bonus_have_deviation_one():
     """After every compute_bonus, over valid steps of written rows. Both kinds of bonus have one order of moves."""
     world, rows, tables = make_world(jax.random.key(0)), random_rows(jax.random.key(1)), []

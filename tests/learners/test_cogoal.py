@@ -103,6 +103,7 @@ def share_told_apart(codes: jax.Array) -> jax.Array:
     return ((distance[:, :, None] < distance[:, None, :]) & triples).sum() / triples.sum()
 
 
+@pytest.mark.long
 def test_goals_of_a_group_are_pulled_together_and_others_apart():
     """Three seeds; inputs say nothing of the groups, and three of eleven negatives are similar goals."""
     learner = cogoal.make(cogoal.CoGoalConfig(hidden=(64, 64)))

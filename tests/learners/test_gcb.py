@@ -142,6 +142,7 @@ def test_the_loss_trains_every_network_of_the_method_and_nothing_of_the_agent():
     assert all(not gradient.any() for gradient in of_agent)
 
 
+@pytest.mark.long
 def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
     """Trained from random codes; distances are 1-norms summed over the code, and a gap of 1 between rewards costs 2 *
     0.5."""

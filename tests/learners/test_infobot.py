@@ -236,6 +236,7 @@ def test_reward_for_goals_first_seen_is_one_for_each():
     np.testing.assert_array_equal(reward, seen)
 
 
+@pytest.mark.long
 def test_goals_first_seen_are_those_of_the_step_that_is_learned_from():
     """One update of a run: the sampled rewards are those of the steps after each drawn observation."""
     config = hand_made.config("infobot", learner=infobot.InfoBotConfig(reward="first_seen"))

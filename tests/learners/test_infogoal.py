@@ -190,7 +190,8 @@ def train_codes(loss: str, beta: jax.Array, updates: int = 1500) -> jax.Array:
     return accuracy[-200:].mean()
 
 
-@pytest.mark.parametrize("loss", ["nce", pytest.param("ratio", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("loss", ["nce", "ratio"])
 def test_large_beta_collapses_the_code_and_a_small_one_does_not(loss):
     """The story of the paper's Figs. 14 and 15."""
     large, small = jax.jit(jax.vmap(lambda beta: train_codes(loss, beta)))(jnp.array([0.1, 1e-4]))

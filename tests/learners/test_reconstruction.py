@@ -46,6 +46,7 @@ def test_decoder_gives_back_the_shape_of_the_input(shape):
     assert decoded.shape == (2, 3, *shape)
 
 
+@pytest.mark.long
 def test_elbo_is_a_bound_in_nats():
     """It is the mean logarithm of the importance weights p(z) p(g | z) / q(z | g), so that the logarithm of their mean,
     log p(g), lies above it. A mean over the input instead of a sum, a missing half, another variance or a KL the wrong
@@ -83,7 +84,7 @@ def test_kl_is_zero_for_a_posterior_that_is_the_prior():
     )
 
 
-@pytest.mark.parametrize("inputs", [VECTORS, IMAGES], ids=["vectors", "images"])
+@pytest.mark.parametrize("inputs", [VECTORS, pytest.param(IMAGES, marks=pytest.mark.long)], ids=["vectors", "images"])
 def test_vae_learns_to_reconstruct_goals(inputs):
     """The bound rises, and the mean code tells which goal it is of."""
     config = vae.VAEConfig(**SMALL)
@@ -99,6 +100,7 @@ def test_vae_learns_to_reconstruct_goals(inputs):
     assert others > constant_error(inputs)
 
 
+@pytest.mark.long
 def test_a_large_beta_or_a_coarse_decoder_empties_the_code():
     """The latter is why vectors, whose numbers are small, have a standard deviation of their own."""
     kl = {
@@ -126,7 +128,7 @@ def test_the_kl_s_weight_rises_over_the_warm_up():
 
 
 @pytest.mark.parametrize("standardise", [True, False])
-@pytest.mark.parametrize("method", ["vae", "dgrl"])
+@pytest.mark.parametrize("method", ["vae", pytest.param("dgrl", marks=pytest.mark.long)])
 def test_contrast_counts_for_nothing_where_images_are_standardised(method, standardise):
     """The target is standardised with the input."""
     faint = (96 + 0.25 * IMAGES.astype(jnp.float32)).astype(jnp.uint8)
@@ -237,6 +239,7 @@ def test_each_distance_trains_its_own_side(discrete):
     np.testing.assert_allclose(whole["codebook"], to_codebook[0], atol=1e-6)
 
 
+@pytest.mark.long
 def test_only_code_vectors_that_were_idle_for_long_are_revived(discrete):
     _, params, state = discrete
     state = state.replace(idle=jnp.full(DISCRETE.codes, dgrl.PATIENCE - 1).at[3].set(dgrl.PATIENCE))
@@ -261,6 +264,7 @@ def test_use_is_counted():
     assert dgrl.perplexity(jnp.full(8, 0.01)) == pytest.approx(8, rel=1e-4)
 
 
+@pytest.mark.long
 def test_lost_code_vectors_come_back():
     """All code vectors but one begin far from every segment, and the segments stay where they are. Without revival, so
     do the code vectors."""

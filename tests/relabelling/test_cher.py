@@ -165,7 +165,7 @@ def choice(config, scale: float = 1.0, updates: int = 0):
     )
 
 
-@pytest.mark.parametrize("similarity", ["nearest", "dense"])
+@pytest.mark.parametrize("similarity", ["nearest", pytest.param("dense", marks=pytest.mark.long)])
 def test_half_is_chosen_diverse_at_first_and_near_in_the_end(similarity):
     """Half of the candidates, each once. After many updates they lie much nearer to what was achieved than by cover
     alone, and cover less."""
@@ -177,6 +177,7 @@ def test_half_is_chosen_diverse_at_first_and_near_in_the_end(similarity):
     assert coverage(cover, diverse) >= coverage(cover, near)
 
 
+@pytest.mark.long
 def test_only_distances_in_the_world_depend_on_its_unit():
     """The same goals in another unit: the same choice, unless the configuration asks for the world's unit."""
     for unit, same in (("mean", True), ("world", False)):

@@ -164,6 +164,7 @@ def relabelled(config, rows, row, step, **changes):
     )
 
 
+@pytest.mark.long
 def test_share_of_the_transitions_before_the_hit():
     """Half of them by default; what comes after the goal was reached, and an episode that reached nothing, keep their
     goals."""
@@ -213,6 +214,7 @@ def test_filter_accepts_what_is_no_worse_than_the_policy(value, passes):
     assert (goals == (A if passes else 0)).all()
 
 
+@pytest.mark.long
 def test_filter_goes_through_all_episodes(monkeypatch):
     """A few at a time, in rows of several: each is with_rewards by its own value."""
     monkeypatch.setattr(ghrl, "VALUES_AT_ONCE", 4)

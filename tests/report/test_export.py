@@ -135,6 +135,7 @@ def cube() -> Case:
     return case_of(config, steer(hand_made_frames.manipulation(), config.agent))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", [reach, cube])
 def test_both_levels_of_continuous_policies_do_as_with_jax(make, tmp_path):
     """Over an episode, in which the robot goes where the file says: actions and targets of both are the same."""

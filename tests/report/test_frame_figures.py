@@ -87,6 +87,7 @@ def summary_of(subject) -> str:
     return console.file.getvalue()
 
 
+@pytest.mark.long
 def test_what_learns_offline_is_shown_against_epochs(shelf_subject):
     """It takes no environment steps, and its summary does not say so either."""
     axes = figures.learning_curves(shelf_subject).axes
@@ -150,11 +151,13 @@ def test_a_policy_that_turns_an_object_becomes_a_video(pose_subject, tmp_path):
     ) // image_goals.PICTURES_A_FRAME <= 2 * 13
 
 
+@pytest.mark.long
 def test_a_task_whose_goals_are_texts_has_no_video(shelf_subject, tmp_path):
     with pytest.raises(UserError, match="is of embodied_qa; videos are of tasks with image goals"):
         image_goals.policy_video(shelf_subject, tmp_path / "flights.mp4")
 
 
+@pytest.mark.long
 def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject):
     env = shelf_subject.train.env
     shelf = shelf_figures.make_shelf(env)
@@ -168,6 +171,7 @@ def test_plan_of_a_shelf_knows_its_places_and_others_have_none(shelf_subject):
     assert image_goals.draw_image_goals(shelf_subject) == {}
 
 
+@pytest.mark.long
 def test_border_of_two_places_side_by_side_has_six_sides(shelf_subject):
     shelf = shelf_figures.make_shelf(shelf_subject.train.env)
     second = int(np.flatnonzero(np.isclose(shelf.places - shelf.places[0], (0.2, 0.0)).all(1))[0])
@@ -175,6 +179,7 @@ def test_border_of_two_places_side_by_side_has_six_sides(shelf_subject):
     assert len(shelf_figures.outline(shelf, np.array([0, second])).get_segments()) == 6
 
 
+@pytest.mark.long
 def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(shelf_subject):
     """And unknown where nothing that training knows is in view; images of one place count together."""
     env, shelf = shelf_subject.train.env, shelf_figures.make_shelf(shelf_subject.train.env)
@@ -190,6 +195,7 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
     np.testing.assert_allclose(shelf_figures.reward_of_places(shelf_subject, together, goal), [np.nanmean(of_image)])
 
 
+@pytest.mark.long
 def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     """Goal by goal, though most of the goals of training are never evaluated."""
     env, found = shelf_subject.train.env, codes_and_walks.walks_of_policy(shelf_subject)
@@ -208,6 +214,7 @@ def test_flights_that_are_drawn_are_those_of_the_last_evaluation(shelf_subject):
     )
 
 
+@pytest.mark.long
 def test_codes_beside_flights_leave_out_validation_questions(shelf_subject):
     """Names, training and test questions have a mark each: what the learner knows, and what is asked of it."""
     shelf, found = shelf_figures.make_shelf(shelf_subject.train.env), codes_and_walks.walks_of_policy(shelf_subject)

@@ -68,10 +68,12 @@ def test_summary_of_a_fetch_run_has_a_row_for_each_kind_of_goals_and_code(reach_
     assert "SPL" not in text and mean_interval(scores["corrupted_test_goal_mean_code/episode_length"]).show(1) in text
 
 
+@pytest.mark.long
 def test_every_figure_of_image_goals_is_drawn_and_shows_something(points):
     assert_drawn(draw_figures(points.folder, env=points.train.env), points.folder, IMAGE_GOAL_FIGURES)
 
 
+@pytest.mark.long
 def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(points_subject):
     config, env = hand_made_points.config("none"), points_subject.train.env
     train = make_train(config, env)
@@ -87,6 +89,7 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
     assert np.ptp(codes[0].get_xlim()) == pytest.approx(np.ptp(codes[0].get_ylim())) and codes[0].get_aspect() == 1
 
 
+@pytest.mark.long
 def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(points):
     console, env = Console(file=io.StringIO(), width=150), points.train.env
     scores = {}
@@ -125,6 +128,7 @@ def test_goals_of_the_trajectories_lie_in_different_regions(reach_run):
     assert len(image_goals.spread_goals(env.goals, env.goals.train_mask, 100, apart)) == 8
 
 
+@pytest.mark.long
 def test_episodes_that_are_drawn_go_to_their_goals_and_depend_on_the_corruption(points, points_subject):
     env = points.train.env
     goals = np.flatnonzero(np.asarray(env.goals.test_mask))[::-1]
@@ -149,6 +153,7 @@ def test_images_that_are_shown_mix_in_backgrounds_of_the_test(reach_run):
     assert all((np.asarray(env.test_backgrounds) == image).all((1, 2, 3)).any() for image in background)
 
 
+@pytest.mark.long
 def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_subject):
     """The learner of the run, asked what it encodes."""
     seen, learner = [], points.train.parts.learner
@@ -196,7 +201,7 @@ def test_a_video_holds_the_frames_in_order(ending, tmp_path):
     assert np.allclose([frame.mean() for frame in found], [0, 40, 80, 120, 160], atol=4)
 
 
-@pytest.mark.parametrize("ending", ["mp4", "gif"])
+@pytest.mark.parametrize("ending", ["mp4", pytest.param("gif", marks=pytest.mark.long)])
 def test_a_full_disk_is_an_error_and_the_old_video_stays(ending, tmp_path):
     """The encoder itself says nothing of it. A limit on file sizes, in a process of its own, is the disk that
     refuses."""

@@ -100,6 +100,7 @@ def test_run_whose_seeds_all_diverged_still_reports(diverged_run, env):
     assert draw_figures(diverged_run, env=env) == []
 
 
+@pytest.mark.long
 def test_evaluation_again_depends_on_its_seed_alone(sweep, env):
     quiet = Console(file=io.StringIO())
     first, again, other = (evaluate_run(sweep.folder, 4, seed, 0.5, env=env, console=quiet) for seed in (1, 1, 2))
@@ -151,6 +152,7 @@ def test_a_seed_that_was_not_trained_is_named(sweep, rooms_for_a_house):
         load_run(str(sweep.folder)).policy(seed=7)
 
 
+@pytest.mark.long
 def test_every_figure_is_drawn_and_shows_something(sweep, env):
     assert_drawn(draw_figures(sweep.folder, env=env), sweep.folder, FIGURES)
 
@@ -223,6 +225,7 @@ def packed(sweep, tmp_path, monkeypatch):
     return tmp_path / "four.zip"
 
 
+@pytest.mark.long
 def test_a_packed_run_is_a_run_of_one_seed(sweep, env, packed, tmp_path):
     """The same parameters and numbers, and figures; small, and the same file whenever it is written."""
     run, whole = load_run(packed), load_run(sweep.folder)

@@ -178,7 +178,14 @@ def no_training(monkeypatch):
     return lambda: monkeypatch.setattr(lanes, "go_on", never)
 
 
-@pytest.mark.parametrize("end", ["clock", "kill before the first", "kill after the first"])
+@pytest.mark.parametrize(
+    "end",
+    [
+        pytest.param("clock", marks=pytest.mark.long),
+        "kill before the first",
+        pytest.param("kill after the first", marks=pytest.mark.long),
+    ],
+)
 def test_what_was_not_measured_is_measured_at_the_next_start(end, whole, tmp_path, monkeypatch, no_training):
     measured = []
 
@@ -214,6 +221,7 @@ def test_what_was_not_measured_is_measured_at_the_next_start(end, whole, tmp_pat
     assert not reproduce(tmp_path, 1, judge).finished
 
 
+@pytest.mark.long
 def test_a_measure_that_failed_waits_for_retry_with_its_checkpoint(tmp_path, no_training):
     def fails(training, run, config):
         raise ValueError("out of memory")
@@ -227,6 +235,7 @@ def test_a_measure_that_failed_waits_for_retry_with_its_checkpoint(tmp_path, no_
     assert np.isfinite(closeness(tmp_path, FIRST)).all() and not kept(tmp_path)
 
 
+@pytest.mark.long
 def test_an_unmeasured_run_without_a_checkpoint_is_trained_again_on_request(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(work, "MEASURING", 1e9)
@@ -261,6 +270,7 @@ def test_what_is_measured_later_costs_its_training_once(tmp_path, monkeypatch):
     assert second == first and second["runs"] == sorted([FIRST.name, SECOND.name]) and second["lanes"] == 4
 
 
+@pytest.mark.long
 def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole, tmp_path, evaluations):
     shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
     for run in (FIRST, SECOND):

@@ -56,6 +56,7 @@ def test_flags_of_another_engine_are_refused(tmp_path, capsys, flags):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_a_worker_sends_what_it_wrote_and_goes_on_with_what_it_is_sent(tmp_path):
     """Stopped after an evaluation, it sends a checkpoint; another one that is given it comes to the same numbers."""
     there, whole = tmp_path / "there", tmp_path / "whole"

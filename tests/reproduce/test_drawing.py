@@ -97,6 +97,7 @@ def test_damaged_numbers_are_refused(folder, tmp_path):
         numbers.load(tmp_path)
 
 
+@pytest.mark.long
 def test_a_figure_of_other_numbers_is_not_shown(results, tmp_path):
     """It stands in the folder from before; it is shown again once it is drawn of the numbers, or gone with them."""
     drawing.draw(("fig12",), results, tmp_path, format="pdf")

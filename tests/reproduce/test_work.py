@@ -147,6 +147,7 @@ def test_a_run_that_was_stopped_at_a_lower_ceiling_is_made_again(whole, tmp_path
     assert reproduce(tmp_path, 1).finished == runs(1)[:1]
 
 
+@pytest.mark.long
 def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
     path = files.path_of(tmp_path, runs(1)[0], "lock")
     path.parent.mkdir(parents=True)

@@ -167,6 +167,7 @@ def test_a_house_is_built_once_and_announced_in_one_line(cache, capsys):
     assert not list(house.cached_folder(3).parent.glob(".*"))
 
 
+@pytest.mark.long
 def test_a_damaged_house_is_built_again(cache, capsys):
     first = house.load(3, objects=AUTHORS_SPLIT.objects)
     picture = house.cached_folder(3) / "Home_101_1" / "jpg_rgb" / first.image_names[7]
@@ -187,12 +188,14 @@ def test_what_the_house_does_not_have_is_an_error_and_builds_nothing_again(cache
     assert cache == [3]
 
 
+@pytest.mark.long
 def test_a_cache_that_cannot_be_written_to_costs_only_time(cache, tmp_path, capsys):
     (tmp_path / "cache").write_text("a file in the way")
     assert len(house.load(3, objects=AUTHORS_SPLIT.objects).images) and "cannot be written" in capsys.readouterr().err
     assert (tmp_path / "cache").read_text() == "a file in the way"
 
 
+@pytest.mark.long
 def test_of_two_processes_that_build_at_once_the_first_one_counts(cache, monkeypatch):
     build = house.build_house
 

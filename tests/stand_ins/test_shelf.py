@@ -52,6 +52,7 @@ def random_success(table: np.ndarray, goal: np.ndarray, steps: int) -> float:
     return float(chance[~goal].mean())
 
 
+@pytest.mark.long
 def test_an_object_is_detected_where_its_whole_box_is_in_the_view(whole):
     """Of a level camera the view is a rectangle of 1.04 x 0.78 m around its position: half the field of view's tangent
     on either side."""
@@ -92,12 +93,14 @@ def test_moves_are_steps_of_20_cm_that_can_be_undone_and_end_at_the_edges():
         assert (missing[..., action] == edge).all()
 
 
+@pytest.mark.long
 def test_flights_make_every_move_of_every_state(whole):
     assert (frames.next_state(whole) == shelf.moves()).all()
     assert whole.num_states == shelf.ROWS * shelf.COLUMNS
     assert 300 <= whole.trajectory.max() + 1 <= 500
 
 
+@pytest.mark.long
 def test_a_flight_goes_on_where_its_last_move_ended(whole):
     going_on = whole.trajectory[1:] == whole.trajectory[:-1]
     assert (whole.next_frame[:-1] == whole.frame[1:])[going_on].all()
@@ -125,6 +128,7 @@ def test_a_shortest_path_finds_every_object_from_everywhere(detected):
     assert distances(shelf.moves(), detected).max() <= EPISODE
 
 
+@pytest.mark.long
 def test_states_look_different(whole):
     assert len(np.unique(whole.frames.reshape(len(whole.frames), -1), axis=0)) == whole.num_states
 
@@ -140,6 +144,7 @@ def test_the_same_seed_gives_the_same_dataset_and_another_seed_another(corner):
     assert (first.detected != other.detected).any() or (first.frame != other.frame).any()
 
 
+@pytest.mark.long
 def test_a_hovering_drone_sees_a_state_in_several_images_that_a_dataset_may_hold(corner, tmp_path):
     data = corner(3, hovering=True)
     assert (np.bincount(data.state) == shelf.VIEWS).all()

@@ -38,6 +38,7 @@ def run(train):
     return jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
 
 
+@pytest.mark.long
 def test_leo_learns_nothing_of_goals_that_are_held_out():
     """Outputs of test goals keep the bits they started with; those of training goals do not."""
     train = training("leo", known_goals="held_out")
@@ -93,7 +94,7 @@ def test_drawn_goals_are_known_and_a_share_was_achieved_in_the_batch():
     assert draw_goals(AllGoalsSpec(0, 0.5, mean_code=False), known, achieved, jax.random.key(0)) is None
 
 
-@pytest.mark.parametrize("goals", [None, jnp.array([6, 0, 6])])
+@pytest.mark.parametrize("goals", [pytest.param(None, marks=pytest.mark.long), jnp.array([6, 0, 6])])
 def test_rewards_are_those_of_each_goal_alone(goals):
     """As the environment decides, for every goal and transition."""
     train = make_train(hand_made.config("none", relabelling="all_goals"), hand_made.environment())

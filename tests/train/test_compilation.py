@@ -51,6 +51,7 @@ def cache_hits(folder) -> int:
     return int(done.stdout)
 
 
+@pytest.mark.long
 def test_a_second_process_finds_what_the_first_compiled(tmp_path):
     assert cache_hits(tmp_path / "cache") == 0
     assert cache_hits(tmp_path / "cache") > 0
@@ -108,7 +109,12 @@ def test_of_what_has_a_form_for_each_device_one_is_counted():
 
 
 @pytest.mark.parametrize(
-    ("task", "most"), [("object_search", 3_300), ("fetch_reach", 10_000), ("fetch_pick_and_place", 12_500)]
+    ("task", "most"),
+    [
+        ("object_search", 3_300),
+        pytest.param("fetch_reach", 10_000, marks=pytest.mark.long),
+        ("fetch_pick_and_place", 12_500),
+    ],
 )
 def test_training_programs_stay_small(task, most):
     """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had

@@ -78,6 +78,7 @@ def train_on_two_devices(folder: Path, program: str, epochs: int, at_once: int) 
     subprocess.run(command, cwd=TESTS / "train", env=environment, check=True)
 
 
+@pytest.mark.long
 def test_seeds_spread_over_two_devices_are_the_same_seeds(small_program, tmp_path):
     one_device = losses_on_one_device(tmp_path / "one")
     train_on_two_devices(tmp_path / "two", "small", 1, 2)

@@ -69,6 +69,7 @@ def drawn(rows: Trajectories, num: int = 2000):
     return row, step, later
 
 
+@pytest.mark.long
 def test_hindsight_takes_any_later_step_of_the_same_episode(rows):
     row, step, later = drawn(rows)
     now, left = rows.record[row, step], replay.steps_left(rows.valid)[row, step]
@@ -132,6 +133,7 @@ def moving_targets():
     return lambda seed: run(policy, jax.random.key(seed), True, trainer.agent.config.hyper)[0]
 
 
+@pytest.mark.long
 def test_targets_move_as_a_high_level_moves_them(moving_targets):
     rows = moving_targets(8)
     changes = np.asarray((rows.goal[:, 1:] != rows.goal[:, :-1]).any(-1))
@@ -212,6 +214,7 @@ def test_no_key_of_the_joints_is_used_twice():
     assert len({tuple(jax.random.key_data(each).tolist()) for each in found}) == len(found)
 
 
+@pytest.mark.long
 def test_the_low_level_of_the_joints_is_trained_and_written_as_any_other(tmp_path, monkeypatch):
     """Several seeds in one program, a curve, the best of them in a file that HRAC loads."""
     env = hand_made_frames.manipulation()

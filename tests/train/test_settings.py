@@ -76,6 +76,7 @@ def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(tra
     assert not np.allclose(changed["corrupted_"], actions["corrupted_"])
 
 
+@pytest.mark.long
 def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
     env = train.env
     clean = clean_view(train.parts, params, env, env.goals.evaluated).shown
@@ -87,6 +88,7 @@ def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
         assert metrics[f"corrupted_{group}_{length}"] == metrics[f"{group}_{length}"]
 
 
+@pytest.mark.long
 def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
     """Clean and corrupted goals, whose backgrounds belong to goal and start: the episodes are run in another order."""
     env, policy = train.env, train.policy(params, train.config.hyper, train.env, use_mean=True)

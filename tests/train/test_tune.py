@@ -41,6 +41,7 @@ def result(env, tmp_path_factory):
     return tune(small(), 2, [1000, 1001], jax.random.key(0), env=env, watch=watch), left
 
 
+@pytest.mark.long
 def test_each_lane_is_the_run_of_its_values_alone(result, env):
     found, _ = result
     train = make_train(found.config, search.scored_goals_only(env)[0])
@@ -172,6 +173,7 @@ def test_mistakes_are_refused_before_anything_is_compiled(trials, seeds, fields,
         tune(small(), trials, seeds, jax.random.key(0), fields, env=env)
 
 
+@pytest.mark.long
 def test_a_final_runs_trials_of_a_search_again(result, env):
     """With the seeds of the search each is what it was there, wherever it stands; with others it is not."""
     found, _ = result

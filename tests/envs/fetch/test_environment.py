@@ -48,6 +48,7 @@ def test_actions_move_the_grip_along_their_axes(reach):
         assert (np.abs(np.delete(shift, axis, 1)) < 0.005).all()
 
 
+@pytest.mark.long
 def test_actions_beyond_one_are_clipped(reach):
     """An action of 7 is an action of 1."""
     _, reset, step = reach
@@ -146,6 +147,7 @@ def test_a_length_of_zero_is_refused():
         envs.load("fetch_push", FetchConfig(episode_length=0))
 
 
+@pytest.mark.long
 def test_other_tasks_do_not_import_mujoco():
     """Importing the environments costs nothing that a search task does not need, and prints nothing."""
     import subprocess

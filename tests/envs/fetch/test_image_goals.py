@@ -114,7 +114,7 @@ def test_networks_see_numbers_of_the_order_of_one(task):
     assert (reach > 0.5).all() and (reach < 3).all()
 
 
-@pytest.mark.parametrize("method", ["infogoal", "none"])
+@pytest.mark.parametrize("method", [pytest.param("infogoal", marks=pytest.mark.long), "none"])
 def test_training_goals_have_the_same_codes_whichever_way_they_are_encoded(method, env):
     train = make_train(hand_made_points.config(method), hand_made_points.steered(env))
     learner = train.parts.learner
@@ -208,6 +208,7 @@ def test_a_mistake_is_named_before_anything_is_compiled(arguments, expected, tmp
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.long
 def test_a_mistake_ends_a_process_with_status_2_and_no_traceback(tmp_path):
     command = [
         sys.executable,

@@ -221,7 +221,10 @@ def test_damping_is_taken_implicitly():
     )
 
 
-@pytest.mark.parametrize(("size", "count", "steps"), [(7, 38, 1), (7, 38, 4), (18, 143, 4)])
+@pytest.mark.parametrize(
+    ("size", "count", "steps"),
+    [(7, 38, 4), *(pytest.param(*each, marks=pytest.mark.long) for each in ((7, 38, 1), (18, 143, 4)))],
+)
 def test_the_kernel_finds_what_plain_operations_find(size, count, steps):
     """For the smallest and the largest problem of a Fetch task; the kernel runs as plain operations here."""
     inertia, force, rows = random_problem(5, size, count)
