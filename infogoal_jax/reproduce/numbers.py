@@ -128,14 +128,23 @@ def save(results: Results, folder: Path) -> list[Path]:
     return paths
 
 
+def is_superseded(before: Result, after: Result) -> bool:
+    """Whether a run takes the place of one that was made before it with the settings of today: not if that one still
+    rose, and was trained for longer."""
+    earlier, later = (result.evaluations["train_goal/success_rate"] for result in (before, after))
+    longer = plan.still_rises(earlier) and earlier.shape[1] > later.shape[1]
+    return not longer or not files.was_made_with(before, plan.config_of(before.run, Path()))
+
+
 def merged(before: Results, folders: list[Path]) -> Results:
-    """These runs, with those of the folders, of which the last one counts. Raises `UserError` for a folder that is
-    missing or holds neither runs nor numbers."""
+    """These runs, with those of the folders, of which the last one counts that `is_superseded` lets in. Raises
+    `UserError` for a folder that is missing or holds neither runs nor numbers."""
     found = before
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"folders = {str(folder)!r}: there is no such folder; give folders of infogoal reproduce")
         new = load(folder, "folders") if has_numbers(folder) else of_folder(folder)
         require(bool(new), "folders", str(folder), "holds no finished run")
-        found = of_one_size(found | new, "folders", str(folder))
+        newer = {run: result for run, result in new.items() if run not in found or is_superseded(found[run], result)}
+        found = of_one_size(found | newer, "folders", str(folder))
     return found

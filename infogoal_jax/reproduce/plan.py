@@ -179,7 +179,8 @@ def levelled(curve: np.ndarray) -> int | None:
     mean = np.asarray(curve, float).mean(0)
     for count in range(FIRST, len(mean) + 1):
         before, last = mean[count - 2 * WINDOW : count - WINDOW].mean(), mean[count - WINDOW : count].mean()
-        if last - before < RISE and (last >= FLOOR or count >= EVALUATIONS):
+        first = mean[:WINDOW].mean()
+        if last - before < RISE and (last >= FLOOR or (count >= EVALUATIONS and last - first < RISE)):
             return count
     return None
 

@@ -85,6 +85,23 @@ def test_known_runs_of_a_lower_ceiling_are_made_again(tmp_path):
     assert run in asked(tmp_path, known=tmp_path / "known").runs()
 
 
+@pytest.mark.parametrize(("success", "kept"), [(np.linspace(0, 1, 26), True), (np.ones(26), False)])
+def test_a_run_that_still_rose_is_not_replaced_by_a_shorter_one(tmp_path, success, kept):
+    """A short run on the floor looks level where a long one was seen to rise."""
+    run = asked(tmp_path).runs()[0]
+    made = made_up_results.result_of(run)
+    size = len(run.seeds), 1
+    before, after = (
+        dataclasses.replace(made, evaluations={"train_goal/success_rate": np.tile(curve, size)}, arrays={})
+        for curve in (success, np.zeros(10))
+    )
+    files.save(tmp_path, after)
+    found = numbers.merged({run: before}, [tmp_path])[run]
+    assert found.evaluations["train_goal/success_rate"].shape[1] == (26 if kept else 10)
+    other = dataclasses.replace(before, about=before.about | {"config": {}})
+    assert numbers.is_superseded(other, after)
+
+
 @pytest.mark.parametrize(("old", "new"), [("--ways", "--variants"), ("--lanes=8", "--vmap-size")])
 def test_a_flag_of_an_earlier_version_is_refused_with_its_name_today(old, new, capsys):
     assert main(["reproduce", "table1", "--list", old]) == 2

@@ -202,6 +202,7 @@ def curve(*values: float) -> np.ndarray:
         ((0, 0, 0, 0, 0, 0), None),
         ([0] * 12, 10),
         ([0.05] * 6 + [0.15] * 6, 12),
+        ([0.01] * 4 + [0.04, 0.06, 0.05, 0.06, 0.07, 0.06], None),
         ((1, 1, 1, 1, 1), None),
         (np.linspace(0, 1, 15), None),
         ((0, 0.2, 0.4, 0.6, 0.8, 1, 1, 1, 1, 1, 1), 11),
@@ -209,7 +210,7 @@ def curve(*values: float) -> np.ndarray:
     ],
 )
 def test_a_curve_levels_off_where_its_last_window_is_no_higher(values, count):
-    """And not on the floor before the budget is spent."""
+    """And not on the floor before the budget is spent, or while it creeps up from its first window."""
     assert plan.levelled(curve(*values)) == count
     assert plan.still_rises(curve(*values)) == (count is None)
 
