@@ -1,9 +1,10 @@
-"""What training costs, in four tables.
+"""What training costs, in five tables.
 
     python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
     python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
     python benchmarks/speed/training.py methods [--tasks object_search] [--methods vae her ...] [--out FILE.json]
     python benchmarks/speed/training.py goals [--goals 24 324 6384] [--rows her leo head ...] [--out FILE.json]
+    python benchmarks/speed/training.py devices [--tasks object_search] [--method infogoal] [--seeds 16]
 
 rates: environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's
 time` says how much longer the sweep takes than one seed alone.
@@ -15,6 +16,9 @@ a compilation cache.
 methods: seconds of an epoch's updates relative to the bare agent's, all in one run. What is timed is what an epoch does
 after collecting: preparing what is drawn from (tables of a relabelling, bonuses of an explorer), drawing, and the
 preset's updates; the fastest of some repeats after one that is not counted, compile time apart.
+
+devices: an epoch of so many seeds on one device, and of as many on each of all devices, as `infogoal train` spreads
+them. Efficiency is the first time over the second.
 
 goals: the cost of an update under all goals, beside HER's: object search with its goals repeated to so many. `every
 goal` gives each transition every goal in turn, one pass of the universal value function for each: what learning from
@@ -36,6 +40,7 @@ from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
@@ -101,6 +106,27 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
         leaf.nbytes for leaf in jax.tree.leaves(states) if not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
     )
     return min(seconds), compile_seconds, size
+
+
+def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: int) -> tuple[list[float], float]:
+    """Seconds of epochs of so many seeds on each of the first devices, and compile seconds."""
+    mesh = jax.sharding.Mesh(np.asarray(jax.local_devices()[:num_devices]), ("seeds",))
+    by_seed, everywhere = (
+        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
+    )
+    count = seeds_of_each * num_devices
+    shared = jax.device_put((config.hyper, train.env), everywhere)
+    keys = jax.device_put(jax.random.split(jax.random.key(0), count), by_seed)
+    states = jit(over_seeds(train.initial, count, seeds_of_each, mesh), out_shardings=by_seed)(keys, *shared)
+    epochs = jit(epochs_over_seeds(train.epochs, count, seeds_of_each, mesh), donate_argnums=0)
+    numbers = jax.device_put(jnp.arange(repeats + 1)[:, None], everywhere)
+    started = time.perf_counter()
+    program = epochs.lower(states, numbers[0], *shared).compile()
+    compile_seconds, seconds = time.perf_counter() - started, []
+    for number in numbers:
+        (states, *_), elapsed = timed(program, states, number, *shared)
+        seconds.append(elapsed)
+    return seconds[1:], compile_seconds
 
 
 def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, float]:
@@ -183,6 +209,22 @@ def print_rates(arguments) -> None:
             )
 
 
+def print_devices(arguments) -> None:
+    """The table of seeds over devices."""
+    print("| task | devices | seeds | ms an epoch, from and to | efficiency | compile s |\n|---|---|---|---|---|---|")
+    for task in arguments.tasks:
+        config, alone = presets.load(task, arguments.method, epochs_per_evaluation=1, evaluation_starts=1), None
+        train, seeds = make_train(config), arguments.seeds[0]
+        for devices in (1, len(jax.local_devices())):
+            seconds, compile_seconds = spread_rate(config, train, seeds, devices, arguments.repeats)
+            alone = min(seconds) if alone is None else alone
+            print(
+                f"| {task} | {devices} | {seeds * devices} | {1000 * min(seconds):.0f} to {1000 * max(seconds):.0f} | "
+                f"{alone / min(seconds):.3f} | {compile_seconds:.1f} |",
+                flush=True,
+            )
+
+
 def print_sizes(arguments) -> None:
     """The table of programs."""
     print("| task | seeds | operations | trace s | lower s | compile s | all s |\n|---|---|---|---|---|---|---|")
@@ -229,7 +271,13 @@ def print_goals(arguments) -> list[dict]:
     return found
 
 
-TABLES = {"rates": print_rates, "size": print_sizes, "methods": print_methods, "goals": print_goals}
+TABLES = {
+    "rates": print_rates,
+    "size": print_sizes,
+    "methods": print_methods,
+    "goals": print_goals,
+    "devices": print_devices,
+}
 
 
 def main():
@@ -237,9 +285,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", choices=TABLES)
     parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=["object_search"])
-    parser.add_argument("--method", default="infogoal", help="of rates and size")
+    parser.add_argument("--method", default="infogoal", help="of rates, size and devices")
     parser.add_argument(
-        "--seeds", type=int, nargs="+", default=[1], help="side by side; for methods and goals one number"
+        "--seeds", type=int, nargs="+", default=[1], help="side by side; for methods, goals and devices one number"
     )
     parser.add_argument("--repeats", type=int, default=3)
     methods = [name for name in presets.METHODS if name != "none"]
@@ -249,7 +297,7 @@ def main():
     parser.add_argument("--updates", type=int, default=20, help="of an epoch, for goals")
     parser.add_argument("--out", type=Path, help="file to write the numbers of methods or goals to (json)")
     arguments = parser.parse_args()
-    if arguments.out and arguments.table in ("rates", "size"):
+    if arguments.out and arguments.table not in ("methods", "goals"):
         parser.error("--out is for methods and goals")
     print(f"{arguments.table}; {describe_machine()}\n")
     found = TABLES[arguments.table](arguments)
