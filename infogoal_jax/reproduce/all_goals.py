@@ -19,9 +19,10 @@ from infogoal_jax.reproduce.evidence import INTERVALS, finding, paired
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import AGENTS, ALL_GOALS, PROTOCOLS, Choice, all_goals, all_goals_run, protocol_of
 from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.progress import costs
 from infogoal_jax.reproduce.scores import TITLES, Row, by_goal_set, has_scores
 from infogoal_jax.reproduce.table_formats import Cell, Table, markdown
-from infogoal_jax.reproduce.tables import costs, legend, ranks
+from infogoal_jax.reproduce.tables import legend, ranks
 from infogoal_jax.runs import disk
 
 NAME = "all_goals"

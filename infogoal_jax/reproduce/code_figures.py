@@ -11,9 +11,10 @@ from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
 from infogoal_jax.report.codes_and_walks import draw_codes, principal_components
 from infogoal_jax.reproduce.files import Result
-from infogoal_jax.reproduce.manifest import DRAWN, EXTERNAL, METHODS, PRESET, fixed
+from infogoal_jax.reproduce.manifest import DRAWN, EXTERNAL, PRESET, fixed
 from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results
+from infogoal_jax.reproduce.paper import title_of
 from infogoal_jax.reproduce.scores import TITLES, row_of
 
 PATHS_IN_WORDS = "stars: goals; circles: starts; crosses: ends, green where the goal was reached"
@@ -96,7 +97,7 @@ def fig9(results: Results) -> Figure | None:
             codes_panel(codes, result, 1 + place)
             trajectory_panel(trajectories, result, place)
             codes.set_title(f"background of weight {weight:g}", fontsize=9)
-        panels[2 * row, 0].set_ylabel(f"{TITLES[task]}, {METHODS[method]}", fontsize=11)
+        panels[2 * row, 0].set_ylabel(f"{TITLES[task]}, {title_of(task, method)}", fontsize=11)
         panels[2 * row + 1, 0].set_ylabel("trajectories", fontsize=11)
     return figure
 
@@ -120,7 +121,7 @@ def codes_and_ways(results: Results, task: str, title: str) -> Figure | None:
     for row, (method, result) in enumerate(found.items()):
         codes = figure.add_subplot(rows[row, 0])
         codes_panel(codes, result, 0)
-        codes.set_ylabel(METHODS[method], fontsize=11)
+        codes.set_ylabel(title_of(task, method), fontsize=11)
         panels = rows[row, 1].subgridspec(*((trajectories, 1) if low else (1, trajectories)))
         for goal in range(min(trajectories, result.arrays["picture/way"].shape[1])):
             trajectory_panel(figure.add_subplot(panels[goal]), result, 0, goal)

@@ -131,7 +131,7 @@ def drawn_from(path: Path) -> str | None:
 
 def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     """Whether a table belongs to these studies; what it cost is always shown."""
-    belongs = {"table1": ("table1", "over_tasks", "near_and_far"), "table2": ("table2",)}
+    belongs = {"table1": ("table1", "equal_training", "over_tasks", "near_and_far"), "table2": ("table2",)}
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 

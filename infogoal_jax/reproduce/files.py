@@ -78,6 +78,11 @@ class Result:
         """The command line that makes the run, in the words that it has today; the file keeps those of its time."""
         return shlex.join(command_of(self.run))
 
+    @property
+    def kept(self) -> list[int]:
+        """The places of the seeds that did not diverge."""
+        return [place for place, seed in enumerate(self.run.seeds) if seed not in self.about["diverged"]]
+
     def missing(self) -> list[str]:
         """What is to be measured of the run and was not."""
         return plan.missing(self.run, self.about["learner_share"], self.arrays)

@@ -28,6 +28,8 @@ METHODS = {
     "ghrl": "GHRL",
 }
 """The rows of Table I, in its order."""
+BARE_AGENTS = {"object_search": "DQN", "embodied_qa": "CQL"}
+"""The bare agent of a task; of the others it is HRAC."""
 LEARNERS = ("infogoal", "infobot", "cogoal", "gcb", "vae", "dgrl", "rad")
 WITH_LOSS = tuple(method for method in LEARNERS if method != "rad")
 """Methods with a loss of their own for the goal encoder; RAD augments what the agent's sees."""
@@ -93,3 +95,8 @@ def reported(task: str, kind: str, method: str) -> str:
     tasks, rows = TABLE.get(kind, ((), {}))
     value = dict(zip(tasks, rows.get(method, ()), strict=False)).get(task)
     return "" if value is None else f"{value:.2f}"
+
+
+def title_of(task: str, method: str) -> str:
+    """The name of a method where one task is shown: the bare agent has that of its agent."""
+    return BARE_AGENTS.get(task, "HRAC") if method == "none" else METHODS[method]

@@ -228,11 +228,11 @@ class Row(NamedTuple):
         return min(len(result.run.seeds) for result in self.results)
 
 
-def scores_of(result: Result, metric: str) -> np.ndarray:
-    """A metric of a run, [seeds]: the mean over the evaluations that count, without the seeds that diverged."""
-    kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
-    which = plan.shown(result.evaluations["train_goal/success_rate"])
-    return result.evaluations[metric][kept, which].mean(1)
+def scores_of(result: Result, metric: str, which: slice | None = None) -> np.ndarray:
+    """A metric of a run, [seeds], without the seeds that diverged: the mean over these evaluations, or over those that
+    count."""
+    which = plan.shown(result.evaluations["train_goal/success_rate"]) if which is None else which
+    return result.evaluations[metric][result.kept, which].mean(1)
 
 
 def by_goal_set(results: Results, row: tuple) -> dict[int, Result]:

@@ -1,5 +1,5 @@
-"""Every table that there are numbers for: Tables I and II, near and far goals, the comparison of methods over tasks,
-and what the runs cost."""
+"""Every table that there are numbers for: Tables I and II, test goals at equal training, near and far goals, and the
+comparison of methods over tasks."""
 
 import functools
 import math
@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from infogoal_jax.goal_uses import TEST
+from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import TASKS, reported
+from infogoal_jax.reproduce.progress import costs
 from infogoal_jax.reproduce.scores import (
     KINDS,
     MARKS,
@@ -19,6 +21,7 @@ from infogoal_jax.reproduce.scores import (
     ROWS,
     TITLES,
     Row,
+    TwoIntervals,
     bootstrap,
     columns,
     has_scores,
@@ -61,6 +64,49 @@ def table1(results: Results, variant: str) -> Table | None:
     ]
     foot += legend(rows.values())
     return Table(f"table1_{variant}", f"Table I, {VARIANTS[variant]}", head, body, foot)
+
+
+def equal_training(results: Results, variant: str) -> Table | None:
+    """Success on test goals when all methods of a task have had as many updates as the one that stopped first. Training
+    stops by training goals: a method that learns them slowly is given more updates, in which test goals may rise."""
+    rows = rows_of(results, variant, ROWS[variant])
+    updates = {task: least_updates(own) for task in TASKS if (own := [rows[key] for key in rows if key[0] == task])}
+    if not updates:
+        return None
+    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+    columns = []
+    for task, most in updates.items():
+        own = {method: rows.get((task, method)) for method in methods}
+        column = {method: Cell(None if row is None else over_updates(row, most)) for method, row in own.items()}
+        order = ranks(column) if is_complete(rows, variant, "test_goal", task) else {}
+        columns.append({method: cell._replace(rank=order.get(method, 0)) for method, cell in column.items()})
+    head = ["method", *(f"{TITLES[task]}, {most:,} updates" for task, most in updates.items())]
+    body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
+    foot = [
+        "Success rate on clean test goals: mean ± 95 % interval over seeds / over goal sets, over the three "
+        "evaluations up to the updates after which the first run of the column stopped. In Table I each run has "
+        "trained until its training goals levelled off, some for two or three times as long."
+    ]
+    return Table(f"equal_training_{variant}", f"Test goals at equal training, {VARIANTS[variant]}", head, body, foot)
+
+
+def least_updates(rows: list[Row]) -> int:
+    """The updates of the run that stopped first."""
+    return min(trained(result) * result.about["updates"] for row in rows for result in row.results)
+
+
+def trained(result: Result) -> int:
+    """The evaluations of a run until it levelled off."""
+    return plan.shown(result.evaluations["train_goal/success_rate"]).stop
+
+
+def over_updates(row: Row, updates: int) -> TwoIntervals | None:
+    """Success of a row on test goals over the last evaluations up to so many updates."""
+    scores = []
+    for result in row.results:
+        count = updates // result.about["updates"]
+        scores.append(scores_of(result, "test_goal/success_rate", slice(max(0, count - plan.WINDOW), count)))
+    return over_seeds_and_sets(scores) if all(len(each) for each in scores) else None
 
 
 def legend(rows: Iterable[Row]) -> list[str]:
@@ -145,11 +191,12 @@ def near_cell(row: Row | None, near: bool) -> Cell:
         return Cell(None)
     scores = []
     for result in row.results:
-        kept = [place for place, seed in enumerate(result.run.seeds) if seed not in result.about["diverged"]]
         part = (result.arrays["uses"] == TEST) & (result.arrays["near"] == near)
         if not part.any():  # A goal set may have none that are near.
             continue
-        scores.append((result.arrays["first_reached"][kept][:, part] <= result.about["episode_length"]).mean((1, 2)))
+        scores.append(
+            (result.arrays["first_reached"][result.kept][:, part] <= result.about["episode_length"]).mean((1, 2))
+        )
     found = over_seeds_and_sets(scores) if scores and all(len(each) for each in scores) else None
     return Cell(found, "", 0, row.marks(), row.results[0].run.name)
 
@@ -239,60 +286,8 @@ def left_out(rows: dict[tuple[str, str], Row], task: str, methods: list[str]) ->
     return f"{', '.join(names)} on {TITLES[task]}" if names else ""
 
 
-def costs(results: Results) -> Table | None:
-    """Programs, and the time of compiling and of running, by task."""
-    body, machines, totals = [], {}, np.zeros(4)
-    for task in TASKS:
-        own = [result for run, result in results.items() if run.task == task]
-        programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
-        if not own:
-            continue
-        compiling, running = (
-            sum(program[f"{name}_seconds"] for program in programs.values()) for name in ("compile", "run")
-        )
-        measuring = sum(result.about["measure_seconds"] for result in own)
-        numbers = np.array([len(own), len(programs), compiling + measuring, running])
-        totals += numbers
-        body.append([TITLES[task], *cost_cells(numbers, own)])
-        machines |= dict.fromkeys(result.about["machine"] for result in own)
-    if not body:
-        return None
-    body.append(["all", *cost_cells(totals, list(results.values()))])
-    head = ["task", "runs", "programs", "compiling and measuring (s)", "training (s)", "process-minutes"]
-    foot = (
-        "Seconds and process-minutes are sums over processes. Several share a GPU and its host, each with a clock of "
-        "its own, so that the sums are more than the time of the GPU."
-    )
-    if any("spans" in result.about["program"] for result in results.values()):
-        head.append("wall clock (min)")
-        foot += (
-            " Wall clock: the time in which at least one process was at work, of the runs that recorded it; empty "
-            "where none did."
-        )
-    else:
-        body = [row[:-1] for row in body]
-    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
-
-
-def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
-    """The cells of a line of the costs: of these numbers, and of the wall clock of the runs."""
-    timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
-    clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
-    clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
-    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[2:].sum() / 60:,.0f}", clock]
-
-
-def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:
-    """Seconds in which at least one of these spans, [from, to] of each run, was running."""
-    total, until = 0.0, -math.inf
-    for start, end in sorted((start, end) for spans in spans_of_runs for start, end in spans):
-        total += max(0.0, end - max(start, until))
-        until = max(until, end)
-    return total
-
-
 def all_tables(results: Results) -> list[Table]:
     """Every table of the paper's runs that there are numbers for."""
     results = {run: result for run, result in results.items() if run.of_paper}
-    made = [make(results, variant) for variant in VARIANTS for make in (table1, over_tasks)]
+    made = [make(results, variant) for variant in VARIANTS for make in (table1, equal_training, over_tasks)]
     return [table for table in (*made, table2(results), near_and_far(results), costs(results)) if table is not None]

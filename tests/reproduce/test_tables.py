@@ -25,7 +25,6 @@ from infogoal_jax.reproduce.scores import (
 
 
 def table1(results) -> str:
-    """Table I in the paper's way, as Markdown."""
     return table_formats.markdown(tables.table1(results, "paper"))
 
 
@@ -96,6 +95,25 @@ def test_the_comparison_over_tasks_leaves_out_what_does_not_count(results):
     assert numbers_of[0].rows == numbers_of[1].rows
 
 
+def test_at_equal_training_what_a_run_learned_after_the_first_one_stopped_does_not_count(results):
+    """InfoGoal is trained for longer than the others, and learns all test goals in that time, or none."""
+
+    def longer(result, last: float):
+        more = np.full((len(result.run.seeds), 6), last)
+        late = {name: np.concatenate([curve, more], 1) for name, curve in result.evaluations.items()}
+        curve = late["train_goal/success_rate"]
+        late["train_goal/success_rate"] = np.broadcast_to(np.linspace(0.1, 0.9, curve.shape[1]), curve.shape)
+        return dataclasses.replace(result, evaluations=late)
+
+    def cells(last: float, table) -> dict:
+        reach = {run: result for run, result in results.items() if run.task == "fetch_reach"}
+        made = {run: longer(result, last) if run.method == "infogoal" else result for run, result in reach.items()}
+        return {row[0]: row[1].ours.mean for row in table(made, "paper").rows}
+
+    assert cells(0.0, tables.table1)["InfoGoal"] != cells(1.0, tables.table1)["InfoGoal"]
+    assert cells(0.0, tables.equal_training) == cells(1.0, tables.equal_training)
+
+
 def test_near_and_far_test_goals_of_fetch_are_told_apart(results):
     """No seed reaches a far test goal any more: near ones stay as they were. Runs from before do not say which."""
 
@@ -112,24 +130,6 @@ def test_near_and_far_test_goals_of_fetch_are_told_apart(results):
     assert after.rows[0][1].ours.mean == before.rows[0][1].ours.mean and after.rows[0][2].ours.mean == 0
     old = {name: value for name, value in next(iter(push.values())).arrays.items() if name != "near"}
     assert tables.near_and_far({run: dataclasses.replace(result, arrays=old) for run, result in push.items()}) is None
-
-
-def test_the_wall_clock_counts_time_once(results):
-    """Two processes side by side, a pause, and a third."""
-    runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
-    spans = [[[0, 600]], [[300, 900]], [[3000, 3300]]]
-    made = {
-        run: dataclasses.replace(
-            results[run], about=results[run].about | {"program": results[run].about["program"] | {"spans": own}}
-        )
-        for run, own in zip(runs, spans, strict=True)
-    }
-    assert tables.costs(made).rows[-1][-1] == "20"
-    program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
-    made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
-    assert tables.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
-    only = tables.costs({runs[0]: made[runs[0]]})
-    assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}
 
 
 def test_a_row_whose_term_is_off_or_whose_curve_rises_is_marked_and_does_not_count(results):

@@ -235,6 +235,24 @@ def repeated(folder) -> list[str]:
     return again
 
 
+def test_the_wall_clock_counts_time_once(results):
+    """Two processes side by side, a pause, and a third."""
+    runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
+    spans = [[[0, 600]], [[300, 900]], [[3000, 3300]]]
+    made = {
+        run: dataclasses.replace(
+            results[run], about=results[run].about | {"program": results[run].about["program"] | {"spans": own}}
+        )
+        for run, own in zip(runs, spans, strict=True)
+    }
+    assert progress.costs(made).rows[-1][-1] == "20"
+    program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
+    made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
+    assert progress.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
+    only = progress.costs({runs[0]: made[runs[0]]})
+    assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}
+
+
 @pytest.mark.long
 def test_killed_at_any_point_it_loses_and_repeats_nothing(tmp_path):
     """Processes that are killed at 20 random moments, then one that is left alone."""
