@@ -40,12 +40,21 @@ MISTAKES = [
     ("train objct_search", ["task", "objct_search", "Did you mean 'object_search'"]),
     ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
     ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
-    ("train object_search --seeds 100000", ["seeds = 100000", "at most"]),
-    ("train object_search --evaluation-starts 1000000000", ["evaluation_starts = 1000000000", "GiB", "such as 10"]),
-    ("train object_search --seeds 2147483648", ["seeds = 2147483648", "at most"]),
+    ("train object_search --env.dataset HOUSE --seeds 100000", ["seeds = 100000", "at most"]),
+    (
+        "train object_search --env.dataset HOUSE --evaluation-starts 1000000000",
+        ["evaluation_starts = 1000000000", "GiB", "such as 10"],
+    ),
+    ("train object_search --env.dataset HOUSE --seeds 2147483648", ["seeds = 2147483648", "at most"]),
     ("train object_search --seeds 99999999999999999999", ["seeds = ", "below 2^32"]),
-    ("train object_search --learner.num-pairs 1000000000", ["learner.num_pairs = 1000000000", "GiB", "such as 256"]),
-    ("train object_search --learner.latent-size 100000000", ["learner.latent_size = 100000000", "such as 32"]),
+    (
+        "train object_search --env.dataset HOUSE --learner.num-pairs 1000000000",
+        ["learner.num_pairs = 1000000000", "GiB", "such as 256"],
+    ),
+    (
+        "train object_search --env.dataset HOUSE --learner.latent-size 100000000",
+        ["learner.latent_size = 100000000", "such as 32"],
+    ),
     ("train object_search --updates-per-epoch 99999999999999999999", ["updates_per_epoch = 99999999999999999999"]),
     ("train object_search --env.image-size 1000000000", ["env.image_size = 1000000000", "at most 512"]),
     ("tune object_search --space-seed 99999999999999999999", ["space_seed = ", "below 2^32"]),
@@ -76,9 +85,9 @@ MISTAKES = [
     ("train object_search --env.image-size 30", ["env.image_size = 30", "multiple of state_encoder.patch = 8"]),
     ("train object_search --env.min-box-size 2", ["env.min_box_size = 2.0", "from 0 to below 1"]),
     ("train object_search --env.dataset not_there", ["not_there"]),
-    ("train object_search --env.scenes Home_999_1", ["Home_999_1", "Home_101_1"]),
+    ("train object_search --env.dataset HOUSE --env.scenes Home_999_1", ["Home_999_1", "Home_101_1"]),
     ("train object_search --env.split not_there.json", ["not_there.json"]),
-    ("train object_search --env.min-box-size 0.9", ["min_box_size"]),
+    ("train object_search --env.dataset HOUSE --env.min-box-size 0.9", ["min_box_size"]),
     ("train object_search --env.text-embeddings not_there.npz", ["not_there.npz"]),
     ("train object_search --resume not_there", ["run = 'not_there'", "config.json"]),
     ("train object_search --out a_file/run", ["a_file/run", "could not be written", "does not lead through a file"]),
@@ -109,11 +118,13 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments for arguments, _ in MISTAKES])
-def test_a_mistake_is_named_with_its_value_and_the_remedy(arguments, expected, tmp_path, capsys, no_compilation):
+def test_a_mistake_is_named_with_its_value_and_the_remedy(
+    arguments, expected, tiny_house, tmp_path, capsys, no_compilation
+):
     (tmp_path / "a_file").write_text("kept")
     (tmp_path / "a_folder").mkdir()
     (tmp_path / "a_folder" / "kept").write_text("kept")
-    status = main(arguments.split())
+    status = main(arguments.replace("HOUSE", str(tiny_house)).split())
     printed = capsys.readouterr().err
     assert status == 2
     assert printed.startswith("infogoal: ")
