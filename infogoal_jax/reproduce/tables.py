@@ -9,7 +9,6 @@ import numpy as np
 
 from infogoal_jax.goal_uses import TEST
 from infogoal_jax.reproduce import plan
-from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import TASKS, reported
@@ -70,7 +69,8 @@ def equal_training(results: Results, variant: str) -> Table | None:
     """Success on test goals when all methods of a task have had as many updates as the one that stopped first. Training
     stops by training goals: a method that learns them slowly is given more updates, in which test goals may rise."""
     rows = rows_of(results, variant, ROWS[variant])
-    updates = {task: least_updates(own) for task in TASKS if (own := [rows[key] for key in rows if key[0] == task])}
+    lengths = {task: updates_of(rows[key] for key in rows if key[0] == task) for task in TASKS}
+    updates = {task: min(each) for task, each in lengths.items() if each}
     if not updates:
         return None
     methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
@@ -82,22 +82,22 @@ def equal_training(results: Results, variant: str) -> Table | None:
         columns.append({method: cell._replace(rank=order.get(method, 0)) for method, cell in column.items()})
     head = ["method", *(f"{TITLES[task]}, {most:,} updates" for task, most in updates.items())]
     body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
+    longest = max(max(lengths[task]) / most for task, most in updates.items())
     foot = [
         "Success rate on clean test goals: mean ± 95 % interval over seeds / over goal sets, over the three "
         "evaluations up to the updates after which the first run of the column stopped. In Table I each run has "
-        "trained until its training goals levelled off, some for two or three times as long."
+        f"trained until its training goals levelled off, at most for {longest:.1f} times as long."
     ]
     return Table(f"equal_training_{variant}", f"Test goals at equal training, {VARIANTS[variant]}", head, body, foot)
 
 
-def least_updates(rows: list[Row]) -> int:
-    """The updates of the run that stopped first."""
-    return min(trained(result) * result.about["updates"] for row in rows for result in row.results)
-
-
-def trained(result: Result) -> int:
-    """The evaluations of a run until it levelled off."""
-    return plan.shown(result.evaluations["train_goal/success_rate"]).stop
+def updates_of(rows: Iterable[Row]) -> list[int]:
+    """The updates of each run of these rows until its training goals levelled off."""
+    return [
+        plan.shown(result.evaluations["train_goal/success_rate"]).stop * result.about["updates"]
+        for row in rows
+        for result in row.results
+    ]
 
 
 def over_updates(row: Row, updates: int) -> TwoIntervals | None:
