@@ -215,7 +215,7 @@ def print_devices(arguments) -> None:
     for task in arguments.tasks:
         config, alone = presets.load(task, arguments.method, epochs_per_evaluation=1, evaluation_starts=1), None
         train, seeds = make_train(config), arguments.seeds[0]
-        for devices in (1, len(jax.local_devices())):
+        for devices in sorted({1, len(jax.local_devices())}):
             seconds, compile_seconds = spread_rate(config, train, seeds, devices, arguments.repeats)
             alone = min(seconds) if alone is None else alone
             print(
