@@ -40,7 +40,7 @@ from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
-from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, shardings_of
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
@@ -111,9 +111,7 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
 def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: int) -> tuple[list[float], float]:
     """Seconds of epochs of so many seeds on each of the first devices, and compile seconds."""
     mesh = jax.sharding.Mesh(np.asarray(jax.local_devices()[:num_devices]), ("seeds",))
-    by_seed, everywhere = (
-        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
-    )
+    by_seed, everywhere = shardings_of(mesh)
     count = seeds_of_each * num_devices
     shared = jax.device_put((config.hyper, train.env), everywhere)
     keys = jax.device_put(jax.random.split(jax.random.key(0), count), by_seed)

@@ -87,8 +87,7 @@ def faults_of(*rows: Row | None) -> tuple[str, ...]:
 
 def by_seed(result: Result, values: np.ndarray) -> dict[int, float]:
     """Values [seeds] of a run by seed, without those that are no numbers and the seeds that diverged."""
-    kept = (seed for seed in result.run.seeds if seed not in result.about["diverged"])
-    own = {seed: float(values[result.run.seeds.index(seed)]) for seed in kept}
+    own = {result.run.seeds[place]: float(values[place]) for place in result.kept}
     return {seed: value for seed, value in own.items() if math.isfinite(value)}
 
 
@@ -96,7 +95,7 @@ def metric_of(metric: str) -> Callable[[Result], dict[int, float]]:
     """A metric of a run by seed, over the evaluations that count."""
 
     def find(result: Result) -> dict[int, float]:
-        kept = [seed for seed in result.run.seeds if seed not in result.about["diverged"]]
+        kept = [result.run.seeds[place] for place in result.kept]
         return dict(zip(kept, scores_of(result, metric).tolist(), strict=True))
 
     return find

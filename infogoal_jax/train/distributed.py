@@ -84,6 +84,12 @@ def seed_mesh(num_seeds: int) -> jax.sharding.Mesh:
     return jax.sharding.Mesh(np.asarray(devices[:used]), ("seeds",))
 
 
+def shardings_of(mesh: jax.sharding.Mesh) -> tuple[jax.sharding.NamedSharding, jax.sharding.NamedSharding]:
+    """Where arrays lie whose first axis is that of the seeds, and where those lie that all seeds share."""
+    spread, whole = jax.sharding.PartitionSpec("seeds"), jax.sharding.PartitionSpec()
+    return jax.sharding.NamedSharding(mesh, spread), jax.sharding.NamedSharding(mesh, whole)
+
+
 AUTO = "auto"
 SECONDS = 60
 """That a process waits for the others at the beginning."""

@@ -24,7 +24,7 @@ from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train import distributed
 from infogoal_jax.train.compilation import Chunk, chunk_of, jit
-from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh, shardings_of
 from infogoal_jax.train.memory import at_once as seeds_at_once
 from infogoal_jax.train.memory import bytes_of, check_program
 from infogoal_jax.train.program import Train, make_train
@@ -173,9 +173,7 @@ def how_to_go_on(folder: Path, epoch: int) -> str:
 def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
     """The programs of all seeds. Raises `UserError` if the memory of the devices is too small for them."""
     mesh = seed_mesh(len(seeds))
-    by_seed, everywhere = (
-        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
-    )
+    by_seed, everywhere = shardings_of(mesh)
     together = seeds_at_once(train, len(seeds), mesh)
     initial = jit(over_seeds(train.initial, len(seeds), together, mesh), out_shardings=by_seed)
     chunk = chunk_of(

@@ -23,7 +23,7 @@ from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, 
 from infogoal_jax.stopping import NOTHING, StopRequest, stop_on_signal
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import Chunk, chunk_of, jit
-from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh
+from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh, shardings_of
 from infogoal_jax.train.program import Train, TrainState
 
 
@@ -99,9 +99,7 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     count = len(trials) * len(seeds)
     mesh = seed_mesh(count)
     together = lanes_at_once(train, count)
-    by_lane, everywhere = (
-        jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*axes)) for axes in (("seeds",), ())
-    )
+    by_lane, everywhere = shardings_of(mesh)
     keys = jax.vmap(jax.random.key)(jnp.asarray(list(seeds) * len(trials), jnp.uint32))
     starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
     initial, epochs, evaluation = lane_programs(train, group)

@@ -25,6 +25,7 @@ from infogoal_jax.reproduce.scores import (
 
 
 def table1(results) -> str:
+    """Table I in the paper's way, as Markdown."""
     return table_formats.markdown(tables.table1(results, "paper"))
 
 
@@ -101,8 +102,7 @@ def test_at_equal_training_what_a_run_learned_after_the_first_one_stopped_does_n
     def longer(result, last: float):
         more = np.full((len(result.run.seeds), 6), last)
         late = {name: np.concatenate([curve, more], 1) for name, curve in result.evaluations.items()}
-        curve = late["train_goal/success_rate"]
-        late["train_goal/success_rate"] = np.broadcast_to(np.linspace(0.1, 0.9, curve.shape[1]), curve.shape)
+        late["train_goal/success_rate"][:] = np.linspace(0.1, 0.9, late["train_goal/success_rate"].shape[1])
         return dataclasses.replace(result, evaluations=late)
 
     def cells(last: float, table) -> dict:
