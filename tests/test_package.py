@@ -105,6 +105,13 @@ def test_what_benchmarks_import_of_the_package_is_there(path):
                     importlib.import_module(f"{node.module}.{alias.name}")  # Raises what is missing.
 
 
+def test_no_file_is_longer_than_its_chapter():
+    """300 lines, as CONTRIBUTING.md says."""
+    folders = (PACKAGE, ROOT / "benchmarks", ROOT / "tests")
+    lengths = {path: len(path.read_text().splitlines()) for folder in folders for path in folder.rglob("*.py")}
+    assert len(lengths) > 300 and not {path: length for path, length in lengths.items() if length > 300}
+
+
 TINY = (
     "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
     "--buffer-steps 100 --evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"

@@ -5,10 +5,10 @@
 A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
 is replaced by what the numbers of the source give. Sources:
 
-    paper     Table I of the runs in table1.npz; docs/reproduction.md has all that is made of them
+    paper     Table I of the runs in paper.npz; docs/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl
     trials    the trials of trials.py, in trials/numbers.csv.gz
-    all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in table1.npz
+    all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json

@@ -42,6 +42,7 @@ from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.compilation import operations, without_garbage_collection
 from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, shardings_of
 from infogoal_jax.train.evaluation import random_policy
+from infogoal_jax.train.memory import bytes_of
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
 
@@ -102,10 +103,7 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
     for repeat in range(repeats):
         states, elapsed = timed(program, states, jnp.arange(1) + repeat + 1, config.hyper, train.env)
         seconds.append(elapsed)
-    size = sum(
-        leaf.nbytes for leaf in jax.tree.leaves(states) if not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-    )
-    return min(seconds), compile_seconds, size
+    return min(seconds), compile_seconds, bytes_of(states)
 
 
 def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: int) -> tuple[list[float], float]:
@@ -149,26 +147,22 @@ def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
     """Seconds to compile, and of an epoch's updates of this many seeds side by side."""
     config, env = train.config, train.env
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    start = jax.jit(
-        jax.vmap(
-            lambda key, hyper, env: train.chunk(train.initial(key, hyper, env), jax.numpy.arange(1), hyper, env)[0],
-            in_axes=(0, None, None),
-        )
-    )
-    states = start(keys, config.hyper, env)  # One epoch, so that there is something to draw from.
+
+    def start(key, hyper, env):
+        return train.chunk(train.initial(key, hyper, env), jnp.arange(1), hyper, env)[0]
+
+    # One epoch, so that there is something to draw from.
+    states = jax.jit(jax.vmap(start, in_axes=(0, None, None)))(keys, config.hyper, env)
 
     def epoch(state, key, hyper, env):
         experience, state = train.experience_of(state, 0, hyper, env)
         return updates(train.parts, env, hyper, experience, state, key, config.updates_per_epoch)[0].params
 
-    started = time.perf_counter()
-    program = compiled(jax.vmap(epoch, in_axes=(0, 0, None, None)), states, keys, config.hyper, env)
-    compile_seconds, seconds = time.perf_counter() - started, []
-    for _ in range(repeats + 1):
-        started = time.perf_counter()
-        jax.block_until_ready(program(states, keys, config.hyper, env))
-        seconds.append(time.perf_counter() - started)
-    return {"compile_seconds": compile_seconds, "seconds": min(seconds[1:])}
+    arguments = (states, keys, config.hyper, env)
+    program, compile_seconds = timed_compilation(jax.vmap(epoch, in_axes=(0, 0, None, None)), *arguments)
+    timed(program, *arguments)
+    seconds = min(timed(program, *arguments)[1] for _ in range(repeats))
+    return {"compile_seconds": compile_seconds, "seconds": seconds}
 
 
 def repeated(env, num_goals: int):
@@ -284,9 +278,7 @@ def main():
     parser.add_argument("table", choices=TABLES)
     parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=["object_search"])
     parser.add_argument("--method", default="infogoal", help="of rates, size and devices")
-    parser.add_argument(
-        "--seeds", type=int, nargs="+", default=[1], help="side by side; for methods, goals and devices one number"
-    )
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="side by side; rates and size take several")
     parser.add_argument("--repeats", type=int, default=3)
     methods = [name for name in presets.METHODS if name != "none"]
     parser.add_argument("--methods", nargs="*", default=methods, choices=methods)

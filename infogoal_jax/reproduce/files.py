@@ -35,7 +35,7 @@ Status = Literal["done", "not measured", "damaged", "other settings", "failed", 
 
 
 def home_of(run: Run) -> str:
-    """The study whose compact numbers hold the run; other studies find it there."""
+    """The table or figure whose command makes the run; others that it is shown in find it there."""
     if not run.of_paper:
         return "all_goals"
     if run.explorer is not None:

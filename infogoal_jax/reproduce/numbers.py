@@ -1,9 +1,9 @@
 """The compact numbers of a reproduction: one file a study, from which every table and figure is drawn again.
 
-    FOLDER/table1.npz, fig8.npz, fig9.npz, fig15.npz, all_goals.npz
+    FOLDER/paper.npz, all_goals.npz
 
-Each holds the runs of which `files.home_of` says so: their success at every evaluation, seed by seed, and the arrays of
-their pictures. Equal numbers give equal bytes.
+Each holds the runs of its study: their success at every evaluation, seed by seed, and the arrays of their pictures.
+Equal numbers give equal bytes.
 """
 
 import dataclasses
@@ -17,11 +17,11 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.reproduce import files, plan
-from infogoal_jax.reproduce.files import Result, home_of
+from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.runs import disk
 
-HOMES = ("table1", "fig8", "fig9", "fig15", "all_goals")
+STUDIES = ("paper", "all_goals")
 REMEDY = "give a folder that `infogoal reproduce merge` wrote"
 Results = dict[Run, Result]
 
@@ -56,19 +56,20 @@ def of_folder(folder: Path) -> Results:
 
 def is_study(path: Path) -> bool:
     """Whether a file holds compact numbers of a study."""
-    return path.stem in HOMES
+    return path.stem in STUDIES
 
 
 def has_numbers(folder: Path) -> bool:
     """Whether a folder holds compact numbers of any study."""
-    return any((folder / f"{home}.npz").exists() for home in HOMES)
+    return any((folder / f"{study}.npz").exists() for study in STUDIES)
 
 
 def load(folder: Path, field: str = "from") -> Results:
     """The runs of the compact numbers in this folder. Raises `UserError`, naming the field, if there are none, or for a
     damaged file."""
-    paths = [folder / f"{home}.npz" for home in HOMES if (folder / f"{home}.npz").exists()]
-    require(bool(paths), field, str(folder), f"holds no {', '.join(f'{home}.npz' for home in HOMES)}; {REMEDY}")
+    names = [f"{study}.npz" for study in STUDIES]
+    paths = [folder / name for name in names if (folder / name).exists()]
+    require(bool(paths), field, str(folder), f"holds no {', '.join(names)}; {REMEDY}")
     found: Results = {}
     for path in paths:
         with archives.naming("numbers", path, REMEDY):
@@ -108,10 +109,9 @@ def save(results: Results, folder: Path) -> list[Path]:
     """Write the compact numbers of these runs, a file a study. Returns the files."""
     disk.make_folder(folder)
     paths = []
-    for home in HOMES:
-        own = sorted(
-            (result for run, result in results.items() if home_of(run) == home), key=lambda each: each.run.name
-        )
+    for study in STUDIES:
+        of_study = (result for run, result in results.items() if run.of_paper == (study == "paper"))
+        own = sorted(of_study, key=lambda each: each.run.name)
         if not own:
             continue
         arrays, abouts = {}, []
@@ -123,7 +123,7 @@ def save(results: Results, folder: Path) -> list[Path]:
         encoded = {name: np.frombuffer(json.dumps(value).encode(), np.uint8) for name, value in texts.items()}
         content = io.BytesIO()
         np.savez_compressed(content, **encoded, **arrays)
-        paths.append(folder / f"{home}.npz")
+        paths.append(folder / f"{study}.npz")
         disk.write_atomically(paths[-1], lambda file, content=content: file.write(content.getvalue()))
     return paths
 

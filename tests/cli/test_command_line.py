@@ -277,19 +277,11 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     assert main(["evaluate", "run", "--starts", "2"]) == 0
     assert main(["evaluate", "run", "--corruption", "0.4"]) == 2 and main(["video", "run", "--out", "a.mp4"]) == 2
     refusals = capsys.readouterr().err
-    assert (
-        "goals of object_search are not images" in refusals
-        and "is of object_search; videos are of tasks with image goals" in refusals
-    )
+    assert "goals of object_search are not images" in refusals
+    assert "is of object_search; videos are of tasks with image goals" in refusals
     assert main("train --resume run --num-epochs 3 --no-figures".split()) == 0
-    assert [json.loads(line)["epoch"] for line in (run / "evaluations.jsonl").read_text().splitlines()] == [
-        1,
-        1,
-        2,
-        2,
-        3,
-        3,
-    ]
+    rows = (run / "evaluations.jsonl").read_text().splitlines()
+    assert [json.loads(row)["epoch"] for row in rows] == [1, 1, 2, 2, 3, 3]
     capsys.readouterr()
     assert main(f"train object_search --out run {TINY}".split()) == 2  # The folder holds a run.
     assert "--resume run" in capsys.readouterr().err

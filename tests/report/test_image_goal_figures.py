@@ -78,9 +78,8 @@ def test_a_method_with_codes_that_are_not_random_has_figures_of_image_goals(poin
     config, env = hand_made_points.config("none"), points_subject.train.env
     train = make_train(config, env)
     params = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).params
-    subject = dataclasses.replace(
-        points_subject, run=dataclasses.replace(points_subject.run, config=config), train=train, params=params
-    )
+    run = dataclasses.replace(points_subject.run, config=config)
+    subject = dataclasses.replace(points_subject, run=run, train=train, params=params)
     assert beta_and_accuracy(subject) is None
     figure = image_goals.draw_image_goals(subject)["codes_and_trajectories"]
     # Codes under growing corruption are compared: one unit is as long in all panels and on both axes.

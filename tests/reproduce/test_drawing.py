@@ -91,9 +91,9 @@ def test_a_merge_says_what_it_takes_away(results, tmp_path, capsys):
 
 
 def test_damaged_numbers_are_refused(folder, tmp_path):
-    content = (folder / "table1.npz").read_bytes()
-    (tmp_path / "table1.npz").write_bytes(content[: len(content) // 2])
-    with pytest.raises(UserError, match="table1.npz"):
+    content = (folder / "paper.npz").read_bytes()
+    (tmp_path / "paper.npz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(UserError, match="paper.npz"):
         numbers.load(tmp_path)
 
 
