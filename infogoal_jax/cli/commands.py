@@ -1,7 +1,9 @@
 """What commands are, and the tree that they make: groups of commands within groups, as tyro takes them; and what
 several commands ask for: new folders under runs/, folders that must be empty, seeds."""
 
+import errno
 import functools
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,9 +12,15 @@ from typing import Annotated, Any, NamedTuple, Union
 import tyro
 from tyro.constructors import ConstructorRegistry
 
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import UserError, nearest, require, shown
 
 Command = Callable[..., int]
+PATHS = {
+    errno.ENAMETOOLONG: "give a shorter path",
+    errno.EACCES: "give a path that you may read and write",
+    errno.ELOOP: "give a path that does not lead through a circle of links",
+}
+"""What helps where the system refuses a path."""
 NOTHING = Annotated[object, tyro.conf.Suppress]
 """An arm of a union that is no command, since a command alone would be no union. Anything is an `object`: so tyro does
 not ask typeguard about the arms after it, whose import is a tenth of a help's time."""
@@ -126,3 +134,19 @@ def seeds_from(first: int, count: int) -> range:
         "give seeds from 0 to below 2^32 (--seeds, --first-seed)",
     )
     return range(first, first + count)
+
+
+def mistake_of(error: OSError, arguments: list[str]) -> UserError | None:
+    """What the system refused to do with a path, if these words of the command line name it or a folder above it; None
+    if they do not: then it is no mistake of the user's."""
+    if not isinstance(error.filename, str | os.PathLike):
+        return None
+    refused = os.path.abspath(error.filename)
+    for flag, word in zip(["", *arguments], arguments, strict=False):
+        named, _, joined = word.partition("=") if word.startswith("--") else (flag, "", word)
+        if joined and (refused + os.sep).startswith(os.path.abspath(joined) + os.sep):
+            field = named.removeprefix("--").replace("-", "_") if named.startswith("--") else "path"
+            return UserError(
+                f"{field} = {shown(joined)}: {error.strerror}; {PATHS.get(error.errno, 'give another path')}"
+            )
+    return None

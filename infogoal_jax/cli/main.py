@@ -7,7 +7,7 @@ import tyro
 
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
-from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, type_of
+from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
 from infogoal_jax.cli.reproduce import REPRODUCE, check_flags
@@ -75,9 +75,11 @@ def run(arguments: list[str]) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point. A `UserError` is printed without a traceback; the exit status is then 2."""
+    """Entry point. A `UserError` is printed without a traceback, and so is what the system says of a path that was
+    given; the exit status is then 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        return run(sys.argv[1:] if arguments is None else arguments)
+        return run(arguments)
     except UserError as error:
         print(f"infogoal: {error}", file=sys.stderr)
         return 2
@@ -86,3 +88,9 @@ def main(arguments: list[str] | None = None) -> int:
         return STATUS
     except BrokenPipeError:  # Nobody reads what is printed any more, as after `| head`.
         return 128 + signal.SIGPIPE
+    except OSError as error:
+        mistake = mistake_of(error, arguments)
+        if mistake is None:
+            raise
+        print(f"infogoal: {mistake}", file=sys.stderr)
+        return 2

@@ -62,6 +62,9 @@ MISTAKES = [
     ("evaluate not_there --start-seed 99999999999999999999", ["start_seed = "]),
     ("data build cube a.npz --seed -1", ["seed = -1", "below 2^32"]),
     (f"train object_search --out {'x' * 300}", ["could not be written", "shorter path"]),
+    (f"data check {'x' * 300}", ["path = 'xxx", "File name too long; give a shorter path"]),
+    (f"train object_search --env.dataset={'x' * 300}/y", ["env.dataset = 'xxx", "give a shorter path"]),
+    (f"reproduce table1 --known {'x' * 300}", ["known = 'xxx", "give a shorter path"]),
     ("train object_search --state-encoder.patch 0", ["state_encoder.patch = 0", "greater than 0"]),
     ("train object_search --first-seed -1", ["seeds = '-1 to -1'", "from 0 to below"]),
     ("report a_file", ["a_file", "could not be read"]),
@@ -117,7 +120,7 @@ MISTAKES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments for arguments, _ in MISTAKES])
+@pytest.mark.parametrize(("arguments", "expected"), MISTAKES, ids=[arguments[:80] for arguments, _ in MISTAKES])
 def test_a_mistake_is_named_with_its_value_and_the_remedy(
     arguments, expected, tiny_house, tmp_path, capsys, no_compilation
 ):
@@ -264,13 +267,8 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "a stand-in" in printed and "success rate" in printed
     run = tmp_path / "run"
-    for name in (
-        "config.json",
-        "timing.json",
-        "checkpoint",
-        "policy",
-        *(f"{table}{end}" for table in tables.TABLES for end in (".csv", ".jsonl")),
-    ):
+    written = [f"{table}{end}" for table in tables.TABLES for end in (".csv", ".jsonl")]
+    for name in ("config.json", "timing.json", "checkpoint", "policy", *written):
         assert (run / name).stat().st_size > 0, name
     assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
