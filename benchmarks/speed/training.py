@@ -129,18 +129,18 @@ def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, fl
     """Operations of the chunk of one seed, and seconds to trace, lower and compile that of `num_seeds`."""
     config = presets.load(task, method)
     train = make_train(config)
-    keys = jax.random.split(jax.random.key(0), num_seeds)
-    states = jax.eval_shape(jax.vmap(lambda key: train.initial(key, config.hyper, train.env)), keys)
-    arguments = (states, jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)
+    shared = (jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)
+    state = jax.eval_shape(train.initial, jax.random.key(0), *shared[1:])
+    states = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((num_seeds, *leaf.shape), leaf.dtype), state)
     started = time.perf_counter()
     with without_garbage_collection():
-        traced = jit(jax.vmap(train.chunk, in_axes=(0, None, None, None)), donate_argnums=0).trace(*arguments)
+        traced = jit(jax.vmap(train.chunk, in_axes=(0, None, None, None)), donate_argnums=0).trace(states, *shared)
         after_trace = time.perf_counter()
         lowered = traced.lower()
         after_lower = time.perf_counter()
         lowered.compile()
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)
-    return operations(traced.jaxpr), *seconds
+    return operations(jax.make_jaxpr(train.chunk)(state, *shared)), *seconds
 
 
 def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
