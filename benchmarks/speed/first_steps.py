@@ -28,7 +28,7 @@ def commands_of(tasks: list[str], seeds: int) -> list[str]:
             f"{train} --out {task}",
             f"{train} --out {task}_again",
             f"{train} --method her --out {task}_her",
-            f"compare {task} {task}_her --out {task}.png",
+            f"compare {task} {task}_her --out {task}.pdf",
             f"export {task} --out {task}.npz",
         ]
         if task in presets.FETCH_TASKS:
