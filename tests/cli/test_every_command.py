@@ -2,6 +2,7 @@
 last file a signal stops it, and it says what is on disk and how to go on; a second one stops it at once."""
 
 import dataclasses
+import errno
 import os
 import pty
 import signal
@@ -13,6 +14,7 @@ import pytest
 
 import infogoal_jax
 from infogoal_jax import agents, envs, presets, stopping
+from infogoal_jax.cli.commands import mistake_of
 from infogoal_jax.cli.main import main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
@@ -282,3 +284,11 @@ def test_a_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m infogoal_jax --help | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, env=os.environ)
     assert done.stderr == "" and len(done.stdout.splitlines()) == 1
+
+
+def test_what_the_system_refuses_is_a_mistake_only_where_the_path_was_given():
+    words = ["train", "object_search", "--out", "runs/a", "--env.dataset=house"]
+    refused = {name: OSError(errno.EACCES, "Permission denied", name) for name in ("runs/a/x", "house", "runs/ab")}
+    assert str(mistake_of(refused["runs/a/x"], words)).startswith("out = 'runs/a': Permission denied; give a path that")
+    assert str(mistake_of(refused["house"], words)).startswith("env.dataset = 'house'")
+    assert mistake_of(refused["runs/ab"], words) is None and mistake_of(OSError("no path"), words) is None
