@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
 from infogoal_jax.threefry import written_out
-from infogoal_jax.train.rollout import Episodes, Policy, run_episodes, trained_policy
+from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
 EVALUATION_SEED = 20_240_000
@@ -66,10 +67,15 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
 
     policy: (observations [E, ...], goals int32 [E] or what the view shows [E, ...], key) -> actions [E, ...].
     goals: int32 [M], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
-    in any order. seed: of the starts that are drawn and of the policy's noise.
+    in any order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError` for goals that the
+    task does not have, and for starts that are neither.
     """
-    desired = goals.goals if isinstance(goals, GoalView) else jnp.asarray(goals, jnp.int32)
-    states = draw_starts(env, desired, starts, seed) if isinstance(starts, int) else starts
+    desired = numbers_of_goals(env, goals.goals if isinstance(goals, GoalView) else goals, "goals", axes=1)
+    states = starts
+    if not hasattr(starts, "goal"):
+        whole = isinstance(starts, int | np.integer) and not isinstance(starts, bool) and starts > 0
+        require(whole, "starts", starts, "give a whole number from 1 on, or start states [M, S]")
+        states = draw_starts(env, desired, int(starts), seed)
     episodes = run_side_by_side(env, policy, [goals], states, written_out(jax.random.key(seed + 1)))
     return score(env, states, jax.tree.map(lambda leaf: leaf[0], episodes))
 

@@ -2,12 +2,15 @@
 under a policy that is fixed for its length, to collect experience and to run evaluation episodes."""
 
 from collections.abc import Callable
+from typing import Any
 
 import flax.struct
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from infogoal_jax.agents.agent import Exploration
+from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.parts import encode_states, training_view
@@ -138,10 +141,22 @@ class Episodes:
 
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
     """One episode for a desired goal, int32, from a start drawn from the key; without the axis of episodes. Compile it
-    with `jax.jit`."""
+    with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
     start_key, act_key = jax.random.split(key)
-    starts = jax.vmap(env.reset_to)(start_key[None], jnp.asarray(goal, jnp.int32)[None])
+    starts = jax.vmap(env.reset_to)(start_key[None], numbers_of_goals(env, goal, "goal", axes=0)[None])
     return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
+
+
+def numbers_of_goals(env, goals: Any, field: str, axes: int) -> jax.Array:
+    """Desired goals with so many axes, as int32. Raises `UserError` for what are no numbers of goals of the task, as a
+    mask of them; of values that are traced the type alone is known."""
+    given = jnp.asarray(goals)
+    remedy = "give whole numbers of goals, such as np.flatnonzero(mask)" if axes else "give the whole number of a goal"
+    require(jnp.issubdtype(given.dtype, jnp.integer) and given.ndim == axes, field, goals, remedy)
+    if env.goals is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(goals)):
+        known, most = np.asarray(goals), env.goals.num_goals - 1
+        require(((known >= 0) & (known <= most)).all(), field, goals, f"the task has the goals 0 to {most}")
+    return given.astype(jnp.int32)
 
 
 def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:

@@ -18,6 +18,7 @@ from infogoal_jax.envs import object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
+from infogoal_jax.train.rollout import rollout
 from infogoal_jax.train.sampling import sample
 
 
@@ -256,3 +257,21 @@ def test_questions_of_the_test_are_never_learned_from(env):
     for goals in used:
         assert not hidden[np.asarray(goals)].any()
     assert len(np.unique(drawn.transitions.goal)) == int((~hidden).sum())  # All others come up.
+
+
+@pytest.mark.parametrize("goals", [[True, False], [99], [-1], [1.0], [[0]]], ids=str)
+def test_goals_that_the_task_does_not_have_are_refused(house, goals):
+    """A mask of goals would be read as the goals 0 and 1."""
+    for play in (
+        lambda: evaluate(random_policy(house), house, goals, 1),
+        lambda: rollout(house, random_policy(house), goals[0], jax.random.key(0)),
+    ):
+        with pytest.raises(UserError, match="^goal"):
+            play()
+
+
+@pytest.mark.parametrize("starts", [0, -1, True, 2.5])
+def test_starts_that_are_no_number_of_them_are_refused(house, starts):
+    with pytest.raises(UserError, match="^starts = "):
+        evaluate(random_policy(house), house, house.goals.evaluated, starts)
+    assert evaluate(random_policy(house), house, np.array([0]), np.int64(2)).success.shape == (1, 2)
