@@ -1,6 +1,8 @@
 """The one error a user is meant to read: what was given, why it cannot be used, and what would be right; and what it is
 worded with."""
 
+import shlex
+
 LONGEST = 200
 """Characters of a value in an error."""
 
@@ -19,6 +21,11 @@ def shown(value: object) -> str:
     """A value as it is written in Python, cut where it is long."""
     text = repr(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+def typed(path: object) -> str:
+    """A path as it is typed into a shell."""
+    return shlex.quote(str(path))
 
 
 def counted(count: int, noun: str) -> str:

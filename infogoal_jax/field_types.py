@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import os
+import re
 import reprlib
 import typing
 from typing import Any, Literal, TypeVar
@@ -49,7 +50,8 @@ def in_words(error: msgspec.ValidationError, hint: Any) -> str:
     """The message of a typed decoder, as the end of a sentence."""
     if typing.get_origin(hint) is Literal:
         return f"give one of {', '.join(map(repr, typing.get_args(hint)))}"
-    problem = str(error).replace("`", "").partition(" - at ")[0].replace("array", "list")
+    problem = re.sub(r"\barray\b", "list", str(error).replace("`", "").partition(" - at ")[0])
+    problem = re.sub(r"\bnull\b", "None", problem)
     return problem[0].lower() + problem[1:]
 
 

@@ -75,6 +75,8 @@ class ExportedPolicy:
         with open(path, "rb") as file:
             content = io.BytesIO(file.read())  # NumPy leaves a damaged file open.
         with np.load(content, allow_pickle=False) as file:
+            if not {"about", "program"} <= {*file}:
+                raise ValueError(f"{path}: is no policy of `infogoal export`")
             self.about, self.program = json.loads(str(file["about"])), json.loads(str(file["program"]))
             self.goals = file.get("goals")
             self.constants = [file[f"constant_{index}"] for index in range(self.program["constants"])]
@@ -85,6 +87,8 @@ class ExportedPolicy:
         for place, kind, value in zip(*self.program["inputs"], arguments, strict=True):
             shape, dtype = kind
             value = np.asarray(value)
+            if value.dtype.kind == np.dtype(dtype).kind == "f":
+                value = value.astype(dtype)
             if list(value.shape) != shape or value.dtype != dtype:
                 raise ValueError(f"an array of shape {value.shape} and type {value.dtype}; wants {shape}, {dtype}")
             known[place] = value
@@ -97,6 +101,11 @@ class ExportedPolicy:
         """No noise: the code of a goal is its mean."""
         return np.zeros(self.about["code_size"], np.float32)
 
+    def check_actions(self, discrete):
+        """Raise ValueError if the policy's actions are of the other kind."""
+        if self.about["discrete"] != discrete:
+            raise ValueError(f"actions are {'vectors: call drive' if discrete else 'choices: call act'}")
+
     def values(self, observation, goal, noise=None):
         """The value of every action, float32 [A]: an observation as the network sees it, the input of a goal and
         standard normal numbers [d] for a sample of its code; None for the code's mean."""
@@ -104,12 +113,14 @@ class ExportedPolicy:
 
     def act(self, observation, goal, action_mask=None, noise=None):
         """The legal action with the highest value, int. action_mask: bool [A]; None: all are legal."""
+        self.check_actions(discrete=True)
         values = self.values(observation, goal, noise)
         return int(np.where(True if action_mask is None else action_mask, values, -np.inf).argmax())
 
     def drive(self, observation, goal, step, target=None, noise=None, body=None):
         """The action at this step of an episode, and the target to give with the next one. body: where the robot is,
         where the observation does not say it, as an image does not: the angles of its joints."""
+        self.check_actions(discrete=False)
         decides = np.bool_(step % self.about["interval"] == 0)
         target = np.zeros(self.program["inputs"][1][4][0], np.float32) if target is None else target
         body = observation if body is None else body

@@ -18,6 +18,7 @@ from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.train import tune
+from infogoal_jax.train.host import checked_seeds
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
 import tuning
@@ -76,12 +77,20 @@ def of_goals(count: int):
         (lambda: presets.load("object_search", 5), "method = 5: give the name of a method"),
         (lambda: presets.load("object_search", num_env=5), "num_env = 5: no such field.*Did you mean 'num_envs'"),
         (
+            lambda: presets.load("object_search", beta_threshold=0.9),
+            "beta_threshold = 0.9: no such field of TrainConfig. It is one of config.hyper.learner: ",
+        ),
+        (
             lambda: envs.load("object_search", CONFIG),
             "config = 'TrainConfig': object_search needs a ObjectSearchConfig",
         ),
         (lambda: envs.load("embodied_qa", EmbodiedQAConfig(generator_seed=-1)), "env.generator_seed = -1: give 0"),
         (lambda: envs.load("object_manipulation", ObjectManipulationConfig(num_goals=(0, 1, 1))), "env.num_goals = "),
         (lambda: envs.load("object_search", ObjectSearchConfig(episode_length="x")), "env.episode_length = 'x'.*int"),
+        (lambda: with_part("learner", window=None), "learner.window = None: expected int, got None"),
+        (lambda: with_part("learner", window=np.zeros(2)), "expected int, got numpy.ndarray"),
+        (lambda: checked_seeds(3), r"seeds = 3: give a list of whole numbers, such as range\(3\)"),
+        (lambda: checked_seeds([0.0]), r"seeds = \[0.0\]: give a list of whole numbers"),
         (lambda: make_train("object_search"), "config = 'object_search': give a TrainConfig"),
         (lambda: make_train(CONFIG, 5), "env = 5: give an environment"),
         (lambda: make_train(CONFIG, of_goals(8193)), "env.goals = 8193: give at most 8192"),

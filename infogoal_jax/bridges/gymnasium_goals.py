@@ -16,8 +16,16 @@ from infogoal_jax.errors import UserError, require
 
 def load(task: str, config: FetchConfig | None) -> Fetch:
     """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that
-    is no Fetch task."""
+    is no Fetch task, and for a configuration of another kind."""
+    fits = config is None or isinstance(config, FetchConfig)
+    require(fits, "config", config, "give a FetchConfig, or leave it out for the reference's episodes")
     return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else config)
+
+
+def check_num_envs(num_envs: int) -> None:
+    """Raise `UserError` for what is no number of environments."""
+    whole = isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool)
+    require(whole and num_envs > 0, "num_envs", num_envs, "give a whole number from 1 on")
 
 
 def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from infogoal_jax import envs
-from infogoal_jax.bridges.gymnasium_goals import key_of, on_cpu
+from infogoal_jax.bridges.gymnasium_goals import check_num_envs, key_of, on_cpu
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 
@@ -202,7 +202,7 @@ class TaskVector(VectorEnv):
     metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(self, task: str | Environment, num_envs: int, config: Any = None, render_mode: str | None = None):
-        require(num_envs > 0, "num_envs", num_envs, "give at least 1")
+        check_num_envs(num_envs)
         check_mode(render_mode)
         self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
         self.single_observation_space, self.single_action_space = spaces_of(self.env)
@@ -223,8 +223,9 @@ class TaskVector(VectorEnv):
     def step(self, actions: np.ndarray):
         """One move everywhere, actions int [num_envs]."""
         require(self.state is not None, "state", None, "call reset() before step()")
-        fits = self.action_space.contains(np.asarray(actions, self.action_space.dtype))
-        require(fits, "actions", actions, f"give {self.num_envs} numbers from 0 to {self.env.action_size - 1}")
+        whole = np.issubdtype(np.asarray(actions).dtype, np.integer)
+        fits = whole and self.action_space.contains(np.asarray(actions, self.action_space.dtype))
+        require(fits, "actions", actions, f"give {self.num_envs} whole numbers from 0 to {self.env.action_size - 1}")
         keys = jax.random.split(key_of(self.np_random), self.num_envs)
         self.state, shown, mask, fresh = move_all(self.env, self.state, jnp.asarray(actions, jnp.int32), keys)
         self.shown, moved = {name: np.array(part) for name, part in shown.items()}, ~np.array(fresh)

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
 from infogoal_jax.cli.commands import check_seed, empty_folder, new_folder
-from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.errors import UserError, counted, require, typed
 
 CHECKS = """Before the propellers turn:
   1. Guards on the propellers, nobody within 2 m of the drone and the shelf, no children or animals in the room.
@@ -62,13 +62,13 @@ class DroneFlags:
 Flags = Annotated[DroneFlags, OmitArgPrefixes]
 
 
-def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -> int:
+def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: str = "") -> int:
     """Write the policy of a run as one file that runs with NumPy alone, or its parameters for orbax.
 
     Args:
         run: Folder of the run, a packed run, or shipped/NAME.
         out: File to write, which ends in .npz; or a folder for a checkpoint of orbax, which ends in .orbax.
-        seed: Seed of the run whose policy it is.
+        seed: Seed of the run whose policy it is; none: its first.
         stablehlo: File to write the same as StableHLO for `jax.export.deserialize`; empty: none. Needs flatbuffers.
     """
     from infogoal_jax.report.export import export as write
@@ -78,8 +78,10 @@ def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -
     require(Path(out).suffix in (".npz", ".orbax"), "out", out, "let it end in .npz, or in .orbax")
     if Path(out).suffix == ".orbax":
         require(not stablehlo, "stablehlo", stablehlo, "goes together with an npz; let --out end in .npz")
-        export_orbax(load_run(run).params(seed), Path(out))
-        print(f"{out}: parameters of seed {seed}; orbax.checkpoint.StandardCheckpointer().restore reads them")
+        trained = load_run(run)
+        export_orbax(trained.params(seed), Path(out))
+        of = f"parameters of seed {trained.seed_of(seed)}"
+        print(f"{out}: {of}; orbax.checkpoint.StandardCheckpointer().restore reads them")
         return 0
     require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
     if stablehlo:
@@ -88,7 +90,7 @@ def export(run: Positional[str], out: str, seed: int = 0, stablehlo: str = "") -
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
     actions = f"{about['action_size']} actions" if about["discrete"] else "continuous actions"
-    print(f"{out}: {about['task']}, {about['method']}, seed {seed}; {actions}; {size:.1f} MB")
+    print(f"{out}: {about['task']}, {about['method']}, seed {about['seed']}; {actions}; {size:.1f} MB")
     return 0
 
 
@@ -186,7 +188,7 @@ def depart(folder, flown, target: str, drone: DroneFlags, record: str, exported,
     settings = Settings(**{name: value for name, value in vars(drone).items() if name != "yes"}, shelf_seed=shelf_seed)
     outcome = run_mission(folder, flown, target, settings, record, origin, confirm)
     print(f"ended       {outcome.reason}, after {counted(outcome.steps, 'move')}")
-    print(f"log         {folder / 'flight.jsonl'}; `infogoal report {folder}` draws it")
+    print(f"log         {folder / 'flight.jsonl'}; `infogoal report {typed(folder)}` draws it")
     if not outcome.landed:
         print(
             "The drone did not say that it landed: its firmware does so 15 s after the last command.", file=sys.stderr

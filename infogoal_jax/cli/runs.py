@@ -7,7 +7,7 @@ from typing import Literal
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import check_seed
-from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.errors import UserError, counted, require, typed
 
 
 def evaluate(
@@ -103,7 +103,7 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
     chosen = configuration.read(folder).seeds[0] if seed is None else seed
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     folders.pack(folder, Path(out), chosen)
-    print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {out}")
+    print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {typed(out)}")
     return 0
 
 

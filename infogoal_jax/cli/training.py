@@ -27,7 +27,7 @@ from infogoal_jax.cli.commands import (
     new_folder,
     seeds_from,
 )
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import UserError, nearest, require, typed
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -105,10 +105,10 @@ def train(
         from infogoal_jax.report.summary import print_summary
 
         with stop_on_signal() as stop:
-            stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {folder}"
+            stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {typed(folder)}"
             print_summary(sweep)
             if sweep.stopped:
-                print(f"Stopped. Go on with: infogoal train --resume {folder}")
+                print(f"Stopped. Go on with: infogoal train --resume {typed(folder)}")
                 return STATUS
             if figures:
                 from infogoal_jax.report.figures import draw_figures

@@ -17,7 +17,7 @@ import numpy as np
 from infogoal_jax.data import archives
 from infogoal_jax.data.check import Finding
 from infogoal_jax.data.frames_schema import FORMAT_VERSION, REMEDY, SCHEMA, Fault, fitting_members, read_members
-from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.errors import UserError, nearest, typed
 
 MOST_FINDINGS = 10
 """Rows that are listed of one kind of fault; the rest is counted."""
@@ -278,4 +278,6 @@ def limited(faults: Iterator[Fault]) -> Iterator[Fault]:
 def stop_at_first(path: str | os.PathLike, faults: Iterator[Fault]) -> None:
     """Raise the first fault as a `UserError`, in the words of `check_frames`."""
     for where, problem in faults:
-        raise UserError(f"{path}: {where}: {problem}; `infogoal data check {path}` lists everything that is wrong")
+        raise UserError(
+            f"{path}: {where}: {problem}; `infogoal data check {typed(path)}` lists everything that is wrong"
+        )

@@ -50,7 +50,8 @@ class Environment:
     episode_length: int
     """Steps after which an episode is truncated."""
     source: str
-    """What the data is, in words, for reports; stand-in data is called so."""
+    """What the data is, in words, for reports; stand-in data is called so. With a checksum of what was read from files,
+    by which a run that goes on knows them again (`archives.content_of`)."""
     space: Any
     """The target states that a low level can be sent to, where `has_target_states` (envs/fetch/targets.py,
     envs/target_states.py)."""

@@ -74,6 +74,8 @@ class ObjectSearch(DetectionWalk):
     """The environment: a walk on a graph of grey photographs. All goals are known. position: x and y on the plan (m),
     heading (radians)."""
 
+    action_names = active_vision.ACTIONS
+
     def render(self, observation: jax.Array) -> jax.Array:
         """What the network sees: grey images uint8 [..., H, W, 1] for stored observations int32 [...]."""
         return self.images[observation][..., None]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
-from infogoal_jax.errors import nearest, require
+from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import registry
 from infogoal_jax.presets.preset import Preset
@@ -94,9 +94,9 @@ def load(
     changes: fields of `TrainConfig`.
     """
     preset, named = preset_of(task), method_named(method)
-    fields = [field.name for field in dataclasses.fields(TrainConfig)]
-    for name in changes:
-        require(name in fields, name, changes[name], f"no such field of TrainConfig.{nearest(name, fields)}")
+    for name in changes.keys() - {field.name for field in dataclasses.fields(TrainConfig)}:
+        known = dataclasses.asdict(load(task, method, learner=learner, agent=agent))
+        raise UserError(f"{name} = {shown(changes[name])}: no such field of TrainConfig.{whereabouts(name, known)}")
     asked = {
         "learner": learner or named.learner,
         "agent": agent or preset.agent,
@@ -130,6 +130,17 @@ def load(
         **changed.training,
     }
     return TrainConfig(**(settings | changes))
+
+
+def whereabouts(name: str, fields: dict[str, Any]) -> str:
+    """Which of these nested fields is meant by a name that is none of the outer ones, as a sentence."""
+    parts = [(("config", part), inner) for part, inner in fields.items()]
+    for path, inner in parts:  # It grows: parts of parts come after.
+        if isinstance(inner, dict):
+            if name in inner:
+                return f" It is one of {'.'.join(path)}: change it there by dataclasses.replace"
+            parts += [((*path, part), value) for part, value in inner.items()]
+    return nearest(name, list(fields))
 
 
 def fields_of(kind: str, names: dict[str, str], wanted: dict[str, Any]) -> dict[str, Any]:

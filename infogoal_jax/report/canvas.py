@@ -140,7 +140,7 @@ def save(figure: Figure, path: Path, captions: bool = False) -> None:
     NAME.caption.txt beside it, and not into the figure. Raises `UserError` if the disk refuses."""
     disk.make_folder(path.parent)
     if captions:
-        words = f"{figure.get_suptitle()}\n{' '.join(figure.get_supxlabel().split())}\n"
+        words = f"{figure.get_suptitle()}\n{figure.get_supxlabel()}\n"
         disk.write_atomically(path.with_suffix(".caption.txt"), lambda file: file.write(words.encode()))
         for text in (figure.suptitle(""), figure.supxlabel("")):
             text.set_in_layout(False)

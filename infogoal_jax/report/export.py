@@ -28,13 +28,13 @@ CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_j
 """Primitives that hold a program of their own, and the name of the setting that it is."""
 
 
-def export(run: Run, out: Path, seed: int = 0, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
-    """Write the greedy policy of a seed of a run, and return it as read back.
+def export(run: Run, out: Path, seed: int | None = None, stablehlo: Path | None = None) -> policy_file.ExportedPolicy:
+    """Write the greedy policy of a seed of a run, of its first where none is named, and return it as read back.
 
     Raises `UserError` for a seed that the run does not have, or a disk that refuses.
     """
     params = run.params(seed)
-    about = {"seed": seed, "data": run.data, "versions": run.versions}
+    about = {"seed": run.seed_of(seed), "data": run.data, "versions": run.versions}
     return export_params(run.train, params, out, about, stablehlo)
 
 

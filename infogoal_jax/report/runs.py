@@ -38,20 +38,27 @@ class Run(Description):
         """The environment that the run was trained in, as its agent acts in it."""
         return self.train.env
 
-    def policy(self, seed: int = 0, use_mean: bool = False) -> Policy:
-        """The last policy of a seed, greedy: observations [E, ...], goals int32 [E] and a key to actions. use_mean: of
-        the goal's code, not a sample. Codes of goals can be given in place of the goals.
+    def policy(self, seed: int | None = None, use_mean: bool = False) -> Policy:
+        """The last policy of a seed, of the first where none is named, greedy: observations [E, ...], goals int32 [E]
+        and a key to actions. use_mean: of the goal's code, not a sample. Codes of goals can be given in place of the
+        goals.
 
         Raises `UserError` for a seed that the run does not have, or a damaged file.
         """
         return self.train.policy(self.params(seed), self.config.hyper, self.env, use_mean)
 
-    def params(self, seed: int = 0) -> dict[str, Any]:
-        """The last parameters of a seed, {"goal", "state", "agent"}. Raises `UserError` as `policy` does."""
-        require(seed in self.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, self.seeds))}")
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[self.seeds.index(seed)]), read_params(self, self.train))
+    def params(self, seed: int | None = None) -> dict[str, Any]:
+        """The last parameters of a seed, {"goal", "state", "agent"}, as `policy` has them and raises `UserError`."""
+        place = self.seeds.index(self.seed_of(seed))
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf[place]), read_params(self, self.train))
 
-    def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int = 0) -> GoalView:
+    def seed_of(self, seed: int | None = None) -> int:
+        """A seed of the run; None: its first. Raises `UserError` for one that the run does not have."""
+        found = self.seeds[0] if seed is None else seed
+        require(found in self.seeds, "seed", found, f"the run has the seeds {', '.join(map(str, self.seeds))}")
+        return found
+
+    def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int | None = None) -> GoalView:
         """These goals, int32 [M], as the encoder of a seed sees their images under test backgrounds of this weight,
         another background for each start; for `infogoal_jax.evaluate`. Raises `UserError` where goals are not images,
         and as `policy` does.

@@ -5,7 +5,7 @@ import functools
 import time
 from pathlib import Path
 
-from infogoal_jax.errors import require
+from infogoal_jax.errors import require, typed
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.files import was_made_with
 from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice, Run, runs_of
@@ -190,9 +190,9 @@ def merge(folders: list[Path], into: Path) -> int:
         lost = [name for name in results[run].missing() if name not in result.missing()]
         if lost:
             print(f"{run.name} had {', '.join(lost)}, which the run in its place was not measured for")
-    print(f"{len(results)} runs; draw them: infogoal reproduce all --from {into} --out FOLDER")
+    print(f"{len(results)} runs; draw them: infogoal reproduce all --from {typed(into)} --out FOLDER")
     if any(not run.of_paper for run in results):
-        print(f"and beside the paper: infogoal reproduce all_goals --from {into} --out FOLDER")
+        print(f"and beside the paper: infogoal reproduce all_goals --from {typed(into)} --out FOLDER")
     return DONE
 
 

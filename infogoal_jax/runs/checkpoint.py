@@ -16,7 +16,7 @@ import jax
 
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs import configuration, tables
-from infogoal_jax.runs.configuration import Description, to_dict
+from infogoal_jax.runs.configuration import DATA, Description, located, to_dict
 from infogoal_jax.runs.disk import Place, decode, decode_value, parse, read_bytes, write_atomically
 from infogoal_jax.runs.tables import Row
 from infogoal_jax.threefry import written_out
@@ -175,12 +175,15 @@ def checked_epoch(header: dict[str, Any], saved: Path, now: Description) -> int:
 
 
 def check_same(path: Path, then: Description, now: Description, longer: bool = True) -> None:
-    """Raise `UserError` with the fields in which two descriptions of a run differ. longer: whether `num_epochs` may."""
+    """Raise `UserError` with the fields in which two descriptions of a run differ. longer: whether `num_epochs` may.
+    Where the data lie may differ: what they are has a checksum."""
     may_differ = {"num_epochs": None} if longer else {}
     before, after = (
-        {"seeds": of.seeds, "data": of.data, **json.loads(json.dumps(to_dict(of.config))), **may_differ}
+        {"seeds": of.seeds, "data": of.data, **json.loads(json.dumps(to_dict(located(of.config)))), **may_differ}
         for of in (then, now)
     )
+    for values in (before, after):
+        values["env"] |= dict.fromkeys(DATA)
     different = differences(before, after)
     if different:
         raise UserError(

@@ -2,6 +2,7 @@
 that looks at the run."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, p
 
 NAME = "config.json"
 GIVE_A_RUN = "give the folder of a run of `infogoal train`"
+OF_A_SEARCH = "drawn"
+"""What the config.json of a search has besides, its trials, and that of a run has not."""
 MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
@@ -32,6 +35,10 @@ ADDED: dict[type, dict[str, Any]] = {
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
 NOT_READ = Place(Path("a configuration"))
+DATA = ("dataset", "text_embeddings", "goal_images", "backgrounds")
+"""Fields of a task that name files whose content the description of the data has a checksum of."""
+FILES = {"env": (*DATA, "split", "questions"), "agent": ("low_level",)}
+"""Fields that name files, of the parts that have them."""
 
 
 def to_dict(config: TrainConfig) -> dict[str, Any]:
@@ -40,6 +47,18 @@ def to_dict(config: TrainConfig) -> dict[str, Any]:
     for kind, name in presets.names_of(config).items():
         values[kind] = {"name": name, **values[kind]}
     return {"format": FORMAT, **values}
+
+
+def located(config: TrainConfig) -> TrainConfig:
+    """The configuration with absolute names of files, which can be found from any folder. What is no file here, such as
+    the name of shipped data, stays as it is."""
+    parts = {}
+    for kind, fields in FILES.items():
+        part = getattr(config, kind)
+        given = {name: os.path.expanduser(getattr(part, name)) for name in fields if getattr(part, name, "")}
+        found = {name: os.path.abspath(path) for name, path in given.items() if os.path.exists(path)}
+        parts[kind] = dataclasses.replace(part, **found) if found else part
+    return dataclasses.replace(config, **parts)
 
 
 def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
@@ -147,7 +166,10 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
     place, given = Place(folder / NAME), f"{field} = {str(folder)!r}"
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
-    return from_values(parse(read_bytes(place, f"{given}: holds no config.json; {remedy}"), place), place)
+    values = parse(read_bytes(place, f"{given}: holds no config.json; {remedy}"), place)
+    if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:
+        raise UserError(f"{given}: is of a search, which `infogoal tune --resume` goes on with; {remedy}")
+    return from_values(values, place)
 
 
 def from_values(values: Any, place: Place) -> Description:

@@ -26,7 +26,7 @@ import jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.data.archives import has_no_locks, try_lock
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import UserError, nearest, require, typed
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import disk_error, make_folder
@@ -62,16 +62,17 @@ def check_new(folder: Path, names: Sequence[str], flag: str = "out") -> None:
     except OSError as error:
         raise disk_error(folder, error) from error
     if there:
+        on_with_it = f", or go on with the run by --resume {typed(folder)}"
         raise UserError(
             f"{flag} = {str(folder)!r}: holds a run already, or other files of its names ({', '.join(sorted(there))}); "
-            f"give another folder, or go on with the run by --resume {folder}"
+            f"give another folder{on_with_it if configuration.NAME in there else ''}"
         )
 
 
 def newest_run(parent: Path, config: TrainConfig, seeds: Sequence[int]) -> Path | None:
     """The folder below `parent` whose run of this configuration and these seeds was started last, however many epochs
     it was to have; None where there is none. Folders that hold something else are passed over."""
-    wanted = to_dict(config) | {"num_epochs": None}
+    wanted = to_dict(configuration.located(config)) | {"num_epochs": None}
     found = []
     for path in parent.glob(f"*/{configuration.NAME}"):
         try:

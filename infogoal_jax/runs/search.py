@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, typed
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.runs import configuration, disk
 from infogoal_jax.runs.configuration import Description
@@ -137,7 +137,7 @@ def read_plan(folder: Path) -> tuple[Description, Plan]:
     """What a search is of and was to run. Raises `UserError` for a folder that holds none."""
     about, place = configuration.read(folder, "search", GIVE_A_SEARCH), Place(folder / configuration.NAME)
     values = parse(read_bytes(place, f"{place.path}: not there"), place)
-    if "drawn" not in values:
+    if configuration.OF_A_SEARCH not in values:
         raise UserError(f"search = {str(folder)!r}: is not of a search; {GIVE_A_SEARCH}")
     plan = decode(Plan, values, place)
     check_alike(plan.drawn, place)
@@ -177,7 +177,7 @@ def read_trials(folder: Path) -> tuple[Description, list[TrialLine]]:
     if done < last:
         raise UserError(
             f"search = {str(folder)!r}: was stopped after {done} of {last} evaluations; go on with: infogoal tune "
-            f"--resume {folder}"
+            f"--resume {typed(folder)}"
         )
     return about, lines
 

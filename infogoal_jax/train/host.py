@@ -15,7 +15,7 @@ import numpy as np
 
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import require
+from infogoal_jax.errors import require, typed
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
 from infogoal_jax.runs.configuration import MOST_SEEDS, Description
@@ -77,14 +77,14 @@ class Programs:
 
 
 def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
-    """What config.json says of a run with these seeds."""
+    """What config.json says of a run with these seeds, which is to be found again from any folder."""
     versions = {
         "infogoal_jax": infogoal_jax.__version__,
         "jax": jax.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    return Description(config, seeds, env.source, versions, str(jax.devices()[0].device_kind))
+    return Description(configuration.located(config), seeds, env.source, versions, str(jax.devices()[0].device_kind))
 
 
 def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
@@ -107,11 +107,16 @@ def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
     return dict(sorted(diverged.items()))
 
 
-def check_seeds(seeds: Sequence[int]) -> None:
-    """Raise `UserError` for seeds that cannot be used. A range of them is not looked at one by one."""
-    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
+def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
+    """The seeds, those of NumPy as numbers of Python. Raises `UserError` for what cannot be used. A range of them is
+    not looked at one by one."""
     if not isinstance(seeds, range):
+        given = np.asarray(seeds)
+        whole = given.ndim == 1 and (given.size == 0 or np.issubdtype(given.dtype, np.integer))
+        require(whole, "seeds", seeds, "give a list of whole numbers, such as range(3)")
+        seeds = given.tolist()
         require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
+    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
     first, last = (seeds[0], seeds[-1]) if isinstance(seeds, range) else (min(seeds), max(seeds))
     require(
         first >= 0 and last < MOST_SEEDS,
@@ -119,12 +124,13 @@ def check_seeds(seeds: Sequence[int]) -> None:
         f"{first} to {last}",
         "give seeds from 0 to below 2^32 (--first-seed)",
     )
+    return seeds
 
 
 def run(
     config: TrainConfig,
     seeds: Sequence[int],
-    folder: Path,
+    folder: str | Path,
     resume: bool = False,
     listeners: tuple[Listener, ...] = (),
     env: Any = None,
@@ -138,7 +144,7 @@ def run(
     the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one of another
     configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
     """
-    check_seeds(seeds)
+    folder, seeds = Path(folder), checked_seeds(seeds)
     writes = distributed.is_writer()
     if writes and not resume:
         check_new(folder, RUN)
@@ -167,7 +173,7 @@ def run(
 def how_to_go_on(folder: Path, epoch: int) -> str:
     """What is on disk after this epoch, in words, and the command that goes on with it."""
     there = f"{folder} has a checkpoint of epoch {epoch}" if epoch else f"{folder} has no checkpoint yet"
-    return f"{there}; go on with: infogoal train --resume {folder}"
+    return f"{there}; go on with: infogoal train --resume {typed(folder)}"
 
 
 def programs_of(train: Train, seeds: Sequence[int]) -> Programs:

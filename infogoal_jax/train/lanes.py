@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.config import Hyperparameters
+from infogoal_jax.errors import typed
 from infogoal_jax.hyperparameters import search_space, values_of, with_values
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.checkpoint import check_same
@@ -129,13 +130,14 @@ def side_by_side(
     watch: what accompanies it; None leaves nothing on disk. resume: go on in its folder. Raises `UserError`, without a
     change on the disk, for a folder that holds something else.
     """
+    seeds = [int(seed) for seed in seeds]
     if watch is not None and not resume:
         check_new(watch.folder, SEARCH)
     with stop_on_signal() as stop:
         programs = programs_of(train, group, trials, seeds)
-        about = host.describe(train.config, train.env, list(seeds))
+        about = host.describe(train.config, train.env, seeds)
         fields = tuple(trials[0].values)
-        result = TuneResult(train.config, group, fields, list(seeds), [], list(trials), 0.0, 0.0, about)
+        result = TuneResult(train.config, group, fields, seeds, [], list(trials), 0.0, 0.0, about)
         if not resume:
             check_fits(train, programs, len(trials) * len(seeds))
         if watch is None:
@@ -224,7 +226,7 @@ def how_to_go_on(watch: Watch | None, result: TuneResult) -> str:
     if watch is None:
         return NOTHING
     there = f"the scores until epoch {result.epochs[-1]}" if result.epochs else "no scores yet"
-    return f"{watch.folder} holds {there}; go on with: infogoal {watch.command} --resume {watch.folder}"
+    return f"{watch.folder} holds {there}; go on with: infogoal {watch.command} --resume {typed(watch.folder)}"
 
 
 def save(path: Path, result: TuneResult, lanes: Lane) -> None:

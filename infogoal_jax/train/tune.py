@@ -53,7 +53,7 @@ def check_fields(fields: Sequence[str], space: dict[str, Search]) -> None:
 def check_seeds(seeds: Sequence[int], trials: int) -> None:
     """Raise `UserError` for seeds that reported runs have, or for nothing to run."""
     require(trials > 0, "trials", trials, "give at least 1")
-    host.check_seeds(seeds)
+    host.checked_seeds(seeds)
     first = seeds[0] if isinstance(seeds, range) else min(seeds)
     require(
         first >= FIRST_SEED,

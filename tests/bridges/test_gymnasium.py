@@ -113,6 +113,8 @@ def test_pictures_follow_the_robot(reach):
 def test_wrong_calls_are_explained(reach):
     with pytest.raises(UserError, match="Did you mean 'fetch_push'"):
         bridge.make("fetch_pusch")
+    with pytest.raises(UserError, match="config = {'episode_length': 5}: give a FetchConfig"):
+        bridge.make("fetch_reach", config={"episode_length": 5})
     with pytest.raises(UserError, match="render_mode"):
         bridge.FetchGymnasium("fetch_reach", render_mode="human")
     fresh = bridge.make("fetch_reach", render_mode="rgb_array")

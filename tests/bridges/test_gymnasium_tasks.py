@@ -104,10 +104,20 @@ def test_wrong_calls_are_explained(rooms):
         rooms.step(99)
     with pytest.raises(UserError, match="reset"):
         TaskGymnasium(hand_made.environment()).step(0)
+    for count in (0, 2.0, True):
+        with pytest.raises(UserError, match="num_envs = .*whole number from 1 on"):
+            TaskVector(hand_made.environment(), count)
     with pytest.raises(UserError, match="actions no moves"):
         TaskGymnasium(hand_made_points.points())
     with pytest.raises(UserError, match="one shape"):
         rooms.compute_reward(np.zeros((2, 8)), np.zeros(8), {})
+
+
+def test_a_batch_takes_no_actions_that_are_not_whole(vector):
+    """Gymnasium's own check would cut them off."""
+    vector.reset(seed=0)
+    with pytest.raises(UserError, match="actions = .*3 whole numbers"):
+        vector.step(np.full(3, 0.7))
 
 
 def test_a_batch_starts_its_next_episodes_in_gymnasium_s_next_step_mode(vector):

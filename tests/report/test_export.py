@@ -1,5 +1,6 @@
 """An exported policy says with NumPy what the run's policy says with JAX, and its file needs nothing of the package."""
 
+import dataclasses
 import subprocess
 import sys
 from typing import NamedTuple
@@ -122,6 +123,25 @@ def test_another_shape_is_refused(exported):
         exported.values(np.zeros((3, 3), np.uint8), exported.goals[0])
 
 
+def test_floats_of_another_size_are_taken(shelf, exported):
+    """NumPy's own are of 64 bits, as its noise is."""
+    seen = np.asarray(shelf.train.env.render(shelf.train.env.observe(shelf.train.env.reset(jax.random.key(0)))))
+    goal, noise = exported.goals[0], np.full(exported.about["code_size"], 0.5)
+    expected = exported.values(seen, goal, noise.astype(np.float32))
+    assert np.array_equal(exported.values(seen, goal.astype(np.float64), noise), expected)
+
+
+def test_a_policy_of_choices_drives_nothing(exported):
+    with pytest.raises(ValueError, match="actions are choices: call act"):
+        exported.drive(None, exported.goals[0], 0)
+
+
+def test_a_file_that_is_no_policy_is_refused(tmp_path):
+    np.savez(tmp_path / "images.npz", images=np.zeros(3))
+    with pytest.raises(ValueError, match=r"images.npz: is no policy of `infogoal export`"):
+        policy_file.ExportedPolicy(tmp_path / "images.npz")
+
+
 def reach() -> Case:
     """FetchReach with image goals under HRAC and the low level that is shipped."""
     env = steer(envs.load("fetch_reach", FetchConfig(goals="images")), HRACConfig())
@@ -166,6 +186,7 @@ def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
     )
     with pytest.raises(UserError, match="seed = 7"):
         export.export(run, tmp_path / "policy.npz", 7)
+    assert run.seed_of() == 0 and dataclasses.replace(run, seeds=[5, 6]).seed_of() == 5
 
 
 def test_orbax_reads_the_parameters(shelf, tmp_path):

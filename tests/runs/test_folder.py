@@ -6,6 +6,7 @@ with the same bits as those that were left alone. Their program is a small one (
 hundreds of processes start, compile and are killed in minutes; test_resume.py kills the real one.
 """
 
+import dataclasses
 import os
 import random
 import signal
@@ -21,10 +22,11 @@ import pytest
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs import configuration, disk, folder
+from infogoal_jax.runs import checkpoint, configuration, disk, folder
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import LOW_LEVEL, RUN, SEARCH, check_new, newest_run, only_writer
 from infogoal_jax.runs.tables import read_table
+from infogoal_jax.train.host import describe
 
 
 def contents(path: Path) -> dict[str, bytes]:
@@ -136,6 +138,29 @@ def test_the_newest_run_of_a_configuration_is_found(tmp_path):
     leave("seeds", 4000, seeds=(2, 3))
     (leave("damaged", 5000) / "config.json").write_text("{")
     assert newest_run(tmp_path, config, range(2)) == new
+
+
+def test_a_run_is_known_by_its_data_wherever_they_lie(tmp_path, monkeypatch):
+    """Named as they are seen from the folder that the run was started in, and found from any other; moved, they are
+    the same data, as others in the same place are not."""
+    for name in ("started/photographs", "run"):
+        (tmp_path / name).mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "started")
+    environment = hand_made.environment()
+    config = hand_made.config(env=dataclasses.replace(hand_made.config().env, dataset="photographs"))
+    configuration.write(tmp_path / "run", started := describe(config, environment, [0]))
+    monkeypatch.chdir(tmp_path)
+    about = configuration.read(tmp_path / "run")
+    assert about.config.env.dataset == str(tmp_path / "started" / "photographs")
+    assert newest_run(tmp_path, about.config, [0]) == tmp_path / "run"
+
+    def of(dataset: str, data: str = started.data) -> Description:
+        moved = dataclasses.replace(config, env=dataclasses.replace(config.env, dataset=dataset))
+        return dataclasses.replace(describe(moved, environment, [0]), data=data)
+
+    checkpoint.check_same(tmp_path, about, of(str(tmp_path / "elsewhere")))
+    with pytest.raises(UserError, match="data was .*, now 'other photographs'"):
+        checkpoint.check_same(tmp_path, about, of("started/photographs", "other photographs"))
 
 
 FILES = {

@@ -29,7 +29,7 @@ from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.threefry import written_out
 from infogoal_jax.train import memory
 from infogoal_jax.train.compilation import jit, without_garbage_collection
-from infogoal_jax.train.host import check_seeds
+from infogoal_jax.train.host import checked_seeds
 from infogoal_jax.train.listeners import ProgressLine, progress_line
 from infogoal_jax.train.low_level import fetch, joints
 from infogoal_jax.train.low_level.fetch import FetchPretrainConfig
@@ -148,14 +148,14 @@ def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
 
 
 def pretrain(
-    config: PretrainConfig, seeds: Sequence[int], folder: Path, evaluation_episodes: int = 2000, command: str = ""
+    config: PretrainConfig, seeds: Sequence[int], folder: str | Path, evaluation_episodes: int = 2000, command: str = ""
 ) -> Pretrained:
     """Train the low level of a task with these seeds in one program, and leave the best one in `folder`.
 
     Raises `UserError` before any compilation for a folder that holds one already or is being written, for seeds that
     cannot be used, and for sizes that need more memory than there is.
     """
-    check_seeds(seeds)
+    folder, seeds = Path(folder), checked_seeds(seeds)
     require(evaluation_episodes > 0, "evaluation_episodes", evaluation_episodes, "give a whole number greater than 0")
     check_new(folder, LOW_LEVEL)
     agent, words = make_agent(config), f"{config.task} low level x {len(seeds)}"
