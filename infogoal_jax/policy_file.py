@@ -103,7 +103,7 @@ class ExportedPolicy:
 
     def check_actions(self, discrete):
         """Raise ValueError if the policy's actions are of the other kind."""
-        if self.about["discrete"] != discrete:
+        if self.about.get("discrete", discrete) != discrete:
             raise ValueError(f"actions are {'vectors: call drive' if discrete else 'choices: call act'}")
 
     def values(self, observation, goal, noise=None):
