@@ -35,12 +35,13 @@ def draw_codes(
     centre: np.ndarray,
     directions: np.ndarray,
     size: float = 1.0,
+    num_samples: int = CODE_SAMPLES,
 ) -> None:
     """Codes [n, d] of the goals `which` [n], coloured by region: faded samples, means over them. size: of the
-    markers."""
+    markers; num_samples: of each code."""
     regions = np.asarray(goals.regions)[which]
     if code.std is not None:
-        noise = np.random.default_rng(0).normal(size=(CODE_SAMPLES, *code.mean.shape))
+        noise = np.random.default_rng(0).normal(size=(num_samples, *code.mean.shape))
         samples = (code.mean + code.std * noise - centre) @ directions.T
         for goal, region in enumerate(regions):
             axes.scatter(

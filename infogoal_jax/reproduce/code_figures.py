@@ -18,6 +18,8 @@ from infogoal_jax.reproduce.paper import title_of
 from infogoal_jax.reproduce.scores import TITLES, row_of
 
 PATHS_IN_WORDS = "stars: goals; circles: starts; crosses: ends, green where the goal was reached"
+CODE_SAMPLES = 20
+"""Of each goal: panels are small, and the pictures of many panels stay light."""
 CODES_IN_WORDS = (
     "large marks: means, circles of training goals and stars of test goals; faded: samples; colours: regions"
 )
@@ -43,7 +45,7 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
     uses = np.where(use == len(USES), NO_USE, use)
     goals = GoalSet.of(np.zeros((len(use), 1)), arrays["code_region"], uses, ("",) * len(use), regions)
     code = GoalCode(mean[view], None if std is None else std[view].astype(float))
-    draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size=size)
+    draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size, CODE_SAMPLES)
     axes.set_xticks([])
     axes.set_yticks([])
 
