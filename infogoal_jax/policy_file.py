@@ -54,6 +54,7 @@ OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name
     "broadcast_in_dim": broadcast,
     "concatenate": lambda *x, dimension, **_: np.concatenate(x, dimension),
     "split": lambda x, sizes, axis, **_: np.split(x, np.cumsum(sizes)[:-1], axis),
+    "unstack": lambda x, axis, **_: list(np.moveaxis(x, axis, 0)),
     "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
         tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
     ],
@@ -94,7 +95,7 @@ class ExportedPolicy:
             known[place] = value
         for name, inputs, outputs, settings in self.program["operations"]:
             results = OPERATIONS[name](*(known[place] for place in inputs), **settings)
-            known.update(zip(outputs, results if name == "split" else [results], strict=True))
+            known.update(zip(outputs, results if name in ("split", "unstack") else [results], strict=True))
         return [np.asarray(known[place]) for place in self.program["outputs"]]
 
     def mean(self):

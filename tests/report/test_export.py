@@ -1,6 +1,7 @@
 """An exported policy says with NumPy what the run's policy says with JAX, and its file needs nothing of the package."""
 
 import dataclasses
+import json
 import subprocess
 import sys
 from typing import NamedTuple
@@ -121,6 +122,21 @@ def test_the_reader_needs_numpy_alone(shelf, tmp_path):
 def test_another_shape_is_refused(exported):
     with pytest.raises(ValueError, match="wants"):
         exported.values(np.zeros((3, 3), np.uint8), exported.goals[0])
+
+
+@pytest.mark.parametrize(("name", "settings"), [("split", {"sizes": [1, 1], "axis": 0}), ("unstack", {"axis": 0})])
+def test_an_operation_may_have_several_results(name, settings, tmp_path):
+    """Newer versions of jax take arrays apart by `unstack`."""
+    program = {
+        "constants": 0,
+        "inputs": [[0], [[[2, 3], "float32"]]],
+        "operations": [[name, [0], [1, 2], settings], ["sub", [2, 1], [3], {}]],
+        "outputs": [3],
+    }
+    np.savez(tmp_path / "policy.npz", about="{}", program=json.dumps(program))
+    rows = np.arange(6, dtype=np.float32).reshape(2, 3)
+    (difference,) = policy_file.ExportedPolicy(tmp_path / "policy.npz").run(rows)
+    assert np.array_equal(difference.ravel(), [3, 3, 3])
 
 
 def test_floats_of_another_size_are_taken(shelf, exported):
