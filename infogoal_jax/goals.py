@@ -46,18 +46,19 @@ class GoalSet:
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
         """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows:
         int [N] into the inputs."""
+        # Put on the device as they are, here and in the tasks: `jnp.asarray` would compile a program for every shape.
         uses = np.asarray(uses)
-        masks = [jnp.asarray(uses == use) for use in range(len(USES))]
+        masks = [jax.device_put(uses == use) for use in range(len(USES))]
         return cls(
-            jnp.asarray(inputs),
-            jnp.asarray(regions, jnp.int32),
+            jax.device_put(inputs),
+            jax.device_put(np.asarray(regions, np.int32)),
             *masks,
-            training_goals=jnp.asarray(np.flatnonzero(uses == 0), jnp.int32),
-            evaluated=jnp.asarray(np.flatnonzero(uses != NO_USE), jnp.int32),
+            training_goals=jax.device_put(np.flatnonzero(uses == 0).astype(np.int32)),
+            evaluated=jax.device_put(np.flatnonzero(uses != NO_USE).astype(np.int32)),
             names=tuple(names),
             region_names=tuple(region_names),
             groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()),
-            rows=None if rows is None else jnp.asarray(rows, jnp.int32),
+            rows=None if rows is None else jax.device_put(np.asarray(rows, np.int32)),
         )
 
     def inputs_of(self, goals: jax.Array) -> jax.Array:

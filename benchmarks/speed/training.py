@@ -9,9 +9,10 @@
 rates: environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's
 time` says how much longer the sweep takes than one seed alone.
 
-size: how large the training program of each task is, and how long it takes to build: traced, lowered and compiled.
-Operations are equations of the jaxpr, those of inner functions counted wherever they are called, and nothing comes from
-a compilation cache.
+size: how large the training program of each task is, and how long it takes to build as `infogoal train` builds it:
+traced, lowered and compiled, its two halves at the same time. Operations are equations of the jaxpr, those of inner
+functions counted wherever they are called, and nothing comes from a compilation cache. Options of the compiler are
+those of infogoal_jax.jit, but for what XLA_FLAGS names, here and in `rates`.
 
 methods: seconds of an epoch's updates relative to the bare agent's, all in one run. What is timed is what an epoch does
 after collecting: preparing what is drawn from (tables of a relabelling, bonuses of an explorer), drawing, and the
@@ -39,9 +40,10 @@ from infogoal_jax import compiled, jit, make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.train.compilation import operations, without_garbage_collection
+from infogoal_jax.train.compilation import operations
 from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, shardings_of
 from infogoal_jax.train.evaluation import random_policy
+from infogoal_jax.train.host import programs_of
 from infogoal_jax.train.memory import bytes_of
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
@@ -127,20 +129,18 @@ def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: in
 
 def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, float]:
     """Operations of the chunk of one seed, and seconds to trace, lower and compile that of `num_seeds`."""
-    config = presets.load(task, method)
-    train = make_train(config)
-    shared = (jnp.arange(config.epochs_per_evaluation), config.hyper, train.env)
-    state = jax.eval_shape(train.initial, jax.random.key(0), *shared[1:])
-    states = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((num_seeds, *leaf.shape), leaf.dtype), state)
+    train = make_train(config := presets.load(task, method))
+    programs, numbers = programs_of(train, range(num_seeds)), jnp.arange(config.epochs_per_evaluation)
+    arguments = (programs.states_shape, numbers, *programs.shared)
     started = time.perf_counter()
-    with without_garbage_collection():
-        traced = jit(jax.vmap(train.chunk, in_axes=(0, None, None, None)), donate_argnums=0).trace(states, *shared)
-        after_trace = time.perf_counter()
-        lowered = traced.lower()
-        after_lower = time.perf_counter()
-        lowered.compile()
+    programs.chunk.trace(*arguments)
+    after_trace = time.perf_counter()
+    finish = programs.chunk.compiling(*arguments)  # Traced already: it lowers, and compiles on other threads.
+    after_lower = time.perf_counter()
+    finish()
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)
-    return operations(jax.make_jaxpr(train.chunk)(state, *shared)), *seconds
+    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
+    return operations(jax.make_jaxpr(train.chunk)(state, numbers, config.hyper, train.env)), *seconds
 
 
 def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:

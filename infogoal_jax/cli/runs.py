@@ -141,7 +141,7 @@ def video(
 
     Args:
         subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a
-            random policy.
+            random policy, where there is no run in a folder of that name.
         out: File to write; must end in .mp4 or .gif.
         episodes: Episodes, one after the other.
         seed: Seed of starts, goals, actions and backgrounds.
@@ -158,7 +158,8 @@ def video(
     require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
     size = height, height * 4 // 3
     use_compilation_cache()
-    if subject not in TASKS and (Path(subject).exists() or os.sep in subject):
+    is_run = (Path(subject) / "config.json").exists()
+    if is_run or (subject not in TASKS and (Path(subject).exists() or os.sep in subject)):
         from infogoal_jax.report.figures import read_subject
         from infogoal_jax.report.image_goals import policy_video
 

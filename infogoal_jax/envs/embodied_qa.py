@@ -10,7 +10,6 @@ import dataclasses
 
 import flax.struct
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import frames, splits, text
@@ -92,7 +91,7 @@ def recorded_rows(data: frames.FrameDataset, training: np.ndarray, seed: int = 0
         "truncated": truncated,
         "decided": valid,
     }
-    return Trajectories(**{name: jnp.asarray(part) for name, part in parts.items()})
+    return Trajectories(**{name: jax.device_put(part) for name, part in parts.items()})
 
 
 def traits(config: EmbodiedQAConfig) -> Traits:
@@ -166,12 +165,12 @@ def lay_out(
     )
     position = np.full((len(data.frames), 2), np.nan, np.float32) if data.position is None else data.position[:, :2]
     return EmbodiedQA(
-        images=jnp.asarray(data.frames),
-        in_view=jnp.asarray(in_view),
-        achieved_goals=jnp.asarray(pad_true(known)),
-        position=jnp.asarray(position),
+        images=jax.device_put(data.frames),
+        in_view=jax.device_put(in_view),
+        achieved_goals=jax.device_put(pad_true(known)),
+        position=jax.device_put(position),
         recorded=recorded_rows(data, np.flatnonzero(uses == 0)),
-        views=None if views is None else jnp.asarray(views),
+        views=None if views is None else jax.device_put(views),
         source=data.describe(data.frames, data.detected, next_node, data.frame, inputs),
         action_names=data.actions,
         goal_objects=tuple(goal.object for goal in goals_asked),

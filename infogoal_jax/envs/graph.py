@@ -221,11 +221,11 @@ def walk_arrays(next_node: np.ndarray, goals: GoalSet, distance: np.ndarray, epi
     place = np.zeros(goals.num_goals, np.int32)
     place[np.asarray(goals.evaluated)] = np.arange(len(goals.evaluated))
     return {
-        "next_node": jnp.asarray(next_node),
+        "next_node": jax.device_put(next_node),
         "goals": goals,
-        "place": jnp.asarray(place),
-        "distance": jnp.asarray(distance),
-        "starts": jnp.asarray(np.maximum(pad_true(may_start), 0)),
-        "num_starts": jnp.asarray(may_start.sum(1), jnp.int32),
+        "place": jax.device_put(place),
+        "distance": jax.device_put(distance),
+        "starts": jax.device_put(np.maximum(pad_true(may_start), 0)),
+        "num_starts": jax.device_put(may_start.sum(1).astype(np.int32)),
         "episode_length": episode_length,
     }

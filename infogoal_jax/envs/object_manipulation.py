@@ -286,13 +286,13 @@ def lay_out(
     goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
     return ObjectManipulation(
-        joints=jnp.asarray(joints),
-        quaternion=jnp.asarray(quaternions(data.rotation)),
-        orientation=jnp.asarray(orientation, jnp.int32),
-        goal_quaternion=jnp.asarray(quaternions(rotation)),
-        views=None if views is None else jnp.asarray(views),
-        train_backgrounds=jnp.asarray(like_frames(behind.train, data)),
-        test_backgrounds=jnp.asarray(like_frames(behind.test, data)),
+        joints=jax.device_put(joints),
+        quaternion=jax.device_put(quaternions(data.rotation)),
+        orientation=jax.device_put(np.asarray(orientation, np.int32)),
+        goal_quaternion=jax.device_put(quaternions(rotation)),
+        views=None if views is None else jax.device_put(views),
+        train_backgrounds=jax.device_put(like_frames(behind.train, data)),
+        test_backgrounds=jax.device_put(like_frames(behind.test, data)),
         source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; backgrounds: {behind.source}",
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

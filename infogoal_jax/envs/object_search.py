@@ -9,7 +9,6 @@ import dataclasses
 
 import flax.struct
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.data import active_vision, archives, splits, text
@@ -133,10 +132,10 @@ def lay_out(
     uses = np.repeat(np.arange(3), [len(split.train), len(split.validation), len(split.test)])
     goals = GoalSet.of(inputs, [split.rooms[name] for name in names], uses, names, split.room_names)
     return ObjectSearch(
-        images=jnp.asarray(scenes.images),
-        achieved_goals=jnp.asarray(pad_true(scenes.visible)),
-        in_view=jnp.asarray(scenes.visible),
-        position=jnp.asarray(scenes.position),
+        images=jax.device_put(scenes.images),
+        achieved_goals=jax.device_put(pad_true(scenes.visible)),
+        in_view=jax.device_put(scenes.visible),
+        position=jax.device_put(scenes.position),
         source=f"{scenes.source}, content {content}",
         **walk_arrays(scenes.next_state, goals, distance, episode_length),
     )

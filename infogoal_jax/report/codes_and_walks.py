@@ -3,6 +3,7 @@ and samples of them, on the principal axes of the means. Episodes of the trained
 intrinsic reward of every image."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from matplotlib.lines import Line2D
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode, GoalEncoding, InputSpec, Visited
 from infogoal_jax.report.canvas import USE_MARKERS, USE_TITLES, Subject, in_words, new_figure, room_colour
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, clean_view, draw_starts, run_side_by_side
 
 CODE_SAMPLES = 60  # Drawn from the Gaussian of each goal.
@@ -84,6 +86,12 @@ def code_legend(
     return entries
 
 
+def codes_of(subject: Subject, which: np.ndarray) -> GoalCode:
+    """The codes [n, d] of the goals `which` int [n] by the goal encoder of one seed."""
+    encode = jit(lambda params, goals: subject.train.parts.learner.encode(params, goals.inputs_of(which)))
+    return jax.device_get(encode(subject.params["goal"], subject.train.env.goals))
+
+
 def representations(subject: Subject) -> Figure | None:
     """Codes of the evaluated goals of one seed on the principal axes of their means, coloured by room or region (paper,
     Fig. 10)."""
@@ -91,7 +99,7 @@ def representations(subject: Subject) -> Figure | None:
     which = np.asarray(goals.evaluated)
     if subject.params is None or len(which) < 3:
         return None
-    code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs_of(which)))
+    code = codes_of(subject, which)
     centre, directions, shares = principal_components(code.mean)
     figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
     axes = figure.subplots()
@@ -122,7 +130,7 @@ def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
     env, run = subject.train.env, subject.run
     num_starts = run.config.evaluation_starts
 
-    @jax.jit
+    @jit
     def episodes(params, env):
         view = clean_view(subject.train.parts, params, env, env.goals.evaluated)
         policy = subject.train.policy(params, run.config.hyper, env)
@@ -164,35 +172,40 @@ def outcome_in_words(env, walk: Walk, longest: int = 44) -> str:
     )
     return (
         f"{in_words(env.goals.names[walk.goal], longest)} "
-        f"({env.goals.region_names[env.goals.regions[walk.goal]]})\n{outcome}"
+        f"({env.goals.region_names[np.asarray(env.goals.regions)[walk.goal]]})\n{outcome}"
     )
 
 
-def reward_of_images(subject: Subject, goal: int) -> np.ndarray:
-    """The intrinsic reward of a step that ends in each image, for this goal, in units of its mean size: float [S], NaN
-    where no goal is in view.
+def rewards_of_images(subject: Subject, goals: Sequence[int]) -> np.ndarray:
+    """The intrinsic reward of a step that ends in each image, for each of these goals, in units of its mean size: float
+    [R, S], NaN where no goal is in view.
 
     The learner divides by a running mean that belongs to training, so that the mean over the images with a goal in view
     takes its place.
     """
-    env, learner = subject.train.env, subject.train.parts.learner
-    example = InputSpec(
-        env.goals.inputs_of(env.goals.training_goals),
-        jnp.zeros(subject.run.config.state_encoder.features),
-        env.num_cells,
-    )
-    state = learner.init(jax.random.key(0), example, subject.run.config.hyper.learner)[1]
-    encode = GoalEncoding(learner, subject.params["goal"], env.goals, subject.train.config.batch_size).of_any()
-    achieved = env.goals_of(jnp.arange(env.num_observations))
-    every = jnp.arange(env.num_observations)[None]
-    taken, first_seen = jnp.ones(every.shape), jnp.zeros(every.shape)  # An image alone is no episode.
-    visited = Visited(jnp.asarray([goal]), achieved[None], env.cell_of(every), taken, first_seen)
-    reward = np.asarray(learner.intrinsic_reward(state, encode, visited)[0][0], float)
-    reward[~(np.asarray(achieved) >= 0).any(-1)] = np.nan
-    return reward / max(np.abs(np.nanmean(reward)), 1e-12)
+    learner, config = subject.train.parts.learner, subject.train.config
+
+    @jit
+    def reward_and_achieved(params, env, goal):
+        seen = InputSpec(
+            env.goals.inputs_of(env.goals.training_goals), jnp.zeros(config.state_encoder.features), env.num_cells
+        )
+        state = learner.init(jax.random.key(0), seen, config.hyper.learner)[1]
+        encode = GoalEncoding(learner, params["goal"], env.goals, config.batch_size).of_any()
+        every = jnp.arange(env.num_observations)
+        achieved, alone = env.goals_of(every), every[None]
+        taken, first_seen = jnp.ones(alone.shape), jnp.zeros(alone.shape)  # An image alone is no episode.
+        visited = Visited(goal[None], achieved[None], env.cell_of(alone), taken, first_seen)
+        return learner.intrinsic_reward(state, encode, visited)[0][0], achieved
+
+    rewards = []
+    for goal in goals:
+        reward, achieved = jax.device_get(reward_and_achieved(subject.params, subject.train.env, np.int32(goal)))
+        rewards.append(np.where((achieved >= 0).any(-1), reward.astype(float), np.nan))
+    return np.stack([reward / max(np.abs(np.nanmean(reward)), 1e-12) for reward in rewards])
 
 
-def tells_images_apart(rewards: list[np.ndarray]) -> bool:
-    """Whether any of these rewards [S] differs from image to image. InfoBot's does not: the visits that it goes by are
-    no part of the parameters."""
+def tells_images_apart(rewards: np.ndarray) -> bool:
+    """Whether any of these rewards [R, S] differs from image to image. InfoBot's does not: the visits that it goes by
+    are no part of the parameters."""
     return any(np.nanmax(reward) - np.nanmin(reward) > 1e-6 for reward in rewards)

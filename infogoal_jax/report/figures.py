@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -38,6 +37,7 @@ from infogoal_jax.report.image_goals import draw_image_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.runs.folder import remove_abandoned
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import draw_starts
 from infogoal_jax.train.program import make_train
 
@@ -85,7 +85,7 @@ def read_subject(folder: Path, env: Any = None) -> Subject:
     if (folder / "policy").exists() and evaluations.seeds:
         seed = evaluations.seeds[0]
         index = run.seeds.index(seed)
-        params = jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), read_params(run, train))
+        params = jax.tree.map(lambda leaf: jax.device_put(leaf[index]), read_params(run, train))
     return Subject(run, train, table_of(folder, "epochs", diverged), evaluations, diverged, params, seed)
 
 
@@ -186,8 +186,11 @@ def success_by_length(subject: Subject) -> Figure:
     num_starts, longest = first_reached.shape[-1], env.episode_length
     shortest = None
     if env.has_shortest_path:
-        starts = draw_starts(env, env.goals.evaluated, num_starts)
-        shortest = np.asarray(jax.vmap(jax.vmap(env.shortest_path))(starts))
+
+        def from_starts(env):
+            return jax.vmap(jax.vmap(env.shortest_path))(draw_starts(env, env.goals.evaluated, num_starts))
+
+        shortest = np.asarray(jit(from_starts)(env))
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
     for group in env.goals.groups:

@@ -27,7 +27,7 @@ from infogoal_jax.report.codes_and_walks import (
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
-    reward_of_images,
+    rewards_of_images,
     tells_images_apart,
     walks_of_policy,
 )
@@ -248,7 +248,7 @@ def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]])
     """
     env = subject.train.env
     goals = one_goal_a_region(env, env.goals.train_mask)
-    rewards = [reward_of_images(subject, goal) for goal in goals]
+    rewards = rewards_of_images(subject, goals)
     if not tells_images_apart(rewards):
         return None
     shown = (

@@ -21,6 +21,7 @@ from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_
 from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, principal_components
 from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 from infogoal_jax.report.video import LAST_PICTURE, write_video
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import (
     EVALUATION_SEED,
     corrupted_images,
@@ -72,7 +73,8 @@ def is_fetch(env: Any) -> bool:
 
 def seen_images(env: Any, goals: np.ndarray, weight: float, seed: int) -> np.ndarray:
     """The corrupted images uint8 [M, H, W, 3] of these goals [M] that the policy of `policy_episodes` looks at."""
-    return np.asarray(corrupted_images(env, jnp.asarray(goals, jnp.int32), 1, weight, seed))[:, 0]
+    corrupted = jit(corrupted_images, static_argnames=("num_starts", "seed"))
+    return np.asarray(corrupted(env, goals.astype(np.int32), num_starts=1, weight=weight, seed=seed))[:, 0]
 
 
 def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float], seed: int) -> list[Episodes]:
@@ -203,26 +205,28 @@ def goal_images(env: Any, task: str = "") -> Figure:
     task: for the title.
     """
     goals, rows = env.goals, []
+    columns = {"clean": 0.0, **{f"weight {weight:g}": weight for weight in WEIGHTS}, "background": 1.0}
+
+    @jit
+    def examples(goals, chosen, backgrounds, number):
+        key = jax.random.fold_in(jax.random.key(EXAMPLE_SEED), number)
+        images, behind = goals.inputs_of(chosen), draw_backgrounds(key, backgrounds, chosen.shape)
+        return jnp.stack([corrupt(images, behind, weight) for weight in columns.values()], 1)
+
     for title, mask, backgrounds in (
         ("training goal,\ntraining background", goals.train_mask, env.train_backgrounds),
         ("training goal,\ntest background", goals.train_mask, env.test_backgrounds),
         ("test goal,\ntest background", goals.test_mask, env.test_backgrounds),
     ):
         chosen = np.flatnonzero(np.asarray(mask))[:EXAMPLES]
-        behind = draw_backgrounds(
-            jax.random.fold_in(jax.random.key(EXAMPLE_SEED), len(rows)), backgrounds, chosen.shape
-        )
-        rows += [(title, goals.inputs_of(goal), background) for goal, background in zip(chosen, behind, strict=True)]
-    columns = {"clean": 0.0, **{f"weight {weight:g}": weight for weight in WEIGHTS}, "background": 1.0}
+        rows += [(title, images) for images in np.asarray(examples(goals, chosen, backgrounds, len(rows)))]
     title = f"{task.replace('_', ' ')}: " * bool(task) + "goal images and the weight of their background"
     below = (f"the first goals of each kind; backgrounds drawn from seed {EXAMPLE_SEED}", f"data: {env.source}")
     figure = empty_figure(title, below, (9.6, 1.56 * len(rows) + 0.9))
-    for (title, image, background), line in zip(
-        rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True
-    ):
+    for (title, images), line in zip(rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True):
         line[0].set_ylabel(title, fontsize=8)
-        for axes, (name, weight) in zip(line, columns.items(), strict=True):
-            axes.imshow(corrupt(image, background, weight))
+        for axes, name, image in zip(line, columns, images, strict=True):
+            axes.imshow(image)
             axes.set_xticks([])
             axes.set_yticks([])
             if axes.get_subplotspec().is_first_row():
@@ -260,13 +264,9 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
     panels = figure.subplots(2, len(WEIGHTS))
     groups = tuple(group for group in ("train", "test") if group in goals.groups)
     which = np.flatnonzero(np.any([np.asarray(getattr(goals, f"{group}_mask")) for group in groups], axis=0))
+    encode = jit(subject.train.parts.learner.encode)
     clean, *codes = (
-        jax.tree.map(
-            np.asarray,
-            subject.train.parts.learner.encode(
-                subject.params["goal"], seen_images(env, which, weight, EVALUATION_SEED)
-            ),
-        )
+        jax.device_get(encode(subject.params["goal"], seen_images(env, which, weight, EVALUATION_SEED)))
         for weight in (0.0, *WEIGHTS)
     )
     centre, directions, _ = principal_components(clean.mean)

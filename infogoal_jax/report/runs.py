@@ -50,7 +50,7 @@ class Run(Description):
     def params(self, seed: int | None = None) -> dict[str, Any]:
         """The last parameters of a seed, {"goal", "state", "agent"}, as `policy` has them and raises `UserError`."""
         place = self.seeds.index(self.seed_of(seed))
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf[place]), read_params(self, self.train))
+        return jax.tree.map(lambda leaf: jax.device_put(leaf[place]), read_params(self, self.train))
 
     def seed_of(self, seed: int | None = None) -> int:
         """A seed of the run; None: its first. Raises `UserError` for one that the run does not have."""
@@ -81,8 +81,11 @@ def load_run(folder: str | Path) -> Run:
 def read_params(run: Run, train: Train) -> dict[str, Any]:
     """Parameters of all seeds, {"goal", "state", "agent"} with leaves [seeds, ...]. Raises `UserError` for a damaged or
     missing file."""
-    keys = jax.vmap(jax.random.key)(jnp.zeros(len(run.seeds), jnp.uint32))
-    shapes = jax.eval_shape(jax.vmap(lambda key: train.initial(key, run.config.hyper, train.env).params), keys)
+
+    def initial(seed):
+        return train.initial(jax.random.key(seed), run.config.hyper, train.env).params
+
+    shapes = jax.eval_shape(jax.vmap(initial), jax.ShapeDtypeStruct((len(run.seeds),), np.uint32))
     return checkpoint.load(run.folder / "policy", shapes)[1]
 
 

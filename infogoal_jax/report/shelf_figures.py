@@ -2,8 +2,8 @@
 every place (Fig. 12)."""
 
 import dataclasses
+from collections.abc import Sequence
 
-import jax
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -29,12 +29,13 @@ from infogoal_jax.report.canvas import (
 from infogoal_jax.report.codes_and_walks import (
     Walk,
     code_legend,
+    codes_of,
     draw_codes,
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
     principal_components,
-    reward_of_images,
+    rewards_of_images,
     tells_images_apart,
     walks_of_policy,
 )
@@ -219,7 +220,7 @@ def draw_all_codes(subject: Subject, axes: Axes) -> list:
     what a legend says of them."""
     goals = subject.train.env.goals
     which = np.flatnonzero(~np.asarray(goals.validation_mask))
-    code = jax.tree.map(np.asarray, subject.train.parts.learner.encode(subject.params["goal"], goals.inputs_of(which)))
+    code = codes_of(subject, which)
     centre, directions, shares = principal_components(code.mean)
     draw_codes(axes, code, goals, which, centre, directions, size=0.8)
     groups = tuple(
@@ -239,7 +240,7 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
     """
     env = subject.train.env
     goals = np.asarray(env.goals.training_goals)[:MOST_PANELS].tolist()
-    rewards = [reward_of_places(subject, shelf, goal) for goal in goals]
+    rewards = rewards_of_places(subject, shelf, goals)
     if not tells_images_apart(rewards):
         return None
     shown = (
@@ -273,10 +274,14 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
     return figure
 
 
-def reward_of_places(subject: Subject, shelf: Shelf, goal: int) -> np.ndarray:
-    """`reward_of_images`, the mean over the images of each place in which a known goal is in view: float [P], NaN where
-    there is none."""
-    reward = reward_of_images(subject, goal)
+def rewards_of_places(subject: Subject, shelf: Shelf, goals: Sequence[int]) -> np.ndarray:
+    """`rewards_of_images`, the mean over the images of each place in which a known goal is in view: float [R, P], NaN
+    where there is none."""
+    return np.stack([mean_of_places(reward, shelf) for reward in rewards_of_images(subject, goals)])
+
+
+def mean_of_places(reward: np.ndarray, shelf: Shelf) -> np.ndarray:
+    """The mean of rewards of images [S], NaN where there is none, over those of each place: [P]."""
     counts = np.isfinite(reward) & (shelf.place >= 0)
     total, number = (np.bincount(shelf.place[counts], weights, len(shelf.places)) for weights in (reward[counts], None))
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)

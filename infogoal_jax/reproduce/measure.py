@@ -20,7 +20,7 @@ from infogoal_jax.report.codes_and_walks import (
     Walk,
     from_farthest,
     one_goal_a_region,
-    reward_of_images,
+    rewards_of_images,
     walks_of_policy,
 )
 from infogoal_jax.report.image_goals import is_fetch, policy_episodes, seen_images, spread_goals
@@ -151,9 +151,8 @@ def judged_codes(train: Train, params: Any, seeds: tuple[int, ...]) -> dict[str,
     rewards = []
     for number, seed in enumerate(seeds):
         subject = subject_of(train, jax.tree.map(lambda leaf, own=number: leaf[own], params), seed)
-        rewards.append(
-            [reward_by_distance(reward_of_images(subject, goal), place, middle) for goal, middle in goals.items()]
-        )
+        by_goal = zip(rewards_of_images(subject, list(goals)), goals.values(), strict=True)
+        rewards.append([reward_by_distance(reward, place, middle) for reward, middle in by_goal])
     return judged | {"codes/reward": np.mean(rewards, axis=1).astype(np.float32)}
 
 
@@ -193,7 +192,7 @@ def ways_on_graph(subject: Subject) -> dict[str, np.ndarray]:
     chosen = one_goal_a_region(env, env.goals.test_mask)
     found = {"place": place} | ways_of([from_farthest(walks[goal]) for goal in chosen], env, place, "way")
     trained = one_goal_a_region(env, env.goals.train_mask)
-    rewards = np.stack([reward_of_images(subject, goal) for goal in trained])
+    rewards = rewards_of_images(subject, trained)
     if np.nanmax(np.abs(rewards)) > 0:
         found["reward"] = rewards.astype(np.float16)
         found |= ways_of([from_farthest(walks[goal]) for goal in trained], env, place, "reward_way")

@@ -169,9 +169,11 @@ def costs(results: Results) -> Table | None:
         if not own:
             continue
         compiling, running = (
-            sum(program[f"{name}_seconds"] for program in programs.values()) for name in ("compile", "run")
+            # As exact with every version of Python; its own `sum` rounds otherwise from 3.12 on.
+            math.fsum(program[f"{name}_seconds"] for program in programs.values())
+            for name in ("compile", "run")
         )
-        measuring = sum(result.about["measure_seconds"] for result in own)
+        measuring = math.fsum(result.about["measure_seconds"] for result in own)
         numbers = np.array([len(own), len(programs), compiling + measuring, running])
         totals += numbers
         body.append([TITLES[task], *cost_cells(numbers, own)])

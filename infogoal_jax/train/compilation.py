@@ -3,6 +3,7 @@ compile at the same time, a folder in which compiled programs outlive their proc
 which a test keeps from growing."""
 
 import contextlib
+import functools
 import gc
 import os
 from collections.abc import Callable, Iterator
@@ -13,16 +14,33 @@ from typing import Any, NamedTuple
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
-OPTIONS = {"cpu": {"xla_backend_optimization_level": 1}}
+OPTIONS: dict[str, dict[str, int | bool]] = {
+    "cpu": {"xla_backend_optimization_level": 1},
+    "gpu": {"xla_gpu_triton_gemm_any": False},
+}
 """Measured on object search and FetchReach: with LLVM's first level a CPU compiles in two thirds of the time and runs
-as fast as with the third; the level below runs two to four times as long. On an H200 no option was found that helps."""
+as fast as with the third; the level below runs two to four times as long. On a GPU, cuBLAS multiplies what a kernel of
+Triton's would hardly do faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the
+time and runs as fast (docs/training.md)."""
 
 
-def compiler_options() -> dict[str, int]:
+def compiler_options() -> dict[str, int | bool]:
     """Options for `jax.jit(..., compiler_options=...)` on the devices in use, without those that the user's XLA_FLAGS
     name."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    return {name: value for name, value in OPTIONS.get(jax.default_backend(), {}).items() if name not in flags}
+    flags, options = os.environ.get("XLA_FLAGS", ""), OPTIONS.get(jax.default_backend(), {})
+    return {name: value for name, value in options.items() if name not in flags and is_known(name, value)}
+
+
+@functools.cache
+def is_known(option: str, value: int | bool) -> bool:
+    """Whether the compiler of the devices in use has this option: versions of jax come and go with them."""
+    try:
+        jax.jit(lambda: 0, compiler_options={option: value}).lower().compile()
+    except jax.errors.JaxRuntimeError as error:
+        if "No such compile option" not in str(error):
+            raise
+        return False
+    return True
 
 
 def jit(function: Callable, **options: Any) -> Callable:

@@ -57,7 +57,7 @@ def make_parts(config: TrainConfig, env) -> Parts:
 
 def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
-    seen = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
+    seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
     if seen.ndim > 1:
         require(
             seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0,

@@ -247,3 +247,12 @@ def test_a_recording_of_our_own_environment_is_met_exactly(tmp_path, capsys):
     assert everything["grip"]["largest"] < 0.01 and everything["equal_rewards"] == 1 and everything["thing"] is None
     assert len(np.unique(arrays["fetch_reach/reward"])) == 2
     assert [row["kind"] for row in written["tasks"]["fetch_reach"]["episodes"]] == ["near", "far"]
+
+
+def test_the_run_in_a_folder_comes_before_the_task_of_its_name(tmp_path, monkeypatch, capsys):
+    """`infogoal train fetch_reach --out fetch_reach` leaves such a folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch_reach").mkdir()
+    (tmp_path / "fetch_reach" / "config.json").write_text("{")
+    assert main(["video", "fetch_reach", "--out", "episode.mp4"]) == 2
+    assert "config.json: is damaged" in capsys.readouterr().err

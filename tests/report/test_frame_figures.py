@@ -184,15 +184,17 @@ def test_intrinsic_reward_of_a_place_is_highest_where_the_question_is_answered(s
     """And unknown where nothing that training knows is in view; images of one place count together."""
     env, shelf = shelf_subject.train.env, shelf_figures.make_shelf(shelf_subject.train.env)
     goal = int(env.goals.training_goals[0])
-    reward, of_image = (
-        shelf_figures.reward_of_places(shelf_subject, shelf, goal),
-        codes_and_walks.reward_of_images(shelf_subject, goal),
+    (reward,), (of_image,) = (
+        shelf_figures.rewards_of_places(shelf_subject, shelf, [goal]),
+        codes_and_walks.rewards_of_images(shelf_subject, [goal]),
     )
     np.testing.assert_allclose(reward[shelf.place], of_image)
     np.testing.assert_array_equal(np.isnan(of_image), (np.asarray(env.achieved_goals) < 0).all(1))
     np.testing.assert_allclose(of_image[np.asarray(env.in_view)[:, goal]], 0, atol=1e-6)
     together = dataclasses.replace(shelf, places=shelf.places[:1], place=np.zeros_like(shelf.place))
-    np.testing.assert_allclose(shelf_figures.reward_of_places(shelf_subject, together, goal), [np.nanmean(of_image)])
+    np.testing.assert_allclose(
+        shelf_figures.rewards_of_places(shelf_subject, together, [goal]), [[np.nanmean(of_image)]]
+    )
 
 
 @pytest.mark.long

@@ -171,7 +171,7 @@ def test_plan_knows_places_and_the_length_of_a_move(env):
 
 def test_intrinsic_reward_is_highest_where_the_goal_itself_is_in_view(sweep, env):
     subject = read_subject(sweep.folder, env)
-    reward, in_view = codes_and_walks.reward_of_images(subject, 0), np.asarray(env.in_view)
+    (reward,), in_view = codes_and_walks.rewards_of_images(subject, [0]), np.asarray(env.in_view)
     np.testing.assert_array_equal(np.isnan(reward), ~in_view.any(1))
     assert np.nanmean(reward) == pytest.approx(-1)
     np.testing.assert_allclose(reward[in_view[:, 0]], 0, atol=1e-6)

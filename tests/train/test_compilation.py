@@ -18,8 +18,10 @@ from infogoal_jax import compiled, make_train, presets, use_compilation_cache
 from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
+from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.train import distributed, memory, tune
-from infogoal_jax.train.compilation import chunk_of, compiler_options, operations
+from infogoal_jax.train.compilation import OPTIONS, chunk_of, compiler_options, operations
+from infogoal_jax.train.host import run
 from infogoal_jax.train.low_level import host
 from infogoal_jax.train.low_level.host import preset
 
@@ -69,6 +71,16 @@ def test_options_that_the_user_has_set_are_left_alone(monkeypatch):
     assert compiler_options() == {"xla_backend_optimization_level": 1}
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
     assert compiler_options() == {}
+
+
+def test_options_that_the_compiler_does_not_have_are_left_out(monkeypatch):
+    """Each version of jax brings some and drops others."""
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    monkeypatch.setitem(OPTIONS, "cpu", OPTIONS["cpu"] | {"xla_option_of_long_ago": True})
+    assert compiler_options() == {"xla_backend_optimization_level": 1}
+    monkeypatch.setitem(OPTIONS, "cpu", {"xla_backend_optimization_level": "high"})
+    with pytest.raises(jax.errors.JaxRuntimeError):  # Known, but not with this value: that is no reason to be silent.
+        compiler_options()
 
 
 def test_garbage_is_collected_again_after_compiling_and_after_an_error():
@@ -197,3 +209,21 @@ def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
     train = make_train(hand_made.config(**changes), hand_made.environment())
     with pytest.raises(UserError, match=f"{next(iter(changes))} = "):
         memory.at_once(train, 100_000, distributed.seed_mesh(1))
+
+
+def test_figures_take_a_handful_of_programs(tmp_path):
+    """What is not jitted is compiled operation by operation: hundreds of programs, and each takes its time on a GPU."""
+    env = hand_made.environment_from_above()
+    sweep, programs = run(hand_made.config(), [0], tmp_path / "run", env=env), []
+
+    def count(event, seconds, **_):
+        if event.endswith("backend_compile_duration"):
+            programs.append(seconds)
+
+    jax.clear_caches()
+    jax.monitoring.register_event_duration_secs_listener(count)
+    try:
+        assert draw_figures(sweep.folder, env)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(count)
+    assert 0 < len(programs) <= 8

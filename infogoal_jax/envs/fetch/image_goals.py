@@ -209,10 +209,10 @@ def lay_out(
         goals=GoalSet.of(
             bank.images, nearest, uses, names, tuple(f"near training goal {number}" for number in range(len(training)))
         ),
-        positions=jnp.asarray(bank.positions),
-        train_backgrounds=jnp.asarray(behind.train),
-        test_backgrounds=jnp.asarray(behind.test),
-        grid_low=jnp.asarray(bank.grid_low, jnp.float32),
+        positions=jax.device_put(bank.positions),
+        train_backgrounds=jax.device_put(behind.train),
+        test_backgrounds=jax.device_put(behind.test),
+        grid_low=jax.device_put(np.asarray(bank.grid_low, np.float32)),
         spacing=jnp.float32(bank.spacing),
         grid_shape=tuple(int(n) for n in bank.grid_shape),
         source=f"MuJoCo physics in JAX, rendered goal images ({bank.describe()}, content {content}); backgrounds: "

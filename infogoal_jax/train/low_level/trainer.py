@@ -264,7 +264,7 @@ def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple
     template = empty(about)
     try:
         content = checkpoint.checksum({"format": checkpoint.FORMAT, **header}, payload)
-        return header | {"sha256": content}, jax.tree.map(jnp.asarray, checkpoint.arrays(file, payload, template))
+        return header | {"sha256": content}, jax.device_put(checkpoint.arrays(file, payload, template))
     except UserError as error:
         raise UserError(
             f"low_level = {str(file)!r}: its arrays have other shapes than {task} needs; train again with `infogoal "
@@ -275,7 +275,9 @@ def read(file: Path, task: str, empty: Callable[[LowLevelHeader], Any]) -> tuple
 def empty(task: str, hidden: tuple[int, ...]) -> LowLevel:
     """Shapes of the low level of a task, with layers of these widths."""
     robot = Fetch(task=find(task), physics=None, episode_length=0, ends_at_goal=False)  # Asked for its sizes only.
-    observation = jnp.zeros(robot.observation_size)
-    inputs = jnp.zeros(robot.observation_size + TargetSpace(robot.task).size)
-    actor = jax.eval_shape(td3.Actor(hidden, robot.action_size).init, jax.random.key(0), inputs)
+    observation, inputs = (
+        jax.ShapeDtypeStruct((size,), jnp.float32)
+        for size in (robot.observation_size, robot.observation_size + TargetSpace(robot.task).size)
+    )
+    actor = jax.eval_shape(lambda x: td3.Actor(hidden, robot.action_size).init(jax.random.key(0), x), inputs)
     return LowLevel(actor, observation, observation, hidden, robot.action_size)
