@@ -127,7 +127,8 @@ class TrainConfig:
         for field in dataclasses.fields(self):
             value, of_part = getattr(self, field.name), field.name in PARTS
             if of_part and (isinstance(value, type) or not hasattr(value, "check")):
-                raise UserError(f"{field.name} = {reprlib.repr(value)}: give a configuration, see presets.load")
+                remedy = "give a configuration, see presets.load; one of your own has a method check(self, config)"
+                raise UserError(f"{field.name} = {reprlib.repr(value)}: {remedy}")
             if field.name == "hyper":
                 new = hyperparameters.checked(value)
             elif of_part:

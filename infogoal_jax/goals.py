@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import NO_USE, USES
 
 
@@ -45,9 +46,10 @@ class GoalSet:
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
         """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows:
-        int [N] into the inputs."""
+        int [N] into the inputs. Raises `UserError` for what does not fit together."""
         # Put on the device as they are, here and in the tasks: `jnp.asarray` would compile a program for every shape.
         uses = np.asarray(uses)
+        check_goals(inputs if rows is None else rows, regions, uses, names, region_names)
         masks = [jax.device_put(uses == use) for use in range(len(USES))]
         return cls(
             jax.device_put(inputs),
@@ -71,6 +73,18 @@ class GoalSet:
     def num_goals(self) -> int:
         """Number of goals N."""
         return len(self.names)
+
+
+def check_goals(inputs, regions, uses: np.ndarray, names: tuple[str, ...], region_names: tuple[str, ...]) -> None:
+    """Raise `UserError`, naming the field, for goals whose parts do not fit together."""
+    count, lengths = len(uses), {"inputs": len(inputs), "regions": len(regions), "names": len(names)}
+    for field, length in lengths.items():
+        require(length == count, field, length, f"give one for each of the {count} goals in uses")
+    whole = np.issubdtype(uses.dtype, np.integer)
+    known = [*range(len(USES)), NO_USE]
+    require(whole and np.isin(uses, known).all(), "uses", uses, f"give positions in {USES}, or {NO_USE} for none")
+    places, most = np.asarray(regions), len(region_names) - 1
+    require(((places >= 0) & (places <= most)).all(), "regions", places, f"region_names has the regions 0 to {most}")
 
 
 def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float) -> jax.Array:

@@ -26,8 +26,24 @@ class Registry(dict):
     configuration of one."""
 
     def __init__(self, kind: str, entries: dict[str, Entry]):
-        super().__init__(entries)
+        super().__init__()
         self.kind = kind
+        for name, entry in entries.items():
+            self[name] = entry
+
+    def __setitem__(self, name: str, entry: Entry) -> None:
+        """Register a part. Raises `UserError` for what is no `Entry`, and for the configuration of another part: which
+        part is meant follows from it. Tasks may share one, as a `TrainConfig` names its task."""
+        if not isinstance(entry, Entry):
+            raise UserError(f"{self.kind} = {name!r}: give an Entry(Config, make, ...), not {type(entry).__name__}")
+        others = [known for known, part in self.items() if part.config is entry.config and known != name]
+        if others and self.kind != "task":
+            config = entry.config.__name__
+            raise UserError(
+                f"{self.kind} = {name!r}: {config} is the configuration of {others[0]!r}; derive one of its own from "
+                f"it: class My{config}({config})"
+            )
+        super().__setitem__(name, entry)
 
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""

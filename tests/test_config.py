@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from infogoal_jax import Hyperparameters, UserError, envs, make_train, presets, relabelling
+from infogoal_jax import Hyperparameters, UserError, envs, learners, make_train, presets, relabelling
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
+from infogoal_jax.goals import GoalSet
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.learners.vae import VAEConfig
+from infogoal_jax.registry import Entry, Registry
 from infogoal_jax.train import tune
 from infogoal_jax.train.host import checked_seeds
 
@@ -48,6 +51,24 @@ def of_goals(count: int):
     """The hand-made rooms with so many names of goals."""
     env = hand_made.environment()
     return env.replace(goals=env.goals.replace(names=("a goal",) * count))
+
+
+def register(name: str, entry) -> None:
+    """Into a registry of learners that is thrown away."""
+    Registry("learner", learners.registry)[name] = entry
+
+
+def goals_of(**changes) -> GoalSet:
+    """Three goals, with something that does not fit."""
+    fit = {"inputs": np.zeros((3, 4), np.float32), "regions": [0, 0, 0], "uses": [0, 0, 2], "names": ("a", "b", "c")}
+    return GoalSet.of(**fit | changes, region_names=("a room",))
+
+
+def without_training_goals():
+    """The hand-made rooms, all of whose goals are for the test."""
+    env = hand_made.environment()
+    goals, count = env.goals, env.goals.num_goals
+    return env.replace(goals=GoalSet.of(goals.inputs, goals.regions, [2] * count, goals.names, goals.region_names))
 
 
 @pytest.mark.parametrize(
@@ -89,6 +110,23 @@ def of_goals(count: int):
         (lambda: envs.load("object_search", ObjectSearchConfig(episode_length="x")), "env.episode_length = 'x'.*int"),
         (lambda: with_part("learner", window=None), "learner.window = None: expected int, got None"),
         (lambda: with_part("learner", window=np.zeros(2)), "expected int, got numpy.ndarray"),
+        (
+            lambda: register("my_vae", Entry(VAEConfig, print)),
+            "learner = 'my_vae': VAEConfig is the configuration of 'vae'",
+        ),
+        (
+            lambda: register("my_vae", (VAEConfig, print)),
+            r"learner = 'my_vae': give an Entry\(Config, make, ...\), not tup",
+        ),
+        (lambda: goals_of(uses=[0, 2, 7]), "uses = array.*give positions in"),
+        (lambda: goals_of(uses=["train", "test", "test"]), "uses = array.*give positions in"),
+        (lambda: goals_of(regions=[0, 1, 0]), "regions = .*region_names has the regions 0 to 0"),
+        (lambda: goals_of(names=("a", "b")), "names = 2: give one for each of the 3 goals in uses"),
+        (lambda: goals_of(inputs=np.zeros((2, 4), np.float32)), "inputs = 2: give one for each"),
+        (
+            lambda: make_train(CONFIG, without_training_goals()),
+            r"env.goals = \('test',\): give one or more training goals",
+        ),
         (lambda: checked_seeds(3), r"seeds = 3: give a list of whole numbers, such as range\(3\)"),
         (lambda: checked_seeds([0.0]), r"seeds = \[0.0\]: give a list of whole numbers"),
         (lambda: make_train("object_search"), "config = 'object_search': give a TrainConfig"),

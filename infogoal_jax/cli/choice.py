@@ -138,13 +138,21 @@ def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice)
     return TaskCommands(Group(help, commands), ["--help"] if asked else arguments)
 
 
-def of_task(command: Command, config: Any, choice: Choice, arguments: list[str]) -> TaskCommands:
-    """The command for one task, with this configuration and the names of its parts as defaults."""
+def check_left_out(arguments: list[str], flags: tuple[str, ...]) -> None:
+    """Raise `UserError` for one of these flags beside --resume: what they say is settled."""
+    for word in arguments:
+        name = word.partition("=")[0].replace("_", "-")
+        if name in flags:
+            raise UserError(f"{name}: a search that goes on has its own; leave the flag out, or start a new search")
+
+
+def of_task(command: Command, config: Any, choice: Choice, arguments: list[str], **values: Any) -> TaskCommands:
+    """The command for one task, with this configuration, the names of its parts and these values as defaults."""
     from infogoal_jax import presets
 
     parts = parts_of(config)
     help = presets.registry[config.task].description if config.task in presets.registry else ""
-    group = Group("", {config.task: named(command, help, config=config, parts=parts)})
+    group = Group("", {config.task: named(command, help, config=config, parts=parts, **values)})
     asked = choice.help or choice.help_all
     return TaskCommands(group, [config.task, "--help"] if asked else arguments, configuration_flags(brief=choice.help))
 

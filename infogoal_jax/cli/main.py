@@ -1,5 +1,6 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
+import os
 import signal
 import sys
 
@@ -74,10 +75,17 @@ def run(arguments: list[str]) -> int:
     )
 
 
+def at_home(word: str) -> str:
+    """A word of the command line with the folder of the user in place of `~/`, also behind `--flag=`, where a shell
+    leaves it."""
+    flag, sign, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return flag + sign + (os.path.expanduser(value) if value.startswith("~/") else value)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. A `UserError` is printed without a traceback, and so is what the system says of a path that was
     given; the exit status is then 2."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = [at_home(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     try:
         return run(arguments)
     except UserError as error:

@@ -89,10 +89,11 @@ def train(
     check_combination(config)
     if resume == AUTO:
         resume = run_to_go_on_with(config, numbers, out)
-    elif resume and (seeds, first_seed) == (1, 0):
+    elif resume:
         from infogoal_jax.runs import configuration
 
-        numbers = configuration.read(Path(resume)).seeds
+        before = configuration.read(Path(resume)).seeds
+        numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     if not several.is_writer():
         sweep = host.run(config, numbers, folder, bool(resume))
@@ -151,13 +152,13 @@ def tasks(arguments: list[str]) -> TaskCommands:
     if not task and choice.resume in (None, "", AUTO):
         return all_tasks(train, HELP, arguments, choice)
     if choice.resume in (None, "", AUTO):
-        config = preset_of(task, choice)
-    else:
-        from infogoal_jax.runs import configuration
+        return of_task(train, preset_of(task, choice), choice, arguments)
+    from infogoal_jax.runs import configuration
 
-        config = configuration.read(Path(choice.resume)).config
-        check_same_parts(config, task, choice)
-    return of_task(train, config, choice, arguments if task else [config.task, *arguments])
+    about = configuration.read(Path(choice.resume))
+    check_same_parts(about.config, task, choice)
+    arguments = arguments if task else [about.config.task, *arguments]
+    return of_task(train, about.config, choice, arguments, seeds=len(about.seeds), first_seed=about.seeds[0])
 
 
 def methods(

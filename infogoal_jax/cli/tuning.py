@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.choice import all_tasks, check_same_parts, of_task, preset_of, read_choice
+from infogoal_jax.cli.choice import all_tasks, check_left_out, check_same_parts, of_task, preset_of, read_choice
 from infogoal_jax.cli.commands import TaskCommands, check_resumed_in_place, check_seed, new_folder, seeds_from
 from infogoal_jax.errors import UserError, require, typed
 
@@ -76,6 +76,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
 
         config = read_plan(Path(choice.resume))[0].config
         check_same_parts(config, task, choice)
+        check_left_out(arguments, ("--trials", "--seeds", "--first-seed", "--space-seed", "--fields"))
     else:
         from infogoal_jax.train.tune import same_budget
 

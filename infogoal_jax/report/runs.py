@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.errors import require
@@ -17,7 +16,7 @@ from infogoal_jax.runs.folder import find_run
 from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train, make_train
-from infogoal_jax.train.rollout import Policy
+from infogoal_jax.train.rollout import Policy, numbers_of_goals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,27 +54,39 @@ class Run(Description):
     def seed_of(self, seed: int | None = None) -> int:
         """A seed of the run; None: its first. Raises `UserError` for one that the run does not have."""
         found = self.seeds[0] if seed is None else seed
-        require(found in self.seeds, "seed", found, f"the run has the seeds {', '.join(map(str, self.seeds))}")
+        require(found in self.seeds, "seed", found, f"of the run: {', '.join(map(str, self.seeds))}")
         return found
 
     def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int | None = None) -> GoalView:
         """These goals, int32 [M], as the encoder of a seed sees their images under test backgrounds of this weight,
         another background for each start; for `infogoal_jax.evaluate`. Raises `UserError` where goals are not images,
-        and as `policy` does.
+        for what are no goals, starts or weight, and as `policy` does.
         """
+        goals = numbers_of_goals(self.env, goals, "goals", axes=1)
+        require(isinstance(num_starts, int) and num_starts > 0, "num_starts", num_starts, "give a whole number from 1")
+        require(0 <= weight <= 1, "weight", weight, "give a number from 0 (clean) to 1 (the background alone)")
         require(
             has_image_goals(self.env), "task", self.config.task, "its goals are not images; evaluate goals as they are"
         )
-        return corrupted_view(self.train.parts, self.params(seed), self.env, jnp.asarray(goals), num_starts, weight)
+        return corrupted_view(self.train.parts, self.params(seed), self.env, goals, num_starts, weight)
 
 
-def load_run(folder: str | Path) -> Run:
+def load_run(folder: str | Path, **moved: str) -> Run:
     """The run in this folder, in this packed file, or of this name (`shipped/object_search`).
 
-    Raises `UserError` if there is none, or its config.json cannot be read.
+    moved: where its data lie on this machine, by the fields of the task's configuration: `dataset="photographs"`.
+    Raises `UserError` if there is no run, its config.json cannot be read, or these are other data.
     """
     found = find_run(folder)
-    return Run(**vars(configuration.read(found)), folder=found, name=str(folder))
+    run = Run(**vars(configuration.read(found)), folder=found, name=str(folder))
+    if moved:
+        for name in moved:
+            known = [field for field in configuration.DATA if hasattr(run.config.env, field)]
+            require(name in known, name, moved[name], f"is no place of the task's data. Known: {', '.join(known)}")
+        config = dataclasses.replace(run.config, env=dataclasses.replace(run.config.env, **moved))
+        run = dataclasses.replace(run, config=config)
+        require(run.env.source == run.data, next(iter(moved)), run.env.source, f"the run's data were {run.data}")
+    return run
 
 
 def read_params(run: Run, train: Train) -> dict[str, Any]:

@@ -184,6 +184,7 @@ def check_same(path: Path, then: Description, now: Description, longer: bool = T
     )
     for values in (before, after):
         values["env"] |= dict.fromkeys(DATA)
+        values["agent"] |= {"low_level": None}
     different = differences(before, after)
     if different:
         raise UserError(

@@ -80,7 +80,13 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
     if missing:
         raise place.refusal(f"{place.prefix}{missing[0]} is missing")
     names = {kind: name_of_part(values[kind], kind, place) for kind in presets.REGISTRIES}
-    base = built(place, lambda: presets.load(decode_value(str, values["task"], "task", place), **names))
+    task = decode_value(str, values["task"], "task", place)
+    if task not in presets.registry:
+        raise UserError(
+            f"{place.path}: {place.prefix}task = {task!r}: no such task here. Where a script registers it, that script "
+            f"can look at the run: infogoal_jax.load_run. Known: {', '.join(presets.registry)}"
+        )
+    base = built(place, lambda: presets.load(task, **names))
     records = {
         name: decode_record(type(getattr(base, name)), without_name(values[name]), place.within(name))
         for name in (*presets.REGISTRIES, "env", "state_encoder")

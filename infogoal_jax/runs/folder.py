@@ -218,7 +218,8 @@ def write_zip(file, folder: Path) -> None:
 def find_run(run: str | Path) -> Path:
     """The folder of a run that is named by its folder, by a packed file, or as `shipped/NAME`. Raises `UserError` for a
     name that is not shipped, or a file that is no packed run."""
-    path, name = Path(run), Path(run).as_posix()
+    path = Path(run).expanduser()
+    name = path.as_posix()
     if name.startswith(PREFIX) and not path.exists():
         known = shipped()
         require(name in known, "run", name, f"no such policy.{nearest(name, known)} Known: {', '.join(known)}")

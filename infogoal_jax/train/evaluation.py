@@ -70,6 +70,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     in any order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError` for goals that the
     task does not have, and for starts that are neither.
     """
+    require(hasattr(env, "reset_to"), "env", env, "give the policy first, and an environment after it")
     desired = numbers_of_goals(env, goals.goals if isinstance(goals, GoalView) else goals, "goals", axes=1)
     states = starts
     if not hasattr(starts, "goal"):

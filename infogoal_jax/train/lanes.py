@@ -137,7 +137,7 @@ def side_by_side(
         programs = programs_of(train, group, trials, seeds)
         about = host.describe(train.config, train.env, seeds)
         fields = tuple(trials[0].values)
-        result = TuneResult(train.config, group, fields, seeds, [], list(trials), 0.0, 0.0, about)
+        result = TuneResult(about.config, group, fields, seeds, [], list(trials), 0.0, 0.0, about)
         if not resume:
             check_fits(train, programs, len(trials) * len(seeds))
         if watch is None:
@@ -147,7 +147,7 @@ def side_by_side(
             if resume:
                 result, lanes = last_point(watch.folder, result, programs)
                 check_fits(train, programs, len(trials) * len(seeds))
-            else:
+            if not resume or read_plan(watch.folder)[0] != about:
                 write_plan(watch.folder, about, plan_of(result))
             return run_lanes(train, programs, result, lanes, stop, watch)
 

@@ -97,8 +97,8 @@ def load_environment(config: TrainConfig, env: Any = None):
 
 
 def check_environment(config: TrainConfig, env: Any) -> None:
-    """Raise `UserError` for what is no environment, one of another task than the configuration, or one of too many
-    goals."""
+    """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
+    goals or of too many goals."""
     require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
     count = 0 if env.goals is None else env.goals.num_goals
     require(
@@ -107,6 +107,8 @@ def check_environment(config: TrainConfig, env: Any) -> None:
         count,
         f"give at most {MOST_GOALS}: the dissimilarity matrix takes as many bytes a seed as there are pairs of goals",
     )
+    trained = count == 0 or len(env.goals.training_goals) > 0
+    require(trained, "env.goals", env.goals and env.goals.groups, "give one or more training goals, of use 0")
     check_same_task(config, env)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.errors import require
+from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.parts import encode_states, training_view
@@ -140,17 +140,29 @@ class Episodes:
 
 
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
-    """One episode for a desired goal, int32, from a start drawn from the key; without the axis of episodes. Compile it
-    with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
+    """One episode for a desired goal, its number or its name, from a start drawn from the key; without the axis of
+    episodes. Compile it with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
+    require(hasattr(env, "reset_to"), "env", env, "give an environment, and the policy after it")
+    require(hasattr(key, "dtype"), "key", key, "give one of jax.random.key")
     start_key, act_key = jax.random.split(key)
     starts = jax.vmap(env.reset_to)(start_key[None], numbers_of_goals(env, goal, "goal", axes=0)[None])
     return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
 
 
 def numbers_of_goals(env, goals: Any, field: str, axes: int) -> jax.Array:
-    """Desired goals with so many axes, as int32. Raises `UserError` for what are no numbers of goals of the task, as a
-    mask of them; of values that are traced the type alone is known."""
-    given = jnp.asarray(goals)
+    """Desired goals with so many axes, as int32, given by number or by name. Raises `UserError` for what are no numbers
+    of goals of the task, as a mask of them; of values that are traced the type alone is known."""
+    if env.goals is not None:
+        numbers = dict(zip(env.goals.names, range(env.goals.num_goals), strict=True))
+        by_name = isinstance(goals, str) or (isinstance(goals, list | tuple) and {*map(type, goals)} == {str})
+        if by_name:
+            unknown = [name for name in ([goals] if isinstance(goals, str) else goals) if name not in numbers]
+            require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
+            goals = numbers[goals] if isinstance(goals, str) else [numbers[name] for name in goals]
+    try:
+        given = jnp.asarray(goals)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{field} = {shown(goals)}: give numbers of goals") from error
     remedy = "give whole numbers of goals, such as np.flatnonzero(mask)" if axes else "give the whole number of a goal"
     require(jnp.issubdtype(given.dtype, jnp.integer) and given.ndim == axes, field, goals, remedy)
     if env.goals is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(goals)):

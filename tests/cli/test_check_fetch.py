@@ -1,5 +1,5 @@
 """`infogoal check-fetch`: a faulty recording is named with its file, array and remedy; a sound one is replayed and
-measured."""
+measured. `infogoal video` of a folder that is named like a task."""
 
 import json
 import os
@@ -247,6 +247,17 @@ def test_a_recording_of_our_own_environment_is_met_exactly(tmp_path, capsys):
     assert everything["grip"]["largest"] < 0.01 and everything["equal_rewards"] == 1 and everything["thing"] is None
     assert len(np.unique(arrays["fetch_reach/reward"])) == 2
     assert [row["kind"] for row in written["tasks"]["fetch_reach"]["episodes"]] == ["near", "far"]
+
+
+def test_the_folder_of_the_user_is_known_behind_a_flag_too(tmp_path, monkeypatch, capsys):
+    """A shell leaves `--out=~/run` as it is."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text("mine")
+    assert main(["train", "object_search", "--out=~/run"]) == 2
+    assert f"out = '{tmp_path}/run': holds a run already" in capsys.readouterr().err
+    assert main(["evaluate", "~/run"]) == 2
+    assert f"{tmp_path}/run/config.json: is damaged" in capsys.readouterr().err
 
 
 def test_the_run_in_a_folder_comes_before_the_task_of_its_name(tmp_path, monkeypatch, capsys):

@@ -180,7 +180,10 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     assert main("train --resume runs/first --out runs/mine".split()) == 2
     assert "out = 'runs/mine': what is resumed stays in its folder, runs/first" in capsys.readouterr().err
     assert not (tmp_path / "runs" / "mine").exists()
-    new, continued, other, mine, first = asked
+    for typed in ("", " --seeds 1", " --first-seed 3"):
+        assert main(f"train --resume runs/first{typed}".split()) == 2
+    new, continued, other, mine, first, *typed = asked
+    assert [seeds for _, _, seeds in typed] == [[0, 1], [0], [3, 4]]  # The last two are refused by `host.run`.
     assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
     assert continued == first == ("runs/first", True, [0, 1]) and mine == ("runs/mine", False, [0, 1])
 

@@ -233,7 +233,7 @@ def test_datasets_that_cannot_be_used():
         name: getattr(data, name)[never] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
     }
     refused(moves, "no trajectory ever reaches the training goal red mug|can be found from nowhere")
-    refused({"objects": ("red mug", "blue book", "green ball", "door")}, "old clock.*detected nowhere")
+    refused({"objects": ("red mug", "blue book", "green ball", "door")}, "old clock.*of the questions are detected nowhere in .*--env.questions FILE")
     nothing = {
         name: getattr(data, name)[:0] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
     }
@@ -259,7 +259,7 @@ def test_questions_of_the_test_are_never_learned_from(env):
     assert len(np.unique(drawn.transitions.goal)) == int((~hidden).sum())  # All others come up.
 
 
-@pytest.mark.parametrize("goals", [[True, False], [99], [-1], [1.0], [[0]]], ids=str)
+@pytest.mark.parametrize("goals", [[True, False], [99], [-1], [1.0], [[0]], ["sofa"], [None]], ids=str)
 def test_goals_that_the_task_does_not_have_are_refused(house, goals):
     """A mask of goals would be read as the goals 0 and 1."""
     for play in (
@@ -267,6 +267,19 @@ def test_goals_that_the_task_does_not_have_are_refused(house, goals):
         lambda: rollout(house, random_policy(house), goals[0], jax.random.key(0)),
     ):
         with pytest.raises(UserError, match="^goal"):
+            play()
+
+
+def test_goals_have_names_and_what_is_mistaken_for_an_environment_or_a_key_is_named(house):
+    policy, key, name = random_policy(house), jax.random.key(0), house.goals.names[1]
+    assert rollout(house, policy, name, key).steps == rollout(house, policy, 1, key).steps
+    assert np.array_equal(evaluate(policy, house, [name], 2).steps, evaluate(policy, house, [1], 2).steps)
+    for play, message in (
+        (lambda: rollout(policy, house, 1, key), "^env = "),
+        (lambda: evaluate(house, policy, [1], 2), "^env = "),
+        (lambda: rollout(house, policy, 1, 0), "^key = 0: give one of jax.random.key"),
+    ):
+        with pytest.raises(UserError, match=message):
             play()
 
 

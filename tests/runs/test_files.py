@@ -180,3 +180,9 @@ def test_every_kind_of_file_comes_back_as_it_was_written(run):
     assert header["epoch"] == 2 and from_dict(header["config"]) == about.config
     np.testing.assert_array_equal(tree["weight"], TREE["weight"])
     assert dataclasses.replace(about, seeds=[0]) != about
+
+
+def test_a_run_of_a_task_that_a_script_registers_is_not_called_damaged():
+    values = to_dict(hand_made.config()) | {"task": "walled_square"}
+    with pytest.raises(UserError, match="task = 'walled_square': no such task here. Where a script registers it"):
+        from_dict(values)

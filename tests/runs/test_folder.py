@@ -15,13 +15,16 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import hand_made
 import killed_run
 import pytest
 
+from infogoal_jax import load_run
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
+from infogoal_jax.report import runs
 from infogoal_jax.runs import checkpoint, configuration, disk, folder
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import LOW_LEVEL, RUN, SEARCH, check_new, newest_run, only_writer
@@ -161,6 +164,21 @@ def test_a_run_is_known_by_its_data_wherever_they_lie(tmp_path, monkeypatch):
     checkpoint.check_same(tmp_path, about, of(str(tmp_path / "elsewhere")))
     with pytest.raises(UserError, match="data was .*, now 'other photographs'"):
         checkpoint.check_same(tmp_path, about, of("started/photographs", "other photographs"))
+
+
+def test_a_run_is_loaded_with_its_data_elsewhere(tmp_path, monkeypatch):
+    """As a packed one is on another machine; never with other data."""
+    configuration.write(tmp_path, Description(hand_made.config(), [0], "rooms", {}, "cpu"))
+
+    def train(config):
+        return SimpleNamespace(env=SimpleNamespace(source="rooms" if config.env.dataset == "moved" else "a street"))
+
+    monkeypatch.setattr(runs, "make_train", train)
+    assert load_run(tmp_path, dataset="moved").config.env.dataset == "moved"
+    with pytest.raises(UserError, match="dataset = 'a street': the run's data were rooms"):
+        load_run(tmp_path, dataset="elsewhere")
+    with pytest.raises(UserError, match="split = 'x': is no place of the task's data. Known: dataset, text_embeddings"):
+        load_run(tmp_path, split="x")
 
 
 FILES = {

@@ -250,6 +250,9 @@ def test_stopping_leaves_what_is_known(tmp_path, monkeypatch, capsys):
     assert asked == [(40, "none", 2, [1005], ("learning_rate", "discount"))]
     assert json.loads((tmp_path / "search" / "best.json").read_text())["score"] == 0.5
     assert "go on with: infogoal tune --resume search" in capsys.readouterr().out
+    for flag in ("--trials 8", "--seeds=3", "--first-seed 1001", "--space_seed 4", "--fields discount"):
+        assert main(["tune", "--resume", "search", *flag.split()]) == 2
+        assert f"--{flag.split('=')[0].split()[0][2:].replace('_', '-')}: a search that" in capsys.readouterr().err
 
 
 def test_the_table_says_what_was_scored_and_how_to_train(capsys):
@@ -257,6 +260,26 @@ def test_the_table_says_what_was_scored_and_how_to_train(capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "training goals, for want of validation goals" in printed and "0.75" in printed and "s compiling" in printed
     assert "infogoal train object_search --method none" in printed and "--hyper.learning-rate 0.0005" in printed
+
+
+def test_no_number_of_the_table_is_broken_over_two_lines(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    found = made(small("infogoal"), [[0.0], [0.7]])
+    values = dict.fromkeys(search_space(found.config.hyper), 0.00097461)
+    for trial in found.trials:
+        trial.values.update(values)
+    tuning.print_result(dataclasses.replace(found, fields=tuple(values)))
+    printed = capsys.readouterr().out
+    assert printed.partition("scores")[0].count(" 0.0009746 ") == 2 * len(values) > 6
+    assert "for want of validation goals, seed 1000, after epoch 1" in printed
+
+
+def test_the_score_shown_is_that_of_the_trial_that_is_best_now(tmp_path, capsys):
+    with tuning.watching(small(), 2, 1, tmp_path) as watch:
+        for successes in ([[0.25], [0.5]], [[0.25, 0.35], [0.5, 0.0]]):
+            watch.evaluated(made(small(), successes))
+    printed = capsys.readouterr().out
+    assert "best now 0.50 (trial 1), preset 0.25" in printed and "best now 0.30 (trial 0), preset 0.30" in printed
 
 
 @pytest.mark.parametrize(("weight", "floored"), [(0.012, True), (0.0015, True), (0.1, False)])
