@@ -19,6 +19,7 @@ from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
+from infogoal_jax.presets.preset import Changes
 from infogoal_jax.registry import Entry, Registry
 from infogoal_jax.train import tune
 from infogoal_jax.train.host import checked_seeds
@@ -56,6 +57,15 @@ def of_goals(count: int):
 def register(name: str, entry) -> None:
     """Into a registry of learners that is thrown away."""
     Registry("learner", learners.registry)[name] = entry
+
+
+def load_with(**changes) -> None:
+    """The configuration of a preset with something misspelt."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(
+            presets.registry, "object_search", dataclasses.replace(presets.registry["object_search"], **changes)
+        )
+        presets.load("object_search")
 
 
 def goals_of(**changes) -> GoalSet:
@@ -118,6 +128,9 @@ def without_training_goals():
             lambda: register("my_vae", (VAEConfig, print)),
             r"learner = 'my_vae': give an Entry\(Config, make, ...\), not tup",
         ),
+        (lambda: load_with(methods={"infogaol": Changes()}), r"preset of object_search = \['infogaol'\].*'infogoal'"),
+        (lambda: load_with(training={"num_epoch": 20}), r"preset of object_search = \['num_epoch'\].*'num_epochs'"),
+        (lambda: load_with(hyper={"discout": 0.9}), r"preset of object_search = \['discout'\].*'discount'"),
         (lambda: goals_of(uses=[0, 2, 7]), "uses = array.*give positions in"),
         (lambda: goals_of(uses=["train", "test", "test"]), "uses = array.*give positions in"),
         (lambda: goals_of(regions=[0, 1, 0]), "regions = .*region_names has the regions 0 to 0"),

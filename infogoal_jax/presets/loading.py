@@ -69,7 +69,24 @@ def preset_of(task: str) -> Preset:
         task,
         f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
     )
+    check_names(registry[task], task)
     return registry[task]
+
+
+def check_names(preset: Preset, task: str) -> None:
+    """Raise `UserError` for a name in a preset that nothing has: what stands there would be lost."""
+    methods, relabellings = {*METHODS, *learners.registry}, {*relabelling.registry, ""}
+    fields = [field.name for field in dataclasses.fields(TrainConfig)]
+    floats = [field.name for field in dataclasses.fields(Hyperparameters)]
+    for name, changes in {"": preset, **preset.methods}.items():
+        first, _, second = name.partition("+")
+        wrong = [name] if name and not (first in methods and second in relabellings) else []
+        wrong += [field for field in changes.training if field not in fields]
+        wrong += [field for field in changes.hyper if field.partition(".")[0] not in floats]
+        known = [*methods, *fields, *floats]
+        require(
+            not wrong, f"preset of {task}", wrong[:1], f"no such method or field.{nearest(''.join(wrong[:1]), known)}"
+        )
 
 
 def part(registered, asked: Any, fields: dict[str, Any]) -> Any:
