@@ -154,7 +154,11 @@ def tasks(arguments: list[str]) -> TaskCommands:
     if choice.resume in (None, "", AUTO):
         return of_task(train, preset_of(task, choice), choice, arguments)
     from infogoal_jax.runs import configuration
+    from infogoal_jax.runs.folder import PREFIX, SUFFIX
 
+    packed = choice.resume.endswith(SUFFIX) or choice.resume.startswith(PREFIX)
+    remedy = "is a packed run, which has no checkpoint to go on from; give the folder that it was packed of"
+    require(not packed or Path(choice.resume).is_dir(), "resume", choice.resume, remedy)
     about = configuration.read(Path(choice.resume))
     check_same_parts(about.config, task, choice)
     arguments = arguments if task else [about.config.task, *arguments]

@@ -172,7 +172,8 @@ def read(folder: Path, field: str = "run", remedy: str = GIVE_A_RUN) -> Descript
     place, given = Place(folder / NAME), f"{field} = {str(folder)!r}"
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{given}: could not be read (Not a directory); {remedy}")
-    values = parse(read_bytes(place, f"{given}: holds no config.json; {remedy}"), place)
+    missing = "holds no config.json" if folder.exists() else "there is no such folder"
+    values = parse(read_bytes(place, f"{given}: {missing}; {remedy}"), place)
     if field == "run" and isinstance(values, dict) and OF_A_SEARCH in values:
         raise UserError(f"{given}: is of a search, which `infogoal tune --resume` goes on with; {remedy}")
     return from_values(values, place)
