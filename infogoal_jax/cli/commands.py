@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Union
 
 import tyro
-from tyro.constructors import ConstructorRegistry
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec
 
 from infogoal_jax.errors import UserError, nearest, require, shown
 
@@ -24,6 +24,28 @@ PATHS = {
 NOTHING = Annotated[object, tyro.conf.Suppress]
 """An arm of a union that is no command, since a command alone would be no union. Anything is an `object`: so tyro does
 not ask typeguard about the arms after it, whose import is a tenth of a help's time."""
+
+
+def whole_numbers(words: list[str]) -> tuple[int, ...]:
+    """The whole numbers that these words are. Raises `ValueError`, which tyro prints, for anything else."""
+    try:
+        return tuple(int(word) for word in words)
+    except ValueError:
+        raise ValueError(f"give {len(words)} whole numbers in place of {' '.join(words)!r}") from None
+
+
+Pair = Annotated[
+    tuple[int, int] | None,
+    PrimitiveConstructorSpec(
+        nargs=2,
+        metavar="INT INT",
+        instance_from_str=whole_numbers,
+        is_instance=lambda value: value is None or (isinstance(value, tuple) and len(value) == 2),
+        str_from_instance=lambda pair: ["None"] if pair is None else [str(number) for number in pair],
+    ),
+]
+"""Two whole numbers, or None where the flag is left out. What tyro makes of the type alone says a wrong count with its
+markup unread: `[bold]INT INT[/bold]`."""
 
 
 class Group(NamedTuple):

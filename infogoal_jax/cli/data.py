@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group, check_seed, empty_folder
+from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder
 from infogoal_jax.errors import UserError, counted, require
 
 
@@ -128,7 +128,7 @@ def new_file(path: str, flag: str = "path") -> None:
     """Raise `UserError`, naming the flag, if the path of an image dataset does not end in .npz, or leads to what is
     there already."""
     if Path(path).suffix != ".npz":
-        raise UserError(f"{flag} = {path!r}: is the file of an image dataset; let it end in .npz")
+        raise UserError(f"{flag} = {path!r}: an image dataset is one file, an npz; let it end in .npz")
     if Path(path).exists():
         raise UserError(f"{flag} = {path!r}: is there already; give a new file")
 
@@ -137,11 +137,10 @@ def print_size(path: str, dataset) -> None:
     """What a file of an image dataset holds, in one line, and what it takes."""
     *_, height, width, channels = dataset.frames.shape
     print(
-        f"{path}: {dataset.about['name']}; {len(dataset.frames)} frames of {height} x {width} x {channels}, "
-        f"{dataset.num_states} states, "
-        f"{len(dataset.frame)} moves of {len(dataset.actions)} actions; {Path(path).stat().st_size / 1e6:.1f} MB on "
-        "disk, "
-        f"{dataset.nbytes / 1e6:.1f} MB on the device"
+        f"{path}: {dataset.about['name']}; {counted(len(dataset.frames), 'frame')} of {height} x {width} x {channels}, "
+        f"{counted(dataset.num_states, 'state')}, "
+        f"{counted(len(dataset.frame), 'move')} of {counted(len(dataset.actions), 'action')}; "
+        f"{Path(path).stat().st_size / 1e6:.1f} MB on disk, {dataset.nbytes / 1e6:.1f} MB on the device"
     )
 
 
@@ -193,7 +192,7 @@ def import_images(
     images: Positional[str],
     table: Positional[str],
     out: str,
-    size: tuple[int, int] | None = None,
+    size: Pair = None,
     wrap: tuple[str, ...] = (),
     name: str = "",
 ) -> int:

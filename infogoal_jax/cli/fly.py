@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
-from infogoal_jax.cli.commands import check_seed, empty_folder, new_folder
+from infogoal_jax.cli.commands import Pair, check_seed, empty_folder, new_folder
 from infogoal_jax.errors import UserError, counted, require, typed
 
 CHECKS = """Before the propellers turn:
@@ -24,7 +24,7 @@ class DroneFlags:
 
     simulate: FlagCreatePairsOff[bool] = False
     """Fly a simulated drone, a process of its own on this machine, in front of the generated shelf."""
-    simulated: tuple[int, int] | None = None
+    simulated: Pair = None
     """Ports for commands and for questions of a simulated drone that runs already; None: start one."""
     start: tuple[int, int] = (17, 4)
     """Column (0 to 35) and row (0 to 8) of the place of the generated shelf before which the simulated drone takes
@@ -89,9 +89,18 @@ def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: s
         require(Path(stablehlo) != Path(out), "stablehlo", stablehlo, "give another file than --out")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6
-    actions = f"{about['action_size']} actions" if about["discrete"] else "continuous actions"
+    actions = actions_in_words(about)
     print(f"{out}: {about['task']}, {about['method']}, seed {about['seed']}; {actions}; {size:.1f} MB")
     return 0
+
+
+def actions_in_words(about: dict) -> str:
+    """What the functions of an exported policy give. about: what its file says of it."""
+    if about["discrete"]:
+        return counted(about["action_size"], "action")
+    if about["moves"]:
+        return f"drives by {counted(about['action_size'], 'move')}, whose numbers `drive` returns"
+    return f"drives by continuous actions, vectors of {about['action_size']}"
 
 
 def may_be_replaced(file: Path) -> bool:

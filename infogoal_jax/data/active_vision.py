@@ -91,8 +91,14 @@ def load(
     columns = {identities[name]: column for column, name in enumerate(objects)}
     found = find_scenes(root)
     names = found if scenes is None else tuple(scenes)
-    if not names or len(set(names)) < len(names) or not set(names) <= set(found):
-        raise UserError(f"scenes = {names!r}: give each once; {root} has {', '.join(found)}")
+    unknown = [name for name in names if name not in found]
+    if unknown:
+        raise UserError(
+            f"scenes = {names!r}: {root} has no scene {unknown[0]!r}.{nearest(unknown[0], list(found))} "
+            f"It has {', '.join(found)}"
+        )
+    if not names or len(set(names)) < len(names):
+        raise UserError(f"scenes = {names!r}: give at least one, each once; {root} has {', '.join(found)}")
 
     parts, image_names, start = [], [], 0
     for index, name in enumerate(names):

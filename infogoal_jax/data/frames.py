@@ -123,7 +123,7 @@ def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
 def load(path: str | os.PathLike) -> FrameDataset:
     """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and
     for its first error."""
-    with archives.naming("image dataset", path, frames_schema.REMEDY):
+    with archives.naming("image dataset", path, frames_schema.GIVE_A_FILE):
         archive = archives.read(path, frames_schema.REMEDY)
     members, unreadable = frames_schema.read_members(archive)
     frames_check.stop_at_first(path, iter(unreadable))

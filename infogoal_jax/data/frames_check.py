@@ -16,7 +16,15 @@ import numpy as np
 
 from infogoal_jax.data import archives
 from infogoal_jax.data.check import Finding
-from infogoal_jax.data.frames_schema import FORMAT_VERSION, REMEDY, SCHEMA, Fault, fitting_members, read_members
+from infogoal_jax.data.frames_schema import (
+    FORMAT_VERSION,
+    GIVE_A_FILE,
+    REMEDY,
+    SCHEMA,
+    Fault,
+    fitting_members,
+    read_members,
+)
 from infogoal_jax.errors import UserError, nearest, typed
 
 MOST_FINDINGS = 10
@@ -29,7 +37,7 @@ digits."""
 def check_frames(path: str | os.PathLike) -> list[Finding]:
     """Every fault of the file at `path`, errors first; empty if there is none."""
     try:
-        with archives.naming("image dataset", path, REMEDY):
+        with archives.naming("image dataset", path, GIVE_A_FILE):
             archive = archives.read(path, REMEDY)
     except UserError as error:
         return [Finding("error", str(path), str(error).removeprefix(f"image dataset = {str(path)!r}: "))]

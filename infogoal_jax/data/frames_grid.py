@@ -89,7 +89,7 @@ def grid_moves(
                 f"remove one, or give both the same value in a column state"
             )
     moving = [column for column in range(len(joints)) if np.ptp(places[column])]
-    require(bool(moving), str(table), joints[0], "no joint ever moves; give at least two values of one joint")
+    require(bool(moving), f"{table}: joints", joints, "no joint ever moves; give at least two values of one joint")
     actions = [f"{names[column]} {sign}" for column in moving for sign in "+-"]
     moves: list[Move] = []
     for frame, point in enumerate(points):
@@ -104,8 +104,8 @@ def grid_moves(
     unused = sorted(set(actions) - {move.name for move in moves})
     require(
         not unused,
-        str(table),
-        unused[:1],
+        f"{table}: action",
+        unused[0] if unused else "",
         "no two images are one grid step apart in this joint alone; add the poses between",
     )
     return moves, actions

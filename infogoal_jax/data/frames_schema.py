@@ -12,6 +12,9 @@ from infogoal_jax.errors import UserError
 
 FORMAT_VERSION = 1
 REMEDY = "write it again with infogoal_jax.data.frames.save or infogoal data import (docs/datasets.md)"
+"""What helps where a file is damaged."""
+GIVE_A_FILE = "give an npz of `infogoal data import` (docs/datasets.md)"
+"""What helps where there is no file that can be read."""
 
 # Member -> type, shape, whether it must be there. A letter stands for a length that all members share; a tuple for
 # lengths that may be had.

@@ -19,6 +19,7 @@ from infogoal_jax.errors import UserError, require
 
 EMBEDDING_SIZE = 384
 SHIPPED_FILE = Path(__file__).parent / "files" / "text_embeddings.npz"
+OWN_FILE = "my_embeddings.npz"
 
 _FIELDS = ("texts", "vectors", "weights_sha256", "model")
 
@@ -119,7 +120,9 @@ def merge(first: TextEmbeddings, *others: TextEmbeddings) -> TextEmbeddings:
     )
 
 
-def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) -> np.ndarray:
+def embed_known(
+    texts: Sequence[str], embeddings: TextEmbeddings | None = None, flag: str = "--env.text-embeddings"
+) -> np.ndarray:
     """Looks up the embeddings of known texts. Nothing is computed and nothing is made up.
 
     Case, repeated white space, and underscores or hyphens in place of spaces make no difference, except where the file
@@ -129,6 +132,7 @@ def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) 
     Args:
       texts: N texts.
       embeddings: where to look; the shipped ones if None.
+      flag: of the command line that another file of embeddings is given by, for the error.
 
     Returns:
       float32 [N, 384], each row of length 1.
@@ -147,7 +151,7 @@ def embed_known(texts: Sequence[str], embeddings: TextEmbeddings | None = None) 
     rows = [exact.get(spelling(text), loose.get(_without_hyphens(text))) for text in texts]
     unknown = list(dict.fromkeys(text for text, row in zip(texts, rows, strict=True) if row is None))
     if unknown:
-        raise UserError(_unknown_message(unknown, embeddings, loose))
+        raise UserError(_unknown_message(unknown, texts, embeddings, loose, flag))
     return embeddings.vectors[np.array(rows, np.int64)]
 
 
@@ -166,7 +170,9 @@ def _without_hyphens(text: str) -> str:
     return spelling(text.replace("-", " "))
 
 
-def _unknown_message(unknown: list[str], embeddings: TextEmbeddings, loose: dict[str, int]) -> str:
+def _unknown_message(
+    unknown: list[str], texts: Sequence[str], embeddings: TextEmbeddings, loose: dict[str, int], flag: str
+) -> str:
     lines = []
     for text in unknown:
         closest = difflib.get_close_matches(_without_hyphens(text), loose, n=3, cutoff=0.5)
@@ -174,8 +180,6 @@ def _unknown_message(unknown: list[str], embeddings: TextEmbeddings, loose: dict
         lines.append(
             f"no embedding of the text {text!r} is known; " + (f"closest: {names}" if names else "none is close")
         )
-    return "\n".join([*lines, _remedy(unknown, "my_embeddings.npz")])
-
-
-def _remedy(texts: Sequence[str], out: str | os.PathLike) -> str:
-    return f"to embed it: infogoal data embed {shlex.join(texts)} --out {shlex.quote(str(out))}"
+    # All texts: the new file stands in place of the one that knows some of them.
+    command = f"infogoal data embed {shlex.join(dict.fromkeys(texts))} --out {OWN_FILE}"
+    return "\n".join([*lines, f"give {flag} {OWN_FILE}, which this makes: {command}"])

@@ -176,7 +176,7 @@ def embedded(question: str, embeddings: str) -> np.ndarray:
     """The embedding of a question float32 [1, 384]: looked up, or by the sentence encoder where it is installed."""
     known = text.load(embeddings) if embeddings else None
     try:
-        return text.embed_known([question], known)
+        return text.embed_known([question], known, "--embeddings")
     except UserError as unknown:
         if embeddings:
             raise

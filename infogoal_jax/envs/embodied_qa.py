@@ -133,7 +133,8 @@ def lay_out(
         not unknown,
         "env.questions",
         ", ".join(unknown),
-        f"detected nowhere in {given}, which knows {', '.join(data.objects)}",
+        f"these objects of the questions are detected nowhere in {given}; give questions about others with "
+        f"--env.questions FILE. It knows {', '.join(data.objects)}",
     )
     column = np.array([data.objects.index(goal.object) for goal in goals_asked])
     uses = np.array([goal.use for goal in goals_asked])

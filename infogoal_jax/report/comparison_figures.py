@@ -2,6 +2,7 @@
 (paper, Fig. 8); or any metrics of their tables while training."""
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,6 +33,7 @@ from infogoal_jax.report.figures import (
     success_within,
 )
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, table_of
+from infogoal_jax.runs.configuration import DATA
 from infogoal_jax.runs.folder import PREFIX
 from infogoal_jax.train.parts import load_environment
 
@@ -42,6 +44,8 @@ BOUNDS = {
     NOT_NEGATIVE: ("episode_length", "beta", "kl", "td_error", "gradient_norm", "env_steps"),
 }
 """What metrics can be at least and at most, by the last part of their names; others can be anything."""
+LOW_LEVEL = "; low level, content "
+"""Where the words of the data end in which the low level of an agent is described: agents may differ."""
 
 
 class Compared(NamedTuple):
@@ -110,7 +114,8 @@ def check_metric(metric: str, compared: list[Compared]) -> None:
 
 
 def check_same_task(runs: list[Run]) -> None:
-    """Raise `UserError` unless all runs are of one task, on the same data and of the same settings."""
+    """Raise `UserError` unless all runs are of one task, on the same data and of the same settings. Where the data lie
+    may differ: what they are has a checksum."""
     first = runs[0]
     for run in runs[1:]:
         require(
@@ -119,23 +124,35 @@ def check_same_task(runs: list[Run]) -> None:
             run.name,
             f"is of task {run.config.task}, and {first.name} of {first.config.task}; give runs of one task",
         )
-        for field in dataclasses.fields(first.config.env):
-            own, other = (getattr(each.config.env, field.name) for each in (run, first))
+        for name in [field.name for field in dataclasses.fields(first.config.env) if field.name not in DATA]:
+            own, other = (getattr(each.config.env, name) for each in (run, first))
             require(
                 own == other,
                 "run",
                 run.name,
-                f"has env.{field.name} = {own!r}, and {first.name} {other!r}; give runs of the same settings of the "
-                "task",
+                f"has env.{name} = {own!r}, and {first.name} {other!r}; give runs of the same settings of the task",
             )
+        own, other = (each.data.partition(LOW_LEVEL)[0] for each in (run, first))
+        remedy = f"has data = {own!r}, and {first.name} {other!r}; give runs on the same data"
+        require(own == other, "run", run.name, remedy)
 
 
 def titles_of(runs: list[Run]) -> list[str]:
-    """The names of the runs' methods; where two are of the same, with the name of the folder or the file, or that of a
-    shipped policy."""
+    """The names of the runs' methods; where two are of the same, with the end of the path of the folder or the file
+    that tells them apart, or with the name of a shipped policy."""
     names = [presets.name_of(run.config) for run in runs]
-    own = [run.name if run.name.startswith(PREFIX) else Path(run.name).name for run in runs]
-    return [name if names.count(name) == 1 else f"{name} ({place})" for name, place in zip(names, own, strict=True)]
+    places = [(run.name,) if run.name.startswith(PREFIX) else Path(os.path.abspath(run.name)).parts for run in runs]
+    titles = []
+    for name, place in zip(names, places, strict=True):
+        others = [other for known, other in zip(names, places, strict=True) if known == name and other != place]
+        titles.append(name if names.count(name) == 1 else f"{name} ({shortest_end(place, others)})")
+    return titles
+
+
+def shortest_end(place: tuple[str, ...], others: list[tuple[str, ...]]) -> str:
+    """As few of the last parts of a path as no other path ends in."""
+    ends = (place[-count:] for count in range(1, len(place)))
+    return str(Path(*next((end for end in ends if all(other[-len(end) :] != end for other in others)), place)))
 
 
 def small_print(compared: list[Compared], titles: list[str], *more: str) -> tuple[str, ...]:

@@ -41,21 +41,27 @@ def export(run: Run, out: Path, seed: int | None = None, stablehlo: Path | None 
 def export_params(
     train: Train, params: Any, out: Path, about: dict[str, Any], stablehlo: Path | None = None
 ) -> policy_file.ExportedPolicy:
-    """Write the greedy policy of these parameters, and return it as read back. about: what else the file shall say."""
+    """Write the greedy policy of these parameters, and return it as read back. about: what else the file shall say.
+
+    Of the actions it says: discrete, whether the policy gives their values; moves, whether each is the number of a
+    move, also where a low level makes them; action_size, how many there are, or the size of a vector; actions, names.
+    """
     config, env = train.parts.config, train.env
     function, examples = action_values(train, params) if env.discrete else driving(train, params)
     program, constants = trace(function, examples)
     texts = env.goals.inputs.dtype == jnp.float32
+    acted = env.env if isinstance(env, SubgoalEnv) else env
     about = about | {
         "format_version": FORMAT_VERSION,
         "task": config.task,
         "method": presets.name_of(config),
-        "action_size": int(env.action_size),
-        "actions": list(getattr(env, "action_names", ())),
+        "action_size": int(acted.action_size),
+        "actions": list(getattr(acted, "action_names", ())),
         "episode_length": int(env.episode_length),
         "code_size": int(examples[2].shape[0]),
         "samples_code": not train.parts.learner.mean_at_test,
         "discrete": bool(env.discrete),
+        "moves": bool(acted.discrete),
         "interval": interval_of(env),
         "generator_seed": getattr(config.env, "generator_seed", 0),
         "goal_names": list(env.goals.names) if texts else [],

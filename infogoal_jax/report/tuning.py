@@ -87,7 +87,7 @@ def watching(config: TrainConfig, trials: int, seeds: int, folder: Path, command
         def evaluated(result: TuneResult) -> None:
             save(result, folder)
             best = result.best
-            numbers = f"best so far {best.score:.2f} (trial {best.number}), preset {result.trials[0].score:.2f}"
+            numbers = f"best now {best.score:.2f} (trial {best.number}), preset {result.trials[0].score:.2f}"
             line.advance(result.epochs[-1], numbers)
 
         yield Watch(folder, command, line.compiling, evaluated)
@@ -97,16 +97,24 @@ def print_result(result: TuneResult) -> None:
     """The best trials and the preset, what they were scored on, how long it took, and how to train with the best."""
     console, ranked = Console(), sorted(result.trials, key=lambda trial: trial.order, reverse=True)
     table = Table()
-    for title in ("trial", "success", *result.fields):
-        table.add_column(title, justify="right", overflow="fold")
-    for trial in ranked[:SHOWN] + [trial for trial in ranked[SHOWN:] if trial.number == 0]:
-        lost = f", {len(trial.diverged)} diverged" if trial.diverged else ""
-        name = "0 (preset)" if trial.number == 0 else str(trial.number)
-        table.add_row(name, f"{trial.score:.2f}{lost}", *(f"{value:.4g}" for value in trial.values.values()))
-    console.print(table)
+    rows = [
+        (
+            "0 (preset)" if trial.number == 0 else str(trial.number),
+            f"{trial.score:.2f}" + (f", {len(trial.diverged)} diverged" if trial.diverged else ""),
+            *(f"{trial.values[field]:.4g}" for field in result.fields),
+        )
+        for trial in ranked[:SHOWN] + [trial for trial in ranked[SHOWN:] if trial.number == 0]
+    ]
+    for title, cells in zip(("trial", "success", *result.fields), zip(*rows, strict=True), strict=True):
+        # Titles are broken where the terminal is narrow, numbers never.
+        table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, crop=False)
+    first, *more = result.seeds
+    seeds = f"mean of {len(result.seeds)} seeds ({first} to {more[-1]})" if more else f"seed {first}"
     lines = [
-        f"scores      success on {GROUPS[result.group]}, mean of {counted(len(result.seeds), 'seed')} "
-        f"({result.seeds[0]} to {result.seeds[-1]}), after epoch {result.epochs[-1]}",
+        f"scores      success on {GROUPS[result.group]}, {seeds}, after epoch {result.epochs[-1]}",
         f"data        {result.about.data}",
         f"time        {result.compile_seconds:.1f} s compiling, {result.run_seconds:.1f} s running",
         f"best        {command_of(result)}",

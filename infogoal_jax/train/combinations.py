@@ -93,8 +93,8 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         )
     if not can_act(actions_of(config.agent), traits):
         reason = {
-            "moves": f"{config.task} is not acted in by a choice among a few moves",
-            "vectors": f"{config.task} is not acted in by vectors",
+            "moves": f"this agent chooses among a few moves, and an action of {config.task} is a vector",
+            "vectors": f"an action of this agent is a vector, and {config.task} has a few moves to choose from",
             "target_states": "there are no target states that a low level could be sent to",
         }[actions_of(config.agent)]
         fitting = [name for name, entry in agents.registry.items() if can_act(actions_of(entry.config()), traits)]

@@ -1,13 +1,14 @@
 """What watches a run: the progress bar, on a terminal, or lines in a log file; and TensorBoard or Weights & Biases when
 asked for (imported only then)."""
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -20,6 +21,8 @@ from infogoal_jax.train import host
 SIGN_OF_LIFE = 60.0
 """Seconds after which a log file gets another line while a program is compiled."""
 COMPILING = "compiling, some minutes the first time"
+NOTHING_SENT = ("offline", "dryrun", "disabled")
+"""Values of WANDB_MODE with which Weights & Biases needs no login."""
 
 
 class ProgressLine:
@@ -113,11 +116,27 @@ def add_picture(writer, path: Path, epoch: int) -> None:
     writer.file_writer.add_summary(Summary(value=[value]), epoch)
 
 
+def log_in(wandb: Any, project: str) -> None:
+    """Log in to Weights & Biases, which asks for a key on a terminal, unless nothing is to be sent. Raises `UserError`
+    where there is no key, or none that it takes."""
+    if os.environ.get("WANDB_MODE") in NOTHING_SENT:
+        return
+    try:
+        wandb.login(verify=False)  # Nothing is sent for it, so that a key is not taken for wrong without a network.
+    except (wandb.Error, ValueError) as error:
+        reason = str(error).partition(". ")[0].rstrip(".")
+        raise UserError(
+            f"wandb = {project!r}: Weights & Biases has no login here ({reason}); run `wandb login` first, or set "
+            "WANDB_MODE=offline to keep the numbers on this machine"
+        ) from error
+
+
 @contextmanager
 def make_listeners(
     folder: Path, config: TrainConfig, num_seeds: int, tensorboard: bool = False, wandb: str = ""
 ) -> Iterator[Listeners]:
-    """The listeners of a run, closed at its end. Raises `UserError` if one that was asked for is not installed."""
+    """The listeners of a run, closed at its end. Raises `UserError` if one that was asked for is not installed, or not
+    logged in to."""
     closing, listeners, showing = [], [], []
     if tensorboard:
         try:
@@ -148,6 +167,7 @@ def make_listeners(
             import wandb as weights_and_biases
         except ImportError as error:
             raise UserError(f"wandb = {wandb!r}: needs `pip install wandb`") from error
+        log_in(weights_and_biases, wandb)
         sessions = []
 
         def log(progress: host.Progress):

@@ -276,5 +276,8 @@ def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seed
     try:
         return seeds_at_once(*sizes, count // mesh.size, memory, mesh.size, name)
     except UserError as error:
-        blamed = to_blame(train, count, memory, "training needs more", name)
+        state, extra, held = sizes
+        needed = (count // mesh.size + 1 + WORKING_COPIES) * state + extra + held
+        needs = f"training needs {needed / GIB:,.1f} GiB and may take {MEMORY_SHARE * memory / GIB:,.1f} GiB"
+        blamed = to_blame(train, count, memory, needs, name)
         raise (error if str(blamed).startswith(name) else blamed) from error

@@ -201,6 +201,7 @@ def test_one_combination_in_words(capsys):
     assert main("methods fetch_push her --agent dqn".split()) == 1
     printed = capsys.readouterr().out
     assert "does not work" in printed and "agent = 'dqn'" in printed and "give hrac" in printed
+    assert "chooses among a few moves, and an action of fetch_push is a vector" in " ".join(printed.split())
     assert main("methods object_search none --agent cql".split()) == 0
     assert "meant for recorded moves" in capsys.readouterr().out
     for arguments, words in (

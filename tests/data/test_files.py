@@ -13,6 +13,7 @@ import pytest
 from hand_made_frames import OPTIONAL, small
 
 from infogoal_jax import stopping
+from infogoal_jax.cli.data import print_size
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives, frames, frames_check
 from infogoal_jax.data.frames import FrameDataset
@@ -146,7 +147,9 @@ def test_a_changed_byte_is_found(tmp_path):
 
 def test_files_that_cannot_be_read_or_written_are_named(tmp_path, capsys):
     assert main(["data", "check", str(tmp_path / "nothing.npz")]) == 1
-    assert "no such file" in capsys.readouterr().out
+    assert "no such file; give an npz of `infogoal data import`" in capsys.readouterr().out
+    with pytest.raises(UserError, match="no such file; give an npz of `infogoal data import`"):
+        frames.load(tmp_path / "nothing.npz")
     with pytest.raises(UserError, match="cannot be read"):
         frames.load(tmp_path)
     with pytest.raises(UserError, match="cannot be written"):
@@ -209,6 +212,12 @@ def test_a_cache_that_cannot_be_written_to_costs_only_time(cache, capsys):
     )
 
 
+def test_one_action_is_not_called_several(tmp_path, capsys):
+    (tmp_path / "row.npz").write_bytes(b"")
+    print_size(str(tmp_path / "row.npz"), dataclasses.replace(small(), actions=("on",)))
+    assert "5 states, 5 moves of 1 action; " in capsys.readouterr().out
+
+
 def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsys):
     def build(seed, physical_limits, size=64, progress=None):
         progress(0.5)
@@ -221,7 +230,7 @@ def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsy
     assert frames.load(path).about["seed"] == 5 and frames.load(path).about["physical_limits"] is True
     mistakes = {
         ("cube", str(path)): "is there already",
-        ("cube", "cube"): "let it end in .npz",
+        ("cube", "cube"): "path = 'cube': an image dataset is one file, an npz; let it end in .npz",
         ("castle",): "Known: house, cube",
     }
     for arguments, expected in mistakes.items():

@@ -265,8 +265,8 @@ GRID_MISTAKES = {  # CSV, joints that wrap, and what the message must say.
         (),
         ["row 8", "joint_turn = '250'", "off the grid", "others are 120 apart"],
     ),
-    "no joint moves": (grid(values=((5,), (0.1,))), (), ["no joint ever moves"]),
-    "no neighbours": ("image,joint_a,joint_b\n0.png,0,0\n1.png,1,1\n", (), ["a +", "no two images"]),
+    "no joint moves": (grid(values=((5,), (0.1,))), (), ["table.csv: joints = ('joint_turn', ", "no joint ever moves"]),
+    "no neighbours": ("image,joint_a,joint_b\n0.png,0,0\n1.png,1,1\n", (), ["action = 'a +'", "no two images"]),
     "an unknown joint wraps": (grid(), ("trun",), ["wrap = 'trun'", "Did you mean 'turn'?"]),
     "a rail wraps": (grid(), ("rail_m",), ["wrap = 'rail_m'", "slides"]),
     "no full turn": (

@@ -77,11 +77,13 @@ def test_an_unknown_text_is_an_error_with_suggestions_and_the_command_that_embed
     message = str(caught.value)
     assert "'red-bul'" in message and "'red bull'" in message
     assert "'red cup' is known" not in message
-    command = message.splitlines()[-1].removeprefix("to embed it: ")
-    assert shlex.split(command) == [
+    remedy, _, command = message.splitlines()[-1].partition(": ")
+    assert "give --env.text-embeddings my_embeddings.npz" in remedy
+    assert shlex.split(command) == [  # All of them: the new file stands in place of the shipped one.
         "infogoal",
         "data",
         "embed",
+        "red cup",
         "red-bul",
         "Grandma's $5 vase",
         "--out",

@@ -217,6 +217,8 @@ def test_the_api_has_everything_that_the_package_exports():
     page = (ROOT / "docs" / "api.md").read_text()
     named = {line.rsplit(".", 1)[1] for line in page.splitlines() if line.startswith(":::")}
     assert set(infogoal_jax.__all__) - {"envs", "presets"} <= named
+    exported = page[page.index("`infogoal_jax` itself") : page.index("\n## ")]
+    assert set(re.findall(r"`(\w+)`", exported)) == {"infogoal_jax", *infogoal_jax.__all__}
 
 
 def test_the_changelog_begins_with_this_version():

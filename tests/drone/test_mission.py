@@ -57,6 +57,20 @@ def test_a_question_that_cannot_be_embedded(policy, monkeypatch):
     with pytest.raises(UserError, match="no embedding of the text") as refused:
         mission.read_question(policy, "Where did I leave my keys?", "keys")
     assert "no weights" in str(refused.value) and "infogoal data embed" in str(refused.value)
+    assert "give --embeddings my_embeddings.npz" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "flags", ["fly policy.npz --question Where? --simulated", "data import a b --out c.npz --size"]
+)
+@pytest.mark.parametrize(
+    ("words", "problem"), [("48", "Expected 2 values"), ("48 x", "give 2 whole numbers in place of '48 x'")]
+)
+def test_two_numbers_are_asked_for_in_words(flags, words, problem, capsys):
+    with pytest.raises(SystemExit):
+        main([*flags.split(), *words.split()])
+    printed = capsys.readouterr().err
+    assert problem in printed and "bold" not in printed
 
 
 def test_policies_that_cannot_fly(tmp_path):

@@ -233,7 +233,10 @@ def test_datasets_that_cannot_be_used():
         name: getattr(data, name)[never] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
     }
     refused(moves, "no trajectory ever reaches the training goal red mug|can be found from nowhere")
-    refused({"objects": ("red mug", "blue book", "green ball", "door")}, "old clock.*of the questions are detected nowhere in .*--env.questions FILE")
+    refused(
+        {"objects": ("red mug", "blue book", "green ball", "door")},
+        "old clock.*of the questions are detected nowhere in .*--env.questions FILE",
+    )
     nothing = {
         name: getattr(data, name)[:0] for name in ("frame", "action", "next_frame", "trajectory", "time", "terminal")
     }

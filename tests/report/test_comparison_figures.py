@@ -194,6 +194,25 @@ def test_runs_of_one_method_are_told_apart_by_their_folders(folders, env):
     assert list(labels) == ["infogoal (first), 3 seeds", "infogoal (third), 3 seeds"]
 
 
+@pytest.mark.parametrize(
+    ("names", "ends"),
+    [
+        (["A/run", "B/run"], ["A/run", "B/run"]),
+        (["A/x/run", "B/x/run", "C/other"], ["A/x/run", "B/x/run", "other"]),
+        (["run", "A/run"], ["here/run", "A/run"]),
+        ([".", "A/seed.zip"], ["here", "seed.zip"]),
+        (["A/run", "A/run/"], ["run", "run"]),
+        (["A/fetch_reach", "shipped/fetch_reach"], ["fetch_reach", "shipped/fetch_reach"]),
+    ],
+)
+def test_as_much_of_the_path_as_tells_runs_apart(names, ends, folders, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    run = load_run(folders[0])
+    titles = titles_of([dataclasses.replace(run, name=name) for name in names])
+    assert titles == [f"infogoal ({end})" for end in ends]
+
+
 def test_figure_is_written(folders, env, tmp_path):
     path = draw_comparison(folders, tmp_path / "figures" / "eight.png", env)
     picture = imread(path)[..., :3]
@@ -210,6 +229,11 @@ def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
     longer = dataclasses.replace(first.config, env=dataclasses.replace(first.config.env, episode_length=30))
     with pytest.raises(UserError, match="env.episode_length = 30, and .*first 20"):
         check_same_task([first, dataclasses.replace(first, config=longer)])
+    moved = dataclasses.replace(first.config, env=dataclasses.replace(first.config.env, dataset="/b"))
+    check_same_task([first, dataclasses.replace(first, config=moved)])
+    check_same_task([first, dataclasses.replace(first, data=f"{DATA}; low level, content 12345678")])
+    with pytest.raises(UserError, match="run = .*has data = 'another house', and .*first 'hand-made.*on the same data"):
+        check_same_task([first, dataclasses.replace(first, config=moved, data="another house")])
     all_diverged = write_run(tmp_path / "diverged", env, hand_made.config(), diverged=(0, 1, 2))
     with pytest.raises(UserError, match="diverged': has no evaluation"):
         draw_comparison([folders[0], all_diverged], tmp_path / "a.png", env)
@@ -221,7 +245,7 @@ def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
 def test_command(folders, tmp_path, capsys):
     """Mistakes are named without a traceback, and nothing is written."""
     assert main(["compare", str(folders[0]), str(tmp_path / "none"), "--out", str(tmp_path / "a.png")]) == 2
-    assert "holds no config.json" in capsys.readouterr().err
+    assert "there is no such folder" in capsys.readouterr().err
     assert main(["compare", "--out", str(tmp_path / "a.png")]) == 2
     assert "give 1 to 12 folders of runs" in capsys.readouterr().err
 

@@ -17,9 +17,10 @@ from places import ROOT
 
 from infogoal_jax import envs, make_train, policy_file, presets
 from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.cli.fly import actions_in_words
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, counted
 from infogoal_jax.report import export, runs
 from infogoal_jax.train.parts import steer
 from infogoal_jax.train.program import Train
@@ -102,6 +103,7 @@ def test_the_file_says_what_it_is_for(shelf, exported):
     about = exported.about
     assert (about["task"], about["method"], about["seed"]) == ("embodied_qa", "infogoal", 0)
     assert about["actions"] == list(hand_made_frames.shelf().actions)
+    assert actions_in_words(about) == counted(len(about["actions"]), "action")
     assert len(about["goal_names"]) == len(about["goal_objects"]) == shelf.train.env.goals.num_goals
     assert set(about["goal_objects"]) <= set(hand_made_frames.OBJECTS)
 
@@ -172,12 +174,16 @@ def cube() -> Case:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("make", [reach, cube])
-def test_both_levels_of_continuous_policies_do_as_with_jax(make, tmp_path):
+@pytest.mark.parametrize(
+    ("make", "actions"),
+    [(reach, "drives by continuous actions, vectors of 4"), (cube, "drives by 6 moves, whose numbers `drive` returns")],
+)
+def test_both_levels_of_continuous_policies_do_as_with_jax(make, actions, tmp_path):
     """Over an episode, in which the robot goes where the file says: actions and targets of both are the same."""
     case = make()
     (train, params), env, goal, target = case, case.train.env, 3, None
     exported = export.export_params(*case, tmp_path / "policy.npz", {})
+    assert actions_in_words(exported.about) == actions
     policy = train.policy(params, train.config.hyper, env, use_mean=True)
     decide = jax.jit(
         lambda seen, goal: policy(jax.tree.map(lambda leaf: leaf[None], seen), goal[None], jax.random.key(0))

@@ -207,7 +207,8 @@ def test_lanes_of_a_search_are_refused_before_they_are_drawn(trials, seeds, no_c
 @pytest.mark.parametrize("changes", [{"batch_size": 2 * 10**9}, {"evaluation_starts": 2 * 10**9}], ids=str)
 def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
     train = make_train(hand_made.config(**changes), hand_made.environment())
-    with pytest.raises(UserError, match=f"{next(iter(changes))} = "):
+    needs = r"training needs [\d,.]+ GiB and may take [\d,.]+ GiB, a device has [\d,.]+ GiB: give a smaller value"
+    with pytest.raises(UserError, match=f"{next(iter(changes))} = 2000000000: {needs}"):
         memory.at_once(train, 100_000, distributed.seed_mesh(1))
 
 

@@ -205,6 +205,28 @@ def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures
     assert kept == {picture.suffix: picture.read_bytes() for picture in pictures}
 
 
+@pytest.mark.parametrize(
+    ("key", "reason"), [("", "No API key configured"), ("short", "API key must have 40. characters")]
+)
+def test_a_missing_login_is_named_before_anything_is_run(key, reason, tmp_path, monkeypatch):
+    """Where nobody can be asked for a key, as pytest's stdin is no terminal."""
+    wandb = pytest.importorskip("wandb")
+    wandb.teardown()  # It reads the variables once a process.
+    for name in ("WANDB_MODE", "WANDB_API_KEY", "WANDB_IDENTITY_TOKEN_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    if key:
+        monkeypatch.setenv("WANDB_API_KEY", key)
+    for name in ("HOME", "NETRC", "WANDB_CONFIG_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    with (
+        pytest.raises(UserError, match=rf"wandb = 'project': .*{reason}.*`wandb login`.* WANDB_MODE=offline"),
+        make_listeners(tmp_path / "run", hand_made.config(), 1, wandb="project"),
+    ):
+        pass
+    wandb.teardown()
+    assert not (tmp_path / "run").exists() and not (tmp_path / "wandb").exists()
+
+
 def test_listeners_that_are_not_installed_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
     with (

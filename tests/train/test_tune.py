@@ -279,7 +279,7 @@ def test_the_score_shown_is_that_of_the_trial_that_is_best_now(tmp_path, capsys)
         for successes in ([[0.25], [0.5]], [[0.25, 0.35], [0.5, 0.0]]):
             watch.evaluated(made(small(), successes))
     printed = capsys.readouterr().out
-    assert "best now 0.50 (trial 1), preset 0.25" in printed and "best now 0.30 (trial 0), preset 0.30" in printed
+    assert "best now 0.50 (trial 1), preset 0.25" in printed and "best now 0.35 (trial 0), preset 0.35" in printed
 
 
 @pytest.mark.parametrize(("weight", "floored"), [(0.012, True), (0.0015, True), (0.1, False)])
