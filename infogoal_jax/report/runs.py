@@ -54,7 +54,8 @@ class Run(Description):
     def seed_of(self, seed: int | None = None) -> int:
         """A seed of the run; None: its first. Raises `UserError` for one that the run does not have."""
         found = self.seeds[0] if seed is None else seed
-        require(found in self.seeds, "seed", found, f"of the run: {', '.join(map(str, self.seeds))}")
+        several = "seed" if len(self.seeds) == 1 else "seeds"
+        require(found in self.seeds, "seed", found, f"the run has the {several} {', '.join(map(str, self.seeds))}")
         return found
 
     def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int | None = None) -> GoalView:
