@@ -55,8 +55,9 @@ def located(config: TrainConfig) -> TrainConfig:
     parts = {}
     for kind, fields in FILES.items():
         part = getattr(config, kind)
-        given = {name: os.path.expanduser(getattr(part, name)) for name in fields if getattr(part, name, "")}
-        found = {name: os.path.abspath(path) for name, path in given.items() if os.path.exists(path)}
+        given = {name: getattr(part, name, None) for name in fields}
+        paths = {name: os.path.expanduser(path) for name, path in given.items() if isinstance(path, str) and path}
+        found = {name: os.path.abspath(path) for name, path in paths.items() if os.path.exists(path)}
         parts[kind] = dataclasses.replace(part, **found) if found else part
     return dataclasses.replace(config, **parts)
 

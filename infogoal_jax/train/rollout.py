@@ -152,13 +152,12 @@ def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episo
 def numbers_of_goals(env, goals: Any, field: str, axes: int) -> jax.Array:
     """Desired goals with so many axes, as int32, given by number or by name. Raises `UserError` for what are no numbers
     of goals of the task, as a mask of them; of values that are traced the type alone is known."""
-    if env.goals is not None:
-        numbers = dict(zip(env.goals.names, range(env.goals.num_goals), strict=True))
-        by_name = isinstance(goals, str) or (isinstance(goals, list | tuple) and {*map(type, goals)} == {str})
-        if by_name:
-            unknown = [name for name in ([goals] if isinstance(goals, str) else goals) if name not in numbers]
-            require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
-            goals = numbers[goals] if isinstance(goals, str) else [numbers[name] for name in goals]
+    named = [goals] if isinstance(goals, str) else goals if isinstance(goals, list | tuple) else []
+    if env.goals is not None and {*map(type, named)} == {str}:
+        unknown = [name for name in named if name not in env.goals.names]
+        require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
+        numbers = [env.goals.names.index(name) for name in named]
+        goals = numbers[0] if isinstance(goals, str) else numbers
     try:
         given = jnp.asarray(goals)
     except (TypeError, ValueError) as error:
