@@ -56,15 +56,16 @@ def run(
 
     prepare: sets what is other than it is for a user, while the block runs.
     """
-    names, before = {"__name__": "page"}, [registry.get(name) for registry in registries]
-    with pytest.MonkeyPatch.context() as kept:
-        for registry in registries:
-            kept.setitem(registry, name, None)  # The script sets it.
+    names, before = {"__name__": "page"}, [dict(registry) for registry in registries]
+    try:
         with pytest.MonkeyPatch.context() as patch:
             prepare(patch)
             exec(compile(block, "page", "exec"), names)
         yield names
-    assert [registry.get(name) for registry in registries] == before
+    finally:
+        for registry, known in zip(registries, before, strict=True):
+            registry.pop(name, None)
+            registry.update(known)
 
 
 def in_hand_made_rooms(**sizes) -> Callable[[pytest.MonkeyPatch], None]:
