@@ -47,9 +47,9 @@ class GoalSet:
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
         """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows:
         int [N] into the inputs. Raises `UserError` for what does not fit together."""
-        # Put on the device as they are, here and in the tasks: `jnp.asarray` would compile a program for every shape.
         uses = np.asarray(uses)
         check_goals(inputs if rows is None else rows, regions, uses, names, region_names)
+        # Put on the device as they are, here and in the tasks: `jnp.asarray` would compile a program for every shape.
         masks = [jax.device_put(uses == use) for use in range(len(USES))]
         return cls(
             jax.device_put(inputs),

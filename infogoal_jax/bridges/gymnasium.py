@@ -13,20 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import envs
-from infogoal_jax.bridges.gymnasium_goals import (
-    check_num_envs,
-    distance,
-    goal_of,
-    key_of,
-    load,
-    on_cpu,
-    reset,
-    rewards,
-    view,
-)
+from infogoal_jax.bridges.gymnasium_goals import distance, goal_of, key_of, load, on_cpu, reset, rewards, view
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, check_count, require
 
 try:
     import gymnasium
@@ -168,7 +158,7 @@ class FetchVector(VectorEnv):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's own form.
 
     def __init__(self, task: str, num_envs: int, config: FetchConfig | None = None, render_mode: str | None = None):
-        check_num_envs(num_envs)
+        check_count(num_envs, "num_envs")
         require(
             render_mode in (None, *self.metadata["render_modes"]),
             "render_mode",

@@ -22,12 +22,6 @@ def load(task: str, config: FetchConfig | None) -> Fetch:
     return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else config)
 
 
-def check_num_envs(num_envs: int) -> None:
-    """Raise `UserError` for what is no number of environments."""
-    whole = isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool)
-    require(whole and num_envs > 0, "num_envs", num_envs, "give a whole number from 1 on")
-
-
 def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:
     """A new episode, for `goal` [3] where one is given; otherwise as `env.reset` draws it."""
     goal_key, object_key = jax.random.split(key)

@@ -18,9 +18,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from infogoal_jax import envs
-from infogoal_jax.bridges.gymnasium_goals import check_num_envs, key_of, on_cpu
+from infogoal_jax.bridges.gymnasium_goals import key_of, on_cpu
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.errors import require
+from infogoal_jax.errors import check_count, require
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
 
@@ -202,7 +202,7 @@ class TaskVector(VectorEnv):
     metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(self, task: str | Environment, num_envs: int, config: Any = None, render_mode: str | None = None):
-        check_num_envs(num_envs)
+        check_count(num_envs, "num_envs")
         check_mode(render_mode)
         self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
         self.single_observation_space, self.single_action_space = spaces_of(self.env)

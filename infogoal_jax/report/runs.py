@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from infogoal_jax.errors import require
+from infogoal_jax.errors import check_count, require
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
@@ -64,7 +64,7 @@ class Run(Description):
         for what are no goals, starts or weight, and as `policy` does.
         """
         goals = numbers_of_goals(self.env, goals, "goals", axes=1)
-        require(isinstance(num_starts, int) and num_starts > 0, "num_starts", num_starts, "give a whole number from 1")
+        check_count(num_starts, "num_starts")
         require(0 <= weight <= 1, "weight", weight, "give a number from 0 (clean) to 1 (the background alone)")
         require(
             has_image_goals(self.env), "task", self.config.task, "its goals are not images; evaluate goals as they are"

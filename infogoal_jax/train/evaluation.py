@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.errors import require
+from infogoal_jax.errors import check_count, require
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
 from infogoal_jax.threefry import written_out
 from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
@@ -74,8 +74,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     desired = numbers_of_goals(env, goals.goals if isinstance(goals, GoalView) else goals, "goals", axes=1)
     states = starts
     if not hasattr(starts, "goal"):
-        whole = isinstance(starts, int | np.integer) and not isinstance(starts, bool) and starts > 0
-        require(whole, "starts", starts, "give a whole number from 1 on, or start states [M, S]")
+        check_count(starts, "starts", "give a whole number from 1 on, or start states [M, S]")
         states = draw_starts(env, desired, int(starts), seed)
     episodes = run_side_by_side(env, policy, [goals], states, written_out(jax.random.key(seed + 1)))
     return score(env, states, jax.tree.map(lambda leaf: leaf[0], episodes))

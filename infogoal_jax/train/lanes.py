@@ -130,7 +130,7 @@ def side_by_side(
     watch: what accompanies it; None leaves nothing on disk. resume: go on in its folder. Raises `UserError`, without a
     change on the disk, for a folder that holds something else.
     """
-    seeds = [int(seed) for seed in seeds]
+    seeds = list(host.checked_seeds(seeds))
     if watch is not None and not resume:
         check_new(watch.folder, SEARCH)
     with stop_on_signal() as stop:
