@@ -138,12 +138,15 @@ def all_tasks(command: Command, help: str, arguments: list[str], choice: Choice)
     return TaskCommands(Group(help, commands), ["--help"] if asked else arguments)
 
 
-def check_left_out(arguments: list[str], flags: tuple[str, ...]) -> None:
-    """Raise `UserError` for one of these flags beside --resume: what they say is settled."""
+def check_left_out(arguments: list[str], flags: tuple[str, ...], kind: str) -> None:
+    """Raise `UserError` for one of these flags beside --resume: what they say is settled.
+
+    kind: what goes on, in a word.
+    """
     for word in arguments:
         name = word.partition("=")[0].replace("_", "-")
         if name in flags:
-            raise UserError(f"{name}: a search that goes on has its own; leave the flag out, or start a new search")
+            raise UserError(f"{name}: a {kind} that goes on has its own; leave the flag out, or start a new {kind}")
 
 
 def of_task(command: Command, config: Any, choice: Choice, arguments: list[str], **values: Any) -> TaskCommands:

@@ -7,11 +7,10 @@ import sys
 import tyro
 
 import infogoal_jax
-from infogoal_jax.cli import training, tuning
+from infogoal_jax.cli import reproduce, training, tuning
 from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.fly import export, fly, record
-from infogoal_jax.cli.reproduce import REPRODUCE, check_flags
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
@@ -38,9 +37,11 @@ COMMANDS = Group(
         "pretrain": pretrain,
         "data": DATA,
         "check-fetch": check_fetch,
-        "reproduce": REPRODUCE,
+        "reproduce": reproduce.REPRODUCE,
     },
 )
+CHECKS = {"reproduce": reproduce.check_flags, "final": tuning.check_final}
+"""What is looked at in all words of a command before it is taken apart."""
 BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.pretraining_tasks}
 """Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where
 one of these is called."""
@@ -55,8 +56,7 @@ def run(arguments: list[str]) -> int:
     arguments, command, registry = arguments or ["--help"], COMMANDS, None
     check_names(COMMANDS, arguments)
     words = ["infogoal"]
-    if arguments[0] == "reproduce":
-        check_flags(arguments)
+    CHECKS.get(arguments[0], lambda words: None)(arguments)
     if arguments[0] in BY_TASK:
         words.append(arguments[0])
         command, arguments, registry = BY_TASK[arguments[0]](arguments[1:])

@@ -76,12 +76,18 @@ def tasks(arguments: list[str]) -> TaskCommands:
 
         config = read_plan(Path(choice.resume))[0].config
         check_same_parts(config, task, choice)
-        check_left_out(arguments, ("--trials", "--seeds", "--first-seed", "--space-seed", "--fields"))
+        check_left_out(arguments, ("--trials", "--seeds", "--first-seed", "--space-seed", "--fields"), "search")
     else:
         from infogoal_jax.train.tune import same_budget
 
         config = same_budget(preset_of(task, choice))
     return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
+
+
+def check_final(arguments: list[str]) -> None:
+    """Raise `UserError` for a flag beside --resume that the final to go on with has settled."""
+    if any(word.partition("=")[0] == "--resume" for word in arguments):
+        check_left_out(arguments, ("--trials", "--seeds", "--first-seed"), "final")
 
 
 def final(
