@@ -7,6 +7,7 @@ patches instead.
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 MINIMUM_STD = 1e-3  # Added to softplus in the authors' encoder.
 
@@ -60,9 +61,37 @@ class ImageLayers(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        values = nn.relu(nn.Dense(16)(patches(as_encoded(images, self.standardise), 4)))
-        values = nn.relu(nn.Dense(32)(patches(values, 2)))
+        seen = squares_of_fours(as_encoded(images, True)) if self.standardise else scaled(squares_of_fours(images))
+        values = nn.relu(nn.Dense(16)(seen))
+        values = nn.relu(nn.Dense(32)(values.reshape(*values.shape[:-3], -1)))
         return values.reshape(*values.shape[:-3], -1)
+
+
+def squares_of_fours(images: jax.Array) -> jax.Array:
+    """Cut images [..., H, W, C] into squares of 8 pixels and each of these into four patches, [..., H / 8, W / 8, 2, 2,
+    4 * 4 * C]: what the second layer of `ImageLayers` joins lies together."""
+    squares = patches(images, 8)
+    return patches(squares.reshape(*squares.shape[:-1], 8, 8, images.shape[-1]), 4)
+
+
+def scaled(pixels: jax.Array) -> jax.Array:
+    """Levels of pixels, uint8, from -1 to 1, float32."""
+    return jax.lax.platform_dependent(pixels, cuda=scaled_in_the_product, default=to_scale)
+
+
+def to_scale(levels: jax.Array) -> jax.Array:
+    """Levels from 0 to 255 to values from -1 to 1, float32."""
+    return levels.astype(jnp.float32) / 127.5 - 1.0
+
+
+def scaled_in_the_product(pixels: jax.Array) -> jax.Array:
+    """`to_scale` for GPUs: the pixels stay bytes, behind a barrier, until a matrix product takes them.
+
+    Most of what an update moves through the memory of a GPU are images, four times as many bytes where they are written
+    out as floats. The kernel that XLA makes of a conversion and a product takes signed bytes alone.
+    """
+    signed = jax.lax.bitcast_convert_type(pixels ^ np.uint8(128), jnp.int8)
+    return to_scale(jax.lax.optimization_barrier(signed).astype(jnp.float32) + 128.0)
 
 
 class GoalLayers(nn.Module):
@@ -97,7 +126,7 @@ def as_encoded(inputs: jax.Array, standardise: bool) -> jax.Array:
     """Goal inputs in the scale of the first layer of `GoalLayers`, float32. A decoder reconstructs this."""
     if inputs.dtype != jnp.uint8:
         return inputs
-    values = inputs.astype(jnp.float32) / 127.5 - 1.0
+    values = to_scale(inputs)
     return standardised(values) if standardise else values
 
 
@@ -135,8 +164,7 @@ class PatchEncoder(nn.Module):
 
     @nn.compact
     def __call__(self, images):
-        values = patches(images, self.patch).astype(jnp.float32) / 127.5 - 1.0
-        values = nn.relu(nn.Dense(self.channels)(values))
+        values = nn.relu(nn.Dense(self.channels)(scaled(patches(images, self.patch))))
         return nn.relu(nn.LayerNorm()(nn.Dense(self.features)(values.reshape(*values.shape[:-3], -1))))
 
 

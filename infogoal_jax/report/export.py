@@ -205,6 +205,12 @@ def trace(function, examples) -> tuple[dict[str, Any], list[np.ndarray]]:
             if name in CALLS:
                 called = equation.params[CALLS[name]]
                 results = walk(called.jaxpr, called.consts, given)
+            elif name == "platform_index":  # Of the form that is for any device, as NumPy has it.
+                results = [next(count)]
+                fixed[results[0]] = equation.params["platforms"].index(None)
+            elif name == "cond" and given[0] in fixed:
+                chosen = equation.params["branches"][fixed[given[0]]]
+                results = walk(chosen.jaxpr, chosen.consts, given[1:])
             else:
                 results = [next(count) for _ in equation.outvars]
                 if all(place in fixed for place in given):

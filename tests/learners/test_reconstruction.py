@@ -39,6 +39,11 @@ def test_targets_are_what_the_encoders_first_layer_sees(standardise):
     np.testing.assert_allclose(values.reshape(len(IMAGES), -1), layers.apply(params, IMAGES), atol=1e-4)
 
 
+def test_pixels_that_stay_bytes_until_the_product_have_the_same_values():
+    levels = jnp.arange(256, dtype=jnp.uint8)
+    np.testing.assert_array_equal(networks.scaled_in_the_product(levels), networks.to_scale(levels))
+
+
 @pytest.mark.parametrize("shape", [(5,), (16, 24, 3)])
 def test_decoder_gives_back_the_shape_of_the_input(shape):
     decoder = networks.GoalDecoder((7, 9), shape)
