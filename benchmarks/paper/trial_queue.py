@@ -70,15 +70,19 @@ UNCOMPRESSED = {"no compression": {"learner.beta_step": 0.0, "learner.beta_start
 NO_REWARD = {"no intrinsic reward": {"intrinsic_weight": 0.0, "learner.beta_threshold": 0.99}}
 NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
-FINE_CODES = {
-    f"threshold 0.999, learner weight {weight}": {"learner.beta_threshold": 0.999, "learner_weight": weight}
-    for weight in (1.0, 0.1)
-}
+
+
+def weighted(words: str, values: dict[str, float], *weights: float) -> dict[str, dict[str, float]]:
+    """Lanes with these values, which the words name, and these weights of the learner's loss."""
+    return {f"{words}learner weight {weight}": values | {"learner_weight": weight} for weight in weights}
+
+
+FINE = "threshold 0.999, ", {"learner.beta_threshold": 0.999}
 """A code as fine as the cube and the shelf ask for."""
-LEARNER_WEIGHTS = {f"learner weight {weight}": {"learner_weight": weight} for weight in (1.0, 0.1, 0.01)}
-SMALLEST_WEIGHT = {"learner weight 0.001": {"learner_weight": 0.001}}
+FINE_CODES = weighted(*FINE, 1.0, 0.1)
+LEARNER_WEIGHTS, SMALLEST_WEIGHT = weighted("", {}, 1.0, 0.1, 0.01), weighted("", {}, 0.001)
 """The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
-LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
+LEARNER_SHARES = weighted("", {}, 0.0015, 0.05, 1.0)
 CONSERVATIVE = {
     f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
     for weight in (0.002, 0.02, 0.2)
@@ -89,10 +93,7 @@ CUBE_HEAD = {
     "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
     "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
 }
-CUBE_LEARNER = {
-    f"target rate 0.05, learner weight {weight}": {"target_rate": 0.05, "learner_weight": weight}
-    for weight in (1.0, 0.1, 0.01)
-}
+CUBE_LEARNER = weighted("target rate 0.05, ", {"target_rate": 0.05}, 1.0, 0.1, 0.01)
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -243,7 +244,13 @@ QUEUE = {
     **all_goals_trials(
         "cube_dqn",
         Trial(CUBE_TASK, "", CUBE, agent="dqn"),
-        {"leo": CUBE_HEAD, "head": CUBE_HEAD, "infogoal_head": CUBE_LEARNER, "infobot_head": CUBE_LEARNER},
+        {
+            "leo": CUBE_HEAD,
+            "head": CUBE_HEAD,
+            "infogoal_head": CUBE_LEARNER,
+            "infobot_head": LEARNER_WEIGHTS | SMALLEST_WEIGHT,
+        },
+        protocols=("",),  # The study itself has the other one.
     ),
     # The smaller the weight of InfoGoal's and InfoBot's loss, the better the head was: one still smaller. And codes
     # finer than the 40 degrees that the head had on the cube.
@@ -251,7 +258,10 @@ QUEUE = {
         HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT | FINE_CODES
     ),
     "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT),
-    "cube_dqn_infogoal_head_finer": Trial(CUBE_TASK, "infogoal+all_goals", CUBE, FINE_CODES, agent="dqn"),
+    # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
+    "cube_dqn_infogoal_head_finer": Trial(
+        CUBE_TASK, "infogoal+all_goals", CUBE, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), agent="dqn"
+    ),
     # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
     "house_goals_her_product": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.head": "product", "agent.bounded": True}),
     "cube_dqn_leo_every_goal": Trial(CUBE_TASK, "leo", CUBE | {"relabelling.num_goals": 0}, agent="dqn"),
