@@ -208,7 +208,7 @@ QUEUE = {
         for dataset in (0, 1, 2)
         for name, method, lanes in (("infogoal", "infogoal", chosen(THRESHOLDS, 0.99, 0.999)), ("cql", "none", PRESET))
     },
-    # The presets as they are, where no other run shows them.
+    # The presets as they are; no other run showed them at the time.
     "reach_preset_infobot_her": Trial(REACH, "infobot+her", {}, seeds=5),
     "reach_preset_gcb_her": Trial(REACH, "gcb+her", {}, seeds=5),
     # The best threshold lies just below the accuracy that can be had without compression: does following that do on

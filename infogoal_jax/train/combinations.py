@@ -146,7 +146,7 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             "learner",
             name,
             "its code of a goal depends on the state, so that there is no code for all states at once",
-            "give a code of the goal alone (--learner.state-conditioned False), or relabelling her",
+            "give a code of the goal alone (--learner.no-state-conditioned), or relabelling her",
         )
     if exploration.registry.name_of(config.explorer) != "none":
         yield Refusal(
