@@ -28,7 +28,10 @@ from infogoal_jax.train.combinations import reasons_against
 RECORD = FIXTURES / "same_numbers.json"
 SMALL = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 3, "batch_size": 16, "evaluation_starts": 1}
 KEPT = ("epochs/agent/loss", "epochs/agent/gradient_norm", "test_goal/success_rate")
-COLLECTED = {"num_envs": 4, "rollout_steps": 25}
+COLLECTED, TOUCHED = {"num_envs": 4, "rollout_steps": 25}, {"num_envs": 4, "rollout_steps": 5}
+"""What is collected in an epoch, and where a robot touches things: contacts make much of a rounding, step by step. With
+other options of the compiler, in place of other machines, PickAndPlace's first epoch of 25 steps differed by 40 %, that
+of 10 by 0.3 %, that of 5 by 0.07 % at most."""
 OPTIONS = {
     "xla_backend_optimization_level": 0,
     "xla_cpu_use_fusion_emitters": False,
@@ -43,7 +46,8 @@ them; `compare` has all."""
 
 def small_config(task: str, method: str):
     """The preset with two epochs of a few updates."""
-    config = presets.load(task, method, **SMALL | (COLLECTED if task != "embodied_qa" else {}))
+    collected = {} if task == "embodied_qa" else TOUCHED if task in TOUCHING else COLLECTED
+    config = presets.load(task, method, **SMALL | collected)
     return with_values(config, {"learner.num_pairs": 16}) if hasattr(config.learner, "num_pairs") else config
 
 
@@ -94,13 +98,12 @@ def test_nothing_is_learned_differently(name):
     """To what rounding on another machine leaves of the first epoch; `compare` is exact, on the machine that recorded.
 
     In the second epoch a bit can have become another action, or another goal of CHER's: 3 % of the loss between two
-    machines on which the first epoch differs by a ten millionth. Where a robot touches things, contacts make up to 8 %
-    of that within the first epoch.
+    machines on which the first epoch differs by a ten millionth.
     """
     task, method = name.split("/")
     expected, found = json.loads(RECORD.read_text())[name], summary(numbers(task, method))
     for metric in (metric.removeprefix("epochs/") for metric in KEPT if metric.startswith("epochs/")):
-        rtol = 1e-1 if task in TOUCHING else 1e-3
+        rtol = 5e-3 if task in TOUCHING else 1e-3
         np.testing.assert_allclose(found[metric][:1], expected[metric][:1], rtol=rtol, atol=1e-5, err_msg=metric)
 
 
