@@ -56,7 +56,8 @@ def run(arguments: list[str]) -> int:
     arguments, command, registry = arguments or ["--help"], COMMANDS, None
     check_names(COMMANDS, arguments)
     words = ["infogoal"]
-    CHECKS.get(arguments[0], lambda words: None)(arguments)
+    if arguments[0] in CHECKS:
+        CHECKS[arguments[0]](arguments)
     if arguments[0] in BY_TASK:
         words.append(arguments[0])
         command, arguments, registry = BY_TASK[arguments[0]](arguments[1:])

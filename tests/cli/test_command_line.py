@@ -101,6 +101,7 @@ MISTAKES = [
     ("compare --out a.png", ["runs = ()", "give 1 to 12 folders of runs"]),
     ("reproduce table1 --known not_there", ["known = 'not_there'", "infogoal reproduce merge"]),
     ("final --resume not_there --trials 3", ["--trials: a final that goes on has its own"]),
+    ("report not_there", ["run = 'not_there'"]),
     ("evaluate not_there --test-epsilon 3", ["test_epsilon = 3.0", "a probability from 0 to 1"]),
     ("evaluate not_there --corruption 1.5", ["corruption = 1.5", "from 0 to 1"]),
     ("video fetch_reach --out a.mp4 --corruption 0.4", ["corruption = 0.4", "random policy"]),
