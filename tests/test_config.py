@@ -240,6 +240,14 @@ def test_a_combination_without_a_name_takes_what_its_learner_has():
     assert dataclasses.replace(combined, relabelling=alone.relabelling) == alone
 
 
+def test_a_method_may_change_its_relabelling():
+    sampled, mean = (
+        presets.load("object_manipulation", name, relabelling="all_goals") for name in ("none", "infogoal")
+    )
+    assert (sampled.relabelling.code, mean.relabelling.code) == ("sampled", "mean")
+    assert mean.learner == presets.load("object_manipulation", "infogoal").learner
+
+
 def test_all_public_names_can_be_completed():
     """Those that are imported when they are first asked for are listed like the others, and are there."""
     assert set(presets.__all__) <= set(dir(presets))

@@ -79,7 +79,6 @@ def weighted(words: str, values: dict[str, float], *weights: float) -> dict[str,
 
 FINE = "threshold 0.999, ", {"learner.beta_threshold": 0.999}
 """A code as fine as the cube and the shelf ask for."""
-FINE_CODES = weighted(*FINE, 1.0, 0.1)
 LEARNER_WEIGHTS, SMALLEST_WEIGHT = weighted("", {}, 1.0, 0.1, 0.01), weighted("", {}, 0.001)
 """The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
 LEARNER_SHARES = weighted("", {}, 0.0015, 0.05, 1.0)
@@ -93,7 +92,8 @@ CUBE_HEAD = {
     "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
     "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
 }
-CUBE_LEARNER = weighted("target rate 0.05, ", {"target_rate": 0.05}, 1.0, 0.1, 0.01)
+SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
+"""How the head sees codes; a plain encoder has no noise."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -107,16 +107,13 @@ def all_goals_trials(
 ) -> dict[str, Trial]:
     """HER, LEO and the all-goals head with each learner, under these protocols, otherwise as the trial. lanes: of each
     of them, else the preset."""
-    methods = {
-        "her": "her",
-        "leo": "leo",
-        "head": "all_goals",
-        "infogoal_head": "infogoal+all_goals",
-        "infobot_head": "infobot+all_goals",
-    }
+    methods = {"her": "her", "leo": "leo", "head": "all_goals"}
+    methods |= {f"{learner}_head": f"{learner}+all_goals" for learner in ("infogoal", "infobot")}
     return {
         f"{name}_{short}{ending}": trial._replace(
-            method=method, settings=trial.settings | PROTOCOLS[ending], lanes=lanes.get(short, PRESET)
+            method=method,
+            settings=trial.settings | PROTOCOLS[ending] | (SAMPLED if method.endswith("+all_goals") else {}),
+            lanes=lanes.get(short, PRESET),
         )
         for ending in protocols
         for short, method in methods.items()
@@ -163,13 +160,11 @@ QUEUE = {
     "pick_and_place_infogoal_her": Trial(PICK_AND_PLACE, "infogoal+her", FETCH, THRESHOLDS),
     "pick_and_place_infogoal_her_window_1": Trial(PICK_AND_PLACE, "infogoal+her", FETCH | WINDOW_1, THRESHOLDS),
     "pick_and_place_infogoal_her_corruption": Trial(PICK_AND_PLACE, "infogoal+her", FETCH | CORRUPTED, THRESHOLDS),
-    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to: the same without
-    # InfoGoal.
+    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to.
     "pick_and_place_her_corruption": Trial(PICK_AND_PLACE, "her", FETCH | CORRUPTED),
     "reach_infogoal": Trial(REACH, "infogoal", FETCH, THRESHOLDS),
     "reach_infogoal_corruption": Trial(REACH, "infogoal", FETCH | CORRUPTED, THRESHOLDS),
-    # On PickAndPlace it takes HER and corrupted training goals together. On Reach each was tried alone. And what do
-    # both give without InfoGoal?
+    # On PickAndPlace it takes HER and corrupted training goals together. What do both give without InfoGoal?
     "reach_her": Trial(REACH, "her", FETCH),
     "reach_infogoal_her": Trial(REACH, "infogoal+her", FETCH, THRESHOLDS),
     "reach_infogoal_her_window_1": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, THRESHOLDS),
@@ -181,12 +176,10 @@ QUEUE = {
     "pick_and_place_infogoal_window_1": Trial(PICK_AND_PLACE, "infogoal", FETCH | WINDOW_1, FINER_THRESHOLDS),
     "reach_infogoal_her_window_1_relative": Trial(REACH, "infogoal+her", FETCH | RELATIVE | WINDOW_1, FINER_MARGINS),
     "reach_infogoal_her_window_1_thresholds": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, FINER_THRESHOLDS),
-    # GCB's loss was tuned to 0.0015 of the agent's on Reach, where it makes 0.06 of the goal encoder's gradient: does
-    # more of it help?
+    # GCB's loss was tuned to 0.0015 of the agent's on Reach, 0.06 of the goal encoder's gradient: does more help?
     "reach_gcb": Trial(REACH, "gcb", FETCH, LEARNER_SHARES),
     "house_gcb": Trial(HOUSE_TASK, "gcb", HOUSE, LEARNER_SHARES),
-    # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer, before it
-    # can become the preset.
+    # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer.
     **{f"cube_{dataset}_her": Trial(CUBE_TASK, "her", confirmation(dataset), seeds=5) for dataset in (0, 1, 2)},
     **{
         f"cube_{dataset}_infogoal_her_window_1": Trial(
@@ -222,8 +215,7 @@ QUEUE = {
     # On PickAndPlace and the cube the smallest margin is the best one; here it was not among those that ran.
     "reach_infogoal_her_relative_finest": Trial(REACH, "infogoal+her", FETCH | RELATIVE, FINEST_MARGIN),
     "shelf_infogoal_relative_finest": Trial(SHELF_TASK, "infogoal", SHELF | RELATIVE, FINEST_MARGIN),
-    # InfoBot claims that its reward leads to where decisions are made. Its authors' beta of 0.01 is beside rewards of
-    # 10; the preset's is 3e-5.
+    # InfoBot's reward is to lead to where decisions are made. Its authors' beta of 0.01 is beside rewards of 10.
     "house_infobot": Trial(HOUSE_TASK, "infobot", HOUSE, searching((0.0, 0.1, 1.0), (3e-5, 1e-3, 1e-2)), seeds=2),
     # The maze of InfoGoal's authors rewards goals first seen in an episode, which does not fade with training.
     "house_infobot_first_seen": Trial(
@@ -231,8 +223,7 @@ QUEUE = {
     ),
     "house_ghrl_first_occurrence": Trial(HOUSE_TASK, "ghrl", HOUSE | {"relabelling.choice": "first_occurrence"}),
     "house_ghrl": Trial(HOUSE_TASK, "ghrl", HOUSE),
-    # SSE-DB changes nothing with the preset's weights (0.01 of its loss, 0.05 of its bonus): does more of its loss
-    # help, and is it loss or bonus?
+    # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
     # Learning from every transition under all goals at once: LEO, whose values belong to goals that training achieved,
     # and the head that values a goal through its code.
@@ -247,7 +238,7 @@ QUEUE = {
         {
             "leo": CUBE_HEAD,
             "head": CUBE_HEAD,
-            "infogoal_head": CUBE_LEARNER,
+            "infogoal_head": weighted("target rate 0.05, ", {"target_rate": 0.05}, 1.0, 0.1, 0.01),
             "infobot_head": LEARNER_WEIGHTS | SMALLEST_WEIGHT,
         },
         protocols=("",),  # The study itself has the other one.
@@ -255,13 +246,22 @@ QUEUE = {
     # The smaller the weight of InfoGoal's and InfoBot's loss, the better the head was: one still smaller. And codes
     # finer than the 40 degrees that the head had on the cube.
     "house_goals_infogoal_head_finer": Trial(
-        HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT | FINE_CODES
+        HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
     ),
     "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT),
     # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
     "cube_dqn_infogoal_head_finer": Trial(
-        CUBE_TASK, "infogoal+all_goals", CUBE, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), agent="dqn"
+        CUBE_TASK, "infogoal+all_goals", CUBE | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), agent="dqn"
     ),
+    # Even a ten thousandth leaves it far behind a plain head. Is it the noise of the codes? With their means, on which
+    # the policy then acts too:
+    **{
+        f"cube_dqn_{learner}_head_mean": Trial(CUBE_TASK, f"{learner}+all_goals", CUBE | MEAN, lanes, 2, agent="dqn")
+        for learner, lanes in (
+            ("infogoal", weighted(*FINE, 1.0, 0.01, 0.0001)),
+            ("infobot", weighted("", {}, 0.01, 0.001, 0.0001)),
+        )
+    },
     # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
     "house_goals_her_product": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.head": "product", "agent.bounded": True}),
     "cube_dqn_leo_every_goal": Trial(CUBE_TASK, "leo", CUBE | {"relabelling.num_goals": 0}, agent="dqn"),
@@ -272,7 +272,7 @@ QUEUE = {
         for name, method, lanes in (
             ("her", "her", PRESET),
             ("head", "all_goals", CUBE_HEAD),
-            ("infogoal_head", "infogoal+all_goals", CUBE_LEARNER | FINE_CODES),
+            ("infogoal_head", "infogoal+all_goals", PRESET),
         )
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.

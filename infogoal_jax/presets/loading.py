@@ -130,7 +130,7 @@ def load(
         | fields_of(
             "agent", names, AGENT_FIELDS.get(names["relabelling"], {}) | AGENT_FIELDS.get(names["learner"], {})
         ),
-        "relabelling": preset.relabellings.get(names["relabelling"], {}),
+        "relabelling": preset.relabellings.get(names["relabelling"], {}) | changed.relabelling,
         "explorer": {},
     }
     parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}

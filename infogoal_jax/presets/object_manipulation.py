@@ -9,6 +9,7 @@ SIMILAR = {"window": 3, "num_pairs": 256}
 nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
 """InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
+MEAN = {"code": "mean"}
 
 PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
@@ -31,6 +32,9 @@ PRESET = Preset(
     methods={
         "infogoal": FINE_CODE,
         "infobot": Changes(hyper=INFOBOT),
+        # A head learns hardly anything under the noise of codes, [M] docs/all_goals.md.
+        "infogoal+all_goals": Changes(relabelling=MEAN, hyper=FINE_CODE.hyper | {"learner_weight": 1e-4}),
+        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 1e-3}),
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },

@@ -12,11 +12,12 @@ from typing import Any
 class Changes:
     """What a method changes in the preset of a task.
 
-    learner: fields of its configuration; hyper: float hyperparameters by dotted name, "learner.beta"; training: fields
-    of `TrainConfig`.
+    learner, relabelling: fields of its configuration, and of its relabelling's; hyper: float hyperparameters by dotted
+    name, "learner.beta"; training: fields of `TrainConfig`.
     """
 
     learner: dict[str, Any] = dataclasses.field(default_factory=dict)
+    relabelling: dict[str, Any] = dataclasses.field(default_factory=dict)
     hyper: dict[str, float] = dataclasses.field(default_factory=dict)
     training: dict[str, Any] = dataclasses.field(default_factory=dict)
 

@@ -23,7 +23,7 @@ class AllGoalsConfig:
     """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure. The
     rest is any known goal."""
     code: Literal["sampled", "mean"] = "sampled"
-    """`sampled`: a goal's code is drawn once an update; `mean`: its mean."""
+    """`sampled`: a goal's code is drawn once an update; `mean`: its mean, on which the policy then acts too."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""

@@ -61,7 +61,7 @@ class AllGoalsSpec(NamedTuple):
     achieved_share: float
     """Share of those drawn that the transitions of the batch achieve."""
     mean_code: bool
-    """Use the mean of a goal's code instead of a sample."""
+    """The agent learns from the means of codes and acts on them, in place of samples."""
 
 
 class Relabelling(NamedTuple):

@@ -18,8 +18,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.goals import corrupt, draw_backgrounds
-from infogoal_jax.learners.learner import Learner, View
-from infogoal_jax.relabelling.relabelling import Relabelling
+from infogoal_jax.learners.learner import GoalCode, Learner, View
+from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.threefry import written_out
 from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
@@ -53,6 +53,22 @@ def make_parts(config: TrainConfig, env) -> Parts:
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
     )
+
+
+def spec_of(parts: Parts) -> AllGoalsSpec | None:
+    """What the relabelling asks for; None where a transition has one goal."""
+    return None if parts.relabelling is None else parts.relabelling.all_goals
+
+
+def sees_means(parts: Parts) -> bool:
+    """Whether the agent learns from means of codes and acts on them, in place of samples."""
+    spec = spec_of(parts)
+    return spec is not None and spec.mean_code
+
+
+def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
+    """What the agent learns from of codes [..., d]."""
+    return code.mean if sees_means(parts) else code.sample(key)
 
 
 def make_state_encoder(size: StateEncoderConfig, env):

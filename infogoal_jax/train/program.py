@@ -147,7 +147,7 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         experience, state = experience_of(parts, state, number, hyper, env)
         update_key = numbered(state.key, UPDATE, number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
-        metrics = jax.tree.map(lambda leaf: leaf.mean(0), metrics) | collected
+        metrics |= collected
         if learner.sample_spec.num_pairs:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}

@@ -13,7 +13,7 @@ from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.parts import encode_states, training_view
+from infogoal_jax.train.parts import encode_states, sees_means, training_view
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 """Stored observations [E, ...], goals int32 [E] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
@@ -24,6 +24,7 @@ def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mea
     """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. V-F), or its mean
     is used: in all episodes or, bool [E], in some."""
     see = encode_states(parts, params, env, parts.config.num_envs * parts.config.rollout_steps)
+    use_mean |= sees_means(parts)
 
     def act(observation, goal, key):
         sample_key, act_key = jax.random.split(key)

@@ -11,6 +11,7 @@ from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience, goals_to_learn, usable_goals
+from infogoal_jax.train.parts import spec_of
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
@@ -132,11 +133,6 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
         negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
         negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
-
-
-def spec_of(parts) -> AllGoalsSpec | None:
-    """What the relabelling asks for; None where a transition has one goal."""
-    return None if parts.relabelling is None else parts.relabelling.all_goals
 
 
 def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: jax.Array) -> jax.Array | None:

@@ -4,6 +4,7 @@ targets."""
 from collections.abc import Callable
 from typing import Any
 
+import flax.struct
 import jax
 import jax.numpy as jnp
 import optax
@@ -16,8 +17,8 @@ from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Vis
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.parts import encode_states, training_view
-from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample, spec_of
+from infogoal_jax.train.parts import code_seen, encode_states, spec_of, training_view
+from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
 
 
 def returns(
@@ -83,12 +84,12 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
         observation=batch.observation,
         next_observation=batch.next_observation,
         features=features,
-        code=code.sample(keys[0]),
+        code=code_seen(parts, code, keys[0]),
         action=batch.action,
         next_features=jax.lax.stop_gradient(next_features),
-        next_code=jax.lax.stop_gradient(next_code).sample(keys[1]),
+        next_code=code_seen(parts, jax.lax.stop_gradient(next_code), keys[1]),
         target_features=target_features,
-        target_code=target_code.sample(keys[2]),
+        target_code=code_seen(parts, target_code, keys[2]),
         reward=reward,
         discount=discount_after(batch, hyper),
         action_mask=env.action_mask(batch.observation),
@@ -123,11 +124,10 @@ def under_all_goals(
     if parts.config.stop_encoder_gradient:
         code = jax.lax.stop_gradient(code)
     keys = jax.random.split(key)
-    mean = spec_of(parts).mean_code
     return AllGoals(
         share=share,
-        code=code.mean if mean else code.sample(keys[0]),
-        target_code=target_code.mean if mean else target_code.sample(keys[1]),
+        code=code_seen(parts, code, keys[0]),
+        target_code=code_seen(parts, target_code, keys[1]),
         reward=reward,
         discount=discount,
     )
@@ -163,6 +163,24 @@ def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Arra
     same = regions[pairs.anchor] == regions[pairs.positive]
     within = ((same & (pairs.anchor != pairs.positive)) * pairs.positive_weight).sum() / total
     return {"positives_within": within, "positives_between": (~same * pairs.positive_weight).sum() / total}
+
+
+@flax.struct.dataclass
+class Scalars:
+    """Numbers by name, as one vector: a loop would store each on its own."""
+
+    values: jax.Array
+    """float32 [..., n]."""
+    names: tuple[str, ...] = flax.struct.field(pytree_node=False)
+
+    @classmethod
+    def of(cls, numbers: dict[str, jax.Array]) -> "Scalars":
+        """The vector of these numbers []."""
+        return cls(jnp.stack([jnp.asarray(number, jnp.float32) for number in numbers.values()]), tuple(numbers))
+
+    def means(self) -> dict[str, jax.Array]:
+        """The mean of each over all leading axes."""
+        return dict(zip(self.names, self.values.reshape(-1, len(self.names)).mean(0), strict=True))
 
 
 def named(part: str, metrics: dict) -> dict:
@@ -234,7 +252,7 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
 
 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
-    """`count` updates.
+    """`count` updates. Returns the state and the means of their metrics.
 
     What they learn from is drawn at once, and parameters go through the loop as one vector: draws, and an optimizer
     that goes from layer to layer, would be most of the kernels that a GPU has to start.
@@ -248,7 +266,10 @@ def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, co
         batch_size=draws_at_once(parts, count),
     )
     keys = jax.random.split(update_key, count)
-    state, metrics = jax.lax.scan(
-        lambda carry, step: update(parts, env, hyper, experience, restore, carry, *step), state, (drawn, keys)
-    )
-    return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics
+
+    def step(state, drawn_and_key):
+        state, metrics = update(parts, env, hyper, experience, restore, state, *drawn_and_key)
+        return state, Scalars.of(metrics)
+
+    state, metrics = jax.lax.scan(step, state, (drawn, keys))
+    return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics.means()

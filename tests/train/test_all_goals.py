@@ -12,6 +12,7 @@ import pytest
 from infogoal_jax import UserError, make_train, presets
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
+from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.combinations import check_combination
@@ -24,8 +25,8 @@ TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made
 
 def training(method: str, **changes):
     """Training of this method on the hand-made rooms under all goals."""
-    relabelling = None if method == "leo" else "all_goals"
-    return make_train(hand_made.config(method, relabelling=relabelling, **changes), hand_made.environment())
+    relabelling = {"relabelling": None if method == "leo" else "all_goals"}
+    return make_train(hand_made.config(method, **(relabelling | changes)), hand_made.environment())
 
 
 def initial(train):
@@ -92,6 +93,17 @@ def test_drawn_goals_are_known_and_a_share_was_achieved_in_the_batch():
     nothing = draw_goals(AllGoalsSpec(40, 1.0, mean_code=False), known, -jnp.ones_like(achieved), jax.random.key(1))
     assert known[nothing].all()
     assert draw_goals(AllGoalsSpec(0, 0.5, mean_code=False), known, achieved, jax.random.key(0)) is None
+
+
+@pytest.mark.parametrize("code", ["sampled", "mean"])
+def test_an_agent_that_learns_from_means_of_codes_acts_on_them(code):
+    """However often it acts, it does the same."""
+    train = training("infogoal", relabelling=AllGoalsConfig(code=code))
+    env, hyper = train.env, train.config.hyper.replace(test_epsilon=jnp.asarray(0.0))
+    policy = train.policy(initial(train).params, hyper, env)
+    rooms, goals = jnp.arange(env.num_observations), jnp.arange(env.num_observations) % env.goals.num_goals
+    actions = jax.jit(jax.vmap(policy, in_axes=(None, None, 0)))(rooms, goals, jax.random.split(jax.random.key(1), 32))
+    assert (actions == actions[0]).all() == (code == "mean")
 
 
 @pytest.mark.parametrize("goals", [pytest.param(None, marks=pytest.mark.long), jnp.array([6, 0, 6])])
