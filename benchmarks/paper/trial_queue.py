@@ -272,7 +272,7 @@ QUEUE = {
         for name, method, lanes in (
             ("her", "her", PRESET),
             ("head", "all_goals", CUBE_HEAD),
-            ("infogoal_head", "infogoal+all_goals", PRESET),
+            ("infogoal_head", "infogoal+all_goals", weighted("", {}, 1e-3, 1e-4, 1e-5)),
         )
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.

@@ -128,7 +128,11 @@ def read_search(folder: Path, name: str) -> Search:
         "epochs": trials[0]["epochs"],
         "goals": best["goals"],
         "best": best["trial"],
-        "trials": [{key: trial[key] for key in ("trial", "values", "success", "diverged")} for trial in trials],
+        "trials": [
+            {key: trial[key] for key in ("trial", "values", "diverged")}
+            | {"success": np.round(np.asarray(trial["success"], float), 6).tolist()}
+            for trial in trials
+        ],
     }
 
 

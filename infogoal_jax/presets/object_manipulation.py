@@ -10,6 +10,7 @@ nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
 """InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
 MEAN = {"code": "mean"}
+"""The all-goals head learns hardly anything under the noise of codes [M], docs/all_goals.md."""
 
 PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
@@ -32,9 +33,8 @@ PRESET = Preset(
     methods={
         "infogoal": FINE_CODE,
         "infobot": Changes(hyper=INFOBOT),
-        # A head learns hardly anything under the noise of codes, [M] docs/all_goals.md.
-        "infogoal+all_goals": Changes(relabelling=MEAN, hyper=FINE_CODE.hyper | {"learner_weight": 1e-4}),
-        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 1e-3}),
+        "infogoal+all_goals": Changes(relabelling=MEAN, hyper=FINE_CODE.hyper | {"learner_weight": 1e-4}),  # [M]
+        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 0.01}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },
