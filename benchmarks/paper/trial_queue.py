@@ -201,7 +201,6 @@ QUEUE = {
         for dataset in (0, 1, 2)
         for name, method, lanes in (("infogoal", "infogoal", chosen(THRESHOLDS, 0.99, 0.999)), ("cql", "none", PRESET))
     },
-    # The presets as they are; no other run showed them at the time.
     "reach_preset_infobot_her": Trial(REACH, "infobot+her", {}, seeds=5),
     "reach_preset_gcb_her": Trial(REACH, "gcb+her", {}, seeds=5),
     # The best threshold lies just below the accuracy that can be had without compression: does following that do on
@@ -225,12 +224,11 @@ QUEUE = {
     "house_ghrl": Trial(HOUSE_TASK, "ghrl", HOUSE),
     # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
-    # Learning from every transition under all goals at once: LEO, whose values belong to goals that training achieved,
-    # and the head that values a goal through its code.
+    # Learning from every transition under all goals at once: LEO, and the head that values a goal through its code.
     **all_goals_trials(
         "house_goals",
         Trial(HOUSE_TASK, "", HOUSE_GOALS),
-        {"infogoal_head": LEARNER_WEIGHTS, "infobot_head": LEARNER_WEIGHTS},
+        dict.fromkeys(("infogoal_head", "infobot_head"), LEARNER_WEIGHTS),
     ),
     **all_goals_trials(
         "cube_dqn",
@@ -243,26 +241,28 @@ QUEUE = {
         },
         protocols=("",),  # The study itself has the other one.
     ),
-    # The smaller the weight of InfoGoal's and InfoBot's loss, the better the head was: one still smaller. And codes
-    # finer than the 40 degrees that the head had on the cube.
+    # The smaller the weight of their loss, the better the head was: one still smaller. And finer codes.
     "house_goals_infogoal_head_finer": Trial(
-        HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
+        HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
     ),
-    "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS, SMALLEST_WEIGHT),
+    "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT),
     # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
     "cube_dqn_infogoal_head_finer": Trial(
         CUBE_TASK, "infogoal+all_goals", CUBE | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), agent="dqn"
     ),
-    # Even a ten thousandth leaves it far behind a plain head. Is it the noise of the codes? With their means, on which
-    # the policy then acts too:
+    # Even a ten thousandth leaves it far behind a plain head. Is it the noise of codes? With their means in its place:
     **{
-        f"cube_dqn_{learner}_head_mean": Trial(CUBE_TASK, f"{learner}+all_goals", CUBE | MEAN, lanes, 2, agent="dqn")
-        for learner, lanes in (
-            ("infogoal", weighted(*FINE, 1.0, 0.01, 0.0001)),
-            ("infobot", weighted("", {}, 0.01, 0.001, 0.0001)),
+        f"{place}_{learner}_head_mean": Trial(task, f"{learner}+all_goals", settings | MEAN, lanes, seeds, agent=agent)
+        for place, task, settings, seeds, agent, learner, lanes in (
+            ("cube_dqn", CUBE_TASK, CUBE, 2, "dqn", "infogoal", weighted(*FINE, 1.0, 0.01, 0.0001)),
+            ("cube_dqn", CUBE_TASK, CUBE, 2, "dqn", "infobot", weighted("", {}, 0.01, 0.001, 0.0001)),
+            ("house_goals", HOUSE_TASK, HOUSE_GOALS, 3, None, "infogoal", LEARNER_WEIGHTS),
+            ("house_goals", HOUSE_TASK, HOUSE_GOALS, 3, None, "infobot", LEARNER_WEIGHTS),
+            ("shelf_goals", SHELF_TASK, SHELF, 3, None, "infogoal", LEARNER_WEIGHTS),
+            ("shelf_goals", SHELF_TASK, SHELF, 3, None, "infobot", LEARNER_WEIGHTS),
         )
     },
-    # What of it is the head, and what the goals: the head, trained under one hindsight goal a transition.
+    # What of it is the head: the head, trained under one hindsight goal a transition.
     "house_goals_her_product": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.head": "product", "agent.bounded": True}),
     "cube_dqn_leo_every_goal": Trial(CUBE_TASK, "leo", CUBE | {"relabelling.num_goals": 0}, agent="dqn"),
     **{

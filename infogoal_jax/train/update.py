@@ -188,22 +188,15 @@ def named(part: str, metrics: dict) -> dict:
     return {f"{part}/{name}": value for name, value in metrics.items()}
 
 
-def update(parts, env, hyper, experience: Experience, restore: Callable, state, drawn: Sample, key: jax.Array):
-    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by
-    part.
-
-    Parameters and targets of the state are vectors, `restore` makes trees of them.
-    """
+def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key: jax.Array):
+    """One update of every network and of the learner's state, whose optimizer has trees. Returns the state and this
+    update's metrics, named by part."""
     learner, agent = parts.learner, parts.agent
     loss_key, code_key, agent_key, view_key = jax.random.split(key, 4)
-    batch, pairs = drawn.transitions, drawn.pairs
-    targets = restore(state.target_params)
-    reward, learner_state, reward_metrics = returns(
-        parts, restore(state.params), state.learner, env, hyper, experience, drawn
-    )
+    batch, pairs, targets = drawn.transitions, drawn.pairs, state.target_params
+    reward, learner_state, reward_metrics = returns(parts, state.params, state.learner, env, hyper, experience, drawn)
 
-    def total_loss(vector):
-        params = restore(vector)
+    def total_loss(params):
         view = training_view(parts, env, augmented=True)
         encode = GoalEncoding(learner, params["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
@@ -241,25 +234,32 @@ def update(parts, env, hyper, experience: Experience, restore: Callable, state, 
         return total, (metrics, states)
 
     gradient, (metrics, states) = jax.grad(total_loss, has_aux=True)(state.params)
-    norm = jnp.linalg.norm(gradient)
+    norm = jnp.linalg.norm(ravel_pytree(gradient)[0])  # One kernel on a GPU; a sum for each layer would be as many.
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
-    direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
-    params = state.params - hyper.learning_rate * direction
+    gradient = jax.tree.map(lambda leaf: leaf * scale, gradient)
+    direction, optimizer_state = parts.optimizer.update(gradient, state.optimizer_state)
+    params = jax.tree.map(lambda leaf, step: leaf - hyper.learning_rate * step, state.params, direction)
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)
     metrics |= {"agent/gradient_norm": norm}
     return state, metrics if pairs is None else metrics | named(parts.name, positive_regions(pairs, env.goals.regions))
 
 
+def with_moments(state: optax.ScaleByAdamState, change: Callable) -> optax.ScaleByAdamState:
+    """Adam's state with its moments changed."""
+    return state._replace(mu=change(state.mu), nu=change(state.nu))
+
+
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
     """`count` updates. Returns the state and the means of their metrics.
 
-    What they learn from is drawn at once, and parameters go through the loop as one vector: draws, and an optimizer
-    that goes from layer to layer, would be most of the kernels that a GPU has to start.
+    What they learn from is drawn at once: draws would be many of the kernels that a GPU has to start. The optimizer,
+    whose moments are vectors in the state, goes from layer to layer: a bias that is a slice of a vector is not added in
+    the kernel of the product that it belongs to.
     """
     sample_key, update_key = jax.random.split(key)
-    params, restore = ravel_pytree(state.params)
-    state = state.replace(params=params, target_params=ravel_pytree(state.target_params)[0])
+    restore = ravel_pytree(state.params)[1]
+    state = state.replace(optimizer_state=with_moments(state.optimizer_state, restore))
     drawn = jax.lax.map(
         lambda key: sample(parts, env, experience, key),
         jax.random.split(sample_key, count),
@@ -268,8 +268,9 @@ def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, co
     keys = jax.random.split(update_key, count)
 
     def step(state, drawn_and_key):
-        state, metrics = update(parts, env, hyper, experience, restore, state, *drawn_and_key)
+        state, metrics = update(parts, env, hyper, experience, state, *drawn_and_key)
         return state, Scalars.of(metrics)
 
     state, metrics = jax.lax.scan(step, state, (drawn, keys))
-    return state.replace(params=restore(state.params), target_params=restore(state.target_params)), metrics.means()
+    moments = with_moments(state.optimizer_state, lambda tree: ravel_pytree(tree)[0])
+    return state.replace(optimizer_state=moments), metrics.means()
