@@ -55,12 +55,7 @@ def learner_share(train: Train) -> Any:
 
     def share(state, number, hyper, env):
         experience, state = experience_of(parts, state, number, hyper, env)
-        params, restore = ravel_pytree(state.params)
-        plain = state.replace(
-            params=params,
-            target_params=ravel_pytree(state.target_params)[0],
-            optimizer_state=parts.optimizer.init(params),
-        )
+        plain = state.replace(optimizer_state=parts.optimizer.init(state.params))
 
         def of_batch(key):
             sample_key, update_key = jax.random.split(key)
@@ -68,9 +63,9 @@ def learner_share(train: Train) -> Any:
 
             def step(weight):
                 asked = hyper.replace(learner_weight=weight, learning_rate=STEP, max_gradient_norm=1e30)
-                after, _ = update(parts, env, asked, experience, restore, plain, drawn, update_key)
-                moved = jax.tree.map(lambda old, new: (old - new) / STEP, plain.params, after.params)
-                return ravel_pytree(restore(moved)["goal"])[0]
+                after, _ = update(parts, env, asked, experience, plain, drawn, update_key)
+                moved = jax.tree.map(lambda old, new: (old - new) / STEP, plain.params["goal"], after.params["goal"])
+                return ravel_pytree(moved)[0]
 
             both, agent = jax.vmap(step)(jnp.stack([hyper.learner_weight, jnp.zeros_like(hyper.learner_weight)]))
             own, others = jnp.linalg.norm(both - agent), jnp.linalg.norm(agent)
