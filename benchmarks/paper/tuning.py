@@ -128,11 +128,7 @@ def read_search(folder: Path, name: str) -> Search:
         "epochs": trials[0]["epochs"],
         "goals": best["goals"],
         "best": best["trial"],
-        "trials": [
-            {key: trial[key] for key in ("trial", "values", "diverged")}
-            | {"success": np.round(np.asarray(trial["success"], float), 6).tolist()}
-            for trial in trials
-        ],
+        "trials": [{key: trial[key] for key in ("trial", "values", "success", "diverged")} for trial in trials],
     }
 
 
@@ -146,7 +142,7 @@ def merge(folder: Path, path: Path) -> list[str]:
     names = {str(found.parent.relative_to(folder)): found.parent for found in sorted(folder.rglob("best.json"))}
     new = {name: read_search(found, name) for name, found in names.items()}
     searches = (load(path) if path.exists() else {}) | new
-    path.write_text("".join(json.dumps(searches[name]) + "\n" for name in sorted(searches)))
+    path.write_text("".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches)))
     return list(new)
 
 

@@ -1,7 +1,6 @@
 """One gradient update (Algorithm 1, lines 16 to 22): encode a sample, add the losses, step, then beta and the
 targets."""
 
-from collections.abc import Callable
 from typing import Any
 
 import flax.struct
@@ -189,8 +188,12 @@ def named(part: str, metrics: dict) -> dict:
 
 
 def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key: jax.Array):
-    """One update of every network and of the learner's state, whose optimizer has trees. Returns the state and this
-    update's metrics, named by part."""
+    """One update of every network and of the learner's state. Returns the state and this update's metrics, named by
+    part.
+
+    The optimizer sees all parameters as one vector, networks see trees: on a GPU a step for each layer would be as many
+    kernels, and a bias that is a slice of a vector is not added in the kernel of the product that it belongs to.
+    """
     learner, agent = parts.learner, parts.agent
     loss_key, code_key, agent_key, view_key = jax.random.split(key, 4)
     batch, pairs, targets = drawn.transitions, drawn.pairs, state.target_params
@@ -234,32 +237,23 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
         return total, (metrics, states)
 
     gradient, (metrics, states) = jax.grad(total_loss, has_aux=True)(state.params)
-    norm = jnp.linalg.norm(ravel_pytree(gradient)[0])  # One kernel on a GPU; a sum for each layer would be as many.
+    gradient, restore = ravel_pytree(gradient)
+    norm = jnp.linalg.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
-    gradient = jax.tree.map(lambda leaf: leaf * scale, gradient)
-    direction, optimizer_state = parts.optimizer.update(gradient, state.optimizer_state)
-    params = jax.tree.map(lambda leaf, step: leaf - hyper.learning_rate * step, state.params, direction)
+    direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
+    params = jax.tree.map(jnp.subtract, state.params, restore(hyper.learning_rate * direction))
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)
     metrics |= {"agent/gradient_norm": norm}
     return state, metrics if pairs is None else metrics | named(parts.name, positive_regions(pairs, env.goals.regions))
 
 
-def with_moments(state: optax.ScaleByAdamState, change: Callable) -> optax.ScaleByAdamState:
-    """Adam's state with its moments changed."""
-    return state._replace(mu=change(state.mu), nu=change(state.nu))
-
-
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
     """`count` updates. Returns the state and the means of their metrics.
 
-    What they learn from is drawn at once: draws would be many of the kernels that a GPU has to start. The optimizer,
-    whose moments are vectors in the state, goes from layer to layer: a bias that is a slice of a vector is not added in
-    the kernel of the product that it belongs to.
+    What they learn from is drawn at once: draws would be many of the kernels that a GPU has to start.
     """
     sample_key, update_key = jax.random.split(key)
-    restore = ravel_pytree(state.params)[1]
-    state = state.replace(optimizer_state=with_moments(state.optimizer_state, restore))
     drawn = jax.lax.map(
         lambda key: sample(parts, env, experience, key),
         jax.random.split(sample_key, count),
@@ -272,5 +266,4 @@ def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, co
         return state, Scalars.of(metrics)
 
     state, metrics = jax.lax.scan(step, state, (drawn, keys))
-    moments = with_moments(state.optimizer_state, lambda tree: ravel_pytree(tree)[0])
-    return state.replace(optimizer_state=moments), metrics.means()
+    return state, metrics.means()
