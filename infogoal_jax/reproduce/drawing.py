@@ -90,12 +90,12 @@ def write_figure(figure: Figure | None, path: Path, numbers: str, format: str) -
 
 
 def save_in_few_colours(figure: Figure, path: Path, numbers: str) -> None:
-    """Write a figure as a PNG of 256 colours and 100 dots an inch, which takes a quarter of the space in the
+    """Write a figure as a PNG of 128 colours and 100 dots an inch, which takes a fifth of the space in the
     repository. numbers: the digest of what it was drawn from, which the file says."""
     drawn, words = io.BytesIO(), PngImagePlugin.PngInfo()
     figure.savefig(drawn, format="png", dpi=100)
     words.add_text(NUMBERS, numbers)
-    picture = Image.open(drawn).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    picture = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
     disk.make_folder(path.parent)
     disk.write_atomically(path, lambda file: picture.save(file, "PNG", optimize=True, pnginfo=words))
 
