@@ -21,7 +21,7 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run
 from infogoal_jax.runs import disk
-from infogoal_jax.train.parts import sees_means
+from infogoal_jax.train.parts import tests_on_means
 from infogoal_jax.train.program import Train
 
 FORMAT_VERSION = 1
@@ -60,7 +60,7 @@ def export_params(
         "actions": list(getattr(acted, "action_names", ())),
         "episode_length": int(env.episode_length),
         "code_size": int(examples[2].shape[0]),
-        "samples_code": not (train.parts.learner.mean_at_test or sees_means(train.parts)),
+        "samples_code": not tests_on_means(train.parts),
         "discrete": bool(env.discrete),
         "moves": bool(acted.discrete),
         "interval": interval_of(env),

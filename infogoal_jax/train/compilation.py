@@ -20,7 +20,8 @@ as fast as with the third; the level below runs two to four times as long."""
 OPTIONS_OF_SEVERAL: dict[str, dict[str, int | bool]] = {"gpu": {"xla_gpu_triton_gemm_any": False}}
 """Of programs that train several seeds side by side. cuBLAS multiplies what a kernel of Triton's would hardly do
 faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the time and runs as fast.
-With one seed a product failed that cuBLAS does not support (docs/training.md)."""
+With one seed, when parameters were slices of one vector, a product failed that cuBLAS does not support
+(docs/training.md)."""
 
 
 def compiler_options(side_by_side: int = 1) -> dict[str, int | bool]:

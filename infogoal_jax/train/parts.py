@@ -66,8 +66,13 @@ def sees_means(parts: Parts) -> bool:
     return spec is not None and spec.mean_code
 
 
+def tests_on_means(parts: Parts) -> bool:
+    """Whether the trained policy acts on means of codes without being asked to."""
+    return parts.learner.mean_at_test or sees_means(parts)
+
+
 def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
-    """What the agent learns from of codes [..., d]."""
+    """What the agent learns from of codes, float32 [..., d]."""
     return code.mean if sees_means(parts) else code.sample(key)
 
 

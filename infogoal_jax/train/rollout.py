@@ -13,7 +13,7 @@ from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.parts import encode_states, sees_means, training_view
+from infogoal_jax.train.parts import encode_states, sees_means, tests_on_means, training_view
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 """Stored observations [E, ...], goals int32 [E] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
@@ -24,7 +24,6 @@ def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mea
     """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. V-F), or its mean
     is used: in all episodes or, bool [E], in some."""
     see = encode_states(parts, params, env, parts.config.num_envs * parts.config.rollout_steps)
-    use_mean |= sees_means(parts)
 
     def act(observation, goal, key):
         sample_key, act_key = jax.random.split(key)
@@ -43,7 +42,7 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
     encode = GoalEncoding(
         parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key
     ).of_training_goals()
-    return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode)
+    return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode, sees_means(parts))
 
 
 def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False) -> Policy:
@@ -55,7 +54,7 @@ def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False
 
     encode_index = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size).of_any()
     exploration = Exploration(hyper.test_epsilon, 0.0)
-    return policy(parts, params, exploration, env, encode, use_mean | parts.learner.mean_at_test)
+    return policy(parts, params, exploration, env, encode, use_mean | tests_on_means(parts))
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):

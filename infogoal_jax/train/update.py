@@ -169,7 +169,7 @@ class Scalars:
     """Numbers by name, as one vector: a loop would store each on its own."""
 
     values: jax.Array
-    """float32 [..., n]."""
+    """float32 [n], or of several updates [U, n]."""
     names: tuple[str, ...] = flax.struct.field(pytree_node=False)
 
     @classmethod
@@ -178,8 +178,8 @@ class Scalars:
         return cls(jnp.stack([jnp.asarray(number, jnp.float32) for number in numbers.values()]), tuple(numbers))
 
     def means(self) -> dict[str, jax.Array]:
-        """The mean of each over all leading axes."""
-        return dict(zip(self.names, self.values.reshape(-1, len(self.names)).mean(0), strict=True))
+        """The mean of each over the first axis."""
+        return dict(zip(self.names, self.values.mean(0), strict=True))
 
 
 def named(part: str, metrics: dict) -> dict:
