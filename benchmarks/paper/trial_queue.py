@@ -99,14 +99,20 @@ PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 achieved, or never."""
 
 
+ALL_GOALS = {
+    "house_goals": Trial(HOUSE_TASK, "", HOUSE_GOALS),
+    "cube_dqn": Trial(CUBE_TASK, "", CUBE, agent="dqn"),
+    "shelf_goals": Trial(SHELF_TASK, "", SHELF),
+}
+"""Trials on all goals at once, by how their names begin, without a method."""
+
+
 def all_goals_trials(
-    name: str,
-    trial: Trial,
-    lanes: dict[str, dict[str, dict[str, float]]],
-    protocols: tuple[str, ...] = tuple(PROTOCOLS),
+    name: str, lanes: dict[str, dict[str, dict[str, float]]], protocols: tuple[str, ...] = tuple(PROTOCOLS)
 ) -> dict[str, Trial]:
-    """HER, LEO and the all-goals head with each learner, under these protocols, otherwise as the trial. lanes: of each
-    of them, else the preset."""
+    """HER, LEO and the all-goals head with each learner, under these protocols. lanes: of each of them, else the
+    preset."""
+    trial = ALL_GOALS[name]
     methods = {"her": "her", "leo": "leo", "head": "all_goals"}
     methods |= {f"{learner}_head": f"{learner}+all_goals" for learner in ("infogoal", "infobot")}
     return {
@@ -225,14 +231,9 @@ QUEUE = {
     # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
     # Learning from every transition under all goals at once: LEO, and the head that values a goal through its code.
-    **all_goals_trials(
-        "house_goals",
-        Trial(HOUSE_TASK, "", HOUSE_GOALS),
-        dict.fromkeys(("infogoal_head", "infobot_head"), LEARNER_WEIGHTS),
-    ),
+    **all_goals_trials("house_goals", dict.fromkeys(("infogoal_head", "infobot_head"), LEARNER_WEIGHTS)),
     **all_goals_trials(
         "cube_dqn",
-        Trial(CUBE_TASK, "", CUBE, agent="dqn"),
         {
             "leo": CUBE_HEAD,
             "head": CUBE_HEAD,
@@ -252,14 +253,16 @@ QUEUE = {
     ),
     # Even a ten thousandth leaves it far behind a plain head. Is it the noise of codes? With their means in its place:
     **{
-        f"{place}_{learner}_head_mean": Trial(task, f"{learner}+all_goals", settings | MEAN, lanes, seeds, agent=agent)
-        for place, task, settings, seeds, agent, learner, lanes in (
-            ("cube_dqn", CUBE_TASK, CUBE, 2, "dqn", "infogoal", weighted(*FINE, 1.0, 0.01, 0.0001)),
-            ("cube_dqn", CUBE_TASK, CUBE, 2, "dqn", "infobot", weighted("", {}, 0.01, 0.001, 0.0001)),
-            ("house_goals", HOUSE_TASK, HOUSE_GOALS, 3, None, "infogoal", LEARNER_WEIGHTS),
-            ("house_goals", HOUSE_TASK, HOUSE_GOALS, 3, None, "infobot", LEARNER_WEIGHTS),
-            ("shelf_goals", SHELF_TASK, SHELF, 3, None, "infogoal", LEARNER_WEIGHTS),
-            ("shelf_goals", SHELF_TASK, SHELF, 3, None, "infobot", LEARNER_WEIGHTS),
+        f"{name}_{learner}_head_mean": ALL_GOALS[name]._replace(
+            method=f"{learner}+all_goals", settings=ALL_GOALS[name].settings | MEAN, lanes=lanes, seeds=seeds
+        )
+        for name, learner, lanes, seeds in (
+            ("cube_dqn", "infogoal", weighted(*FINE, 1.0, 0.01, 0.0001), 2),
+            ("cube_dqn", "infobot", weighted("", {}, 0.01, 0.001, 0.0001), 2),
+            ("house_goals", "infogoal", LEARNER_WEIGHTS, 3),
+            ("house_goals", "infobot", LEARNER_WEIGHTS, 3),
+            ("shelf_goals", "infogoal", LEARNER_WEIGHTS, 3),
+            ("shelf_goals", "infobot", LEARNER_WEIGHTS, 3),
         )
     },
     # What of it is the head: the head, trained under one hindsight goal a transition.
@@ -277,10 +280,7 @@ QUEUE = {
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
     **all_goals_trials(
-        "shelf_goals",
-        Trial(SHELF_TASK, "", SHELF),
-        dict.fromkeys(("leo", "head", "infogoal_head", "infobot_head"), CONSERVATIVE),
-        protocols=("",),
+        "shelf_goals", dict.fromkeys(("leo", "head", "infogoal_head", "infobot_head"), CONSERVATIVE), protocols=("",)
     ),
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
