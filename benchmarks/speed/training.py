@@ -66,10 +66,10 @@ def timed(function, *arguments):
     return result, time.perf_counter() - started
 
 
-def timed_compilation(num_seeds: int, function, *arguments):
-    """The function of so many seeds, compiled for these arguments, and the seconds that compiling took."""
+def timed_compilation(function, *arguments):
+    """The function, compiled for these arguments, and the seconds that compiling took."""
     started = time.perf_counter()
-    return compiled(function, *arguments, side_by_side=num_seeds), time.perf_counter() - started
+    return compiled(function, *arguments), time.perf_counter() - started
 
 
 def env_rate(config, env, num_seeds: int, repeats: int) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def env_rate(config, env, num_seeds: int, repeats: int) -> tuple[float, float]:
         return jax.vmap(one)(keys)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    program, compile_seconds = timed_compilation(num_seeds, rollout, keys, env)
+    program, compile_seconds = timed_compilation(rollout, keys, env)
     timed(program, keys, env)
     seconds = min(timed(program, keys, env)[1] for _ in range(repeats))
     return num_seeds * config.num_envs * config.rollout_steps / seconds, compile_seconds
@@ -99,7 +99,7 @@ def training_rate(config, train, num_seeds: int, repeats: int) -> tuple[float, f
     def epochs(states, numbers, hyper, env):
         return jax.vmap(train.chunk, in_axes=(0, None, None, None))(states, numbers, hyper, env)[0]
 
-    program, compile_seconds = timed_compilation(num_seeds, epochs, states, jnp.arange(1), config.hyper, train.env)
+    program, compile_seconds = timed_compilation(epochs, states, jnp.arange(1), config.hyper, train.env)
     states, _ = timed(program, states, jnp.arange(1), config.hyper, train.env)
     seconds = []
     for repeat in range(repeats):
@@ -116,7 +116,7 @@ def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: in
     shared = jax.device_put((config.hyper, train.env), everywhere)
     keys = jax.device_put(jax.random.split(jax.random.key(0), count), by_seed)
     states = jit(over_seeds(train.initial, count, seeds_of_each, mesh), out_shardings=by_seed)(keys, *shared)
-    epochs = jit(epochs_over_seeds(train.epochs, count, seeds_of_each, mesh), seeds_of_each, donate_argnums=0)
+    epochs = jit(epochs_over_seeds(train.epochs, count, seeds_of_each, mesh), donate_argnums=0)
     numbers = jax.device_put(jnp.arange(repeats + 1)[:, None], everywhere)
     started = time.perf_counter()
     program = epochs.lower(states, numbers[0], *shared).compile()
@@ -159,7 +159,7 @@ def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
         return updates(train.parts, env, hyper, experience, state, key, config.updates_per_epoch)[0].params
 
     arguments = (states, keys, config.hyper, env)
-    program, compile_seconds = timed_compilation(num_seeds, jax.vmap(epoch, in_axes=(0, 0, None, None)), *arguments)
+    program, compile_seconds = timed_compilation(jax.vmap(epoch, in_axes=(0, 0, None, None)), *arguments)
     timed(program, *arguments)
     seconds = min(timed(program, *arguments)[1] for _ in range(repeats))
     return {"compile_seconds": compile_seconds, "seconds": seconds}

@@ -217,7 +217,7 @@ def begin(batch: Batch) -> Training:
 
     numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
     shapes = jax.eval_shape(initial, seeds, hyper, leaves)
-    chunk = chunk_of(over_lanes(step, (0, None, 0)), over_lanes(train.evaluation, (0, 0)), int(np.prod(shape)))
+    chunk = chunk_of(over_lanes(step, (0, None, 0)), over_lanes(train.evaluation, (0, 0)))
     share, finite = measure.learner_share(train), np.ones(shape, bool)
     return Training(
         batch,

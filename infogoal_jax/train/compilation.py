@@ -14,21 +14,20 @@ from typing import Any, NamedTuple
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
-OPTIONS: dict[str, dict[str, int | bool]] = {"cpu": {"xla_backend_optimization_level": 1}}
-"""Measured on object search and FetchReach: with LLVM's first level a CPU compiles in two thirds of the time and runs
-as fast as with the third; the level below runs two to four times as long."""
-OPTIONS_OF_SEVERAL: dict[str, dict[str, int | bool]] = {"gpu": {"xla_gpu_triton_gemm_any": False}}
-"""Of programs that train several seeds side by side. cuBLAS multiplies what a kernel of Triton's would hardly do
-faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the time and runs as fast.
-With one seed, when parameters were slices of one vector, a product failed that cuBLAS does not support
-(docs/training.md)."""
+OPTIONS: dict[str, dict[str, int | bool]] = {
+    "cpu": {"xla_backend_optimization_level": 1},
+    "gpu": {"xla_gpu_triton_gemm_any": False},
+}
+"""Measured on object search and Fetch. With LLVM's first level a CPU compiles in two thirds of the time and runs as
+fast as with the third; the level below runs two to four times as long. On a GPU cuBLAS multiplies what a kernel of
+Triton's would hardly do faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the
+time and runs as fast."""
 
 
-def compiler_options(side_by_side: int = 1) -> dict[str, int | bool]:
+def compiler_options() -> dict[str, int | bool]:
     """Options for `jax.jit(..., compiler_options=...)` on the devices in use, without those that the user's XLA_FLAGS
-    name. side_by_side: seeds or settings that one device trains in one program."""
-    flags, backend = os.environ.get("XLA_FLAGS", ""), jax.default_backend()
-    options = OPTIONS.get(backend, {}) | (OPTIONS_OF_SEVERAL.get(backend, {}) if side_by_side > 1 else {})
+    name."""
+    flags, options = os.environ.get("XLA_FLAGS", ""), OPTIONS.get(jax.default_backend(), {})
     return {name: value for name, value in options.items() if name not in flags and is_known(name, value)}
 
 
@@ -44,9 +43,9 @@ def is_known(option: str, value: int | bool) -> bool:
     return True
 
 
-def jit(function: Callable, side_by_side: int = 1, **options: Any) -> Callable:
+def jit(function: Callable, **options: Any) -> Callable:
     """`jax.jit` with the `compiler_options` of the devices in use; other options are those of `jax.jit`."""
-    return jax.jit(function, compiler_options=compiler_options(side_by_side), **options)
+    return jax.jit(function, compiler_options=compiler_options(), **options)
 
 
 def compiled(function: Callable, *arguments: Any, **options: Any) -> Callable:
@@ -104,9 +103,9 @@ class Chunk(NamedTuple):
         return compiled
 
 
-def chunk_of(epochs: Callable, evaluation: Callable, side_by_side: int = 1) -> Chunk:
-    """The chunk of two functions. side_by_side: as for `compiler_options`."""
-    return Chunk(jit(epochs, side_by_side, donate_argnums=0), jit(evaluation, side_by_side))
+def chunk_of(epochs: Callable, evaluation: Callable) -> Chunk:
+    """The chunk of two functions, compiled by `jit`."""
+    return Chunk(jit(epochs, donate_argnums=0), jit(evaluation))
 
 
 def use_compilation_cache(folder: str | Path | None = None) -> Path | None:

@@ -185,7 +185,6 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
     chunk = chunk_of(
         epochs_over_seeds(train.epochs, len(seeds), together, mesh),
         over_seeds(train.evaluation, len(seeds), together, mesh),
-        together,
     )
     shared = jax.device_put((train.config.hyper, train.env), everywhere)
     keys = jax.ShapeDtypeStruct((len(seeds),), jax.random.key(0).dtype)

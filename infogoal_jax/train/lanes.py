@@ -105,9 +105,7 @@ def programs_of(train: Train, group: str, trials: Sequence[Trial], seeds: Sequen
     starts = keys, batched_hyper(train.config.hyper, [trial.values for trial in trials], len(seeds))
     initial, epochs, evaluation = lane_programs(train, group)
     begin = over_seeds(initial, count, together, mesh)
-    chunk = chunk_of(
-        epochs_over_seeds(epochs, count, together, mesh), over_seeds(evaluation, count, together, mesh), together
-    )
+    chunk = chunk_of(epochs_over_seeds(epochs, count, together, mesh), over_seeds(evaluation, count, together, mesh))
     start = jit(begin, out_shardings=by_lane)
     shared = jax.device_put(train.env, everywhere)
     shape = placed(jax.eval_shape(start, starts, shared), by_lane)

@@ -130,10 +130,10 @@ class Pretrained:
 def compiled_functions(trainer: Trainer, keys: jax.Array, hyper: Any):
     """`initial`, `policy`, `run` and `learn` over all seeds, compiled side by side. One program simulates the robot in
     training and evaluation."""
-    explores, number, count = jnp.bool(True), jnp.int32(0), len(keys)
-    initial, policy = jit(jax.vmap(trainer.initial, in_axes=(0, None)), count), jit(jax.vmap(trainer.policy), count)
-    run = jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)), count)
-    learn = jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), count, donate_argnums=0)
+    explores, number = jnp.bool(True), jnp.int32(0)
+    initial, policy = jit(jax.vmap(trainer.initial, in_axes=(0, None))), jit(jax.vmap(trainer.policy))
+    run = jit(jax.vmap(trainer.agent.run, in_axes=(0, 0, None, None)))
+    learn = jit(jax.vmap(trainer.learn, in_axes=(0, 0, None, None)), donate_argnums=0)
     states = jax.eval_shape(initial, keys, hyper)
     low_levels = jax.eval_shape(policy, states)
     rows = jax.eval_shape(run, low_levels, keys, explores, hyper)[0]
