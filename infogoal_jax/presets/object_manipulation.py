@@ -2,15 +2,13 @@
 
 import math
 
-from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, MEAN, Changes, Preset
 
 SIMILAR = {"window": 3, "num_pairs": 256}
 """Which goals count as similar [M]: those at most 3 steps apart, so 45 degrees; a test goal may lie 90 degrees from the
 nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
 """InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
-MEAN = {"code": "mean"}
-"""The all-goals head learns hardly anything under the noise of codes [M], docs/all_goals.md."""
 
 PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",

@@ -1,6 +1,6 @@
 """Object search, tuned on houses of other seeds than those that results are shown on."""
 
-from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, MEAN, Changes, Preset
 
 PRESET = Preset(
     description="A robot searches a house, image by image, until the object named by the goal is in view.",
@@ -12,7 +12,10 @@ PRESET = Preset(
         # [M]
         "infogoal": Changes(hyper={"learning_rate": 5e-4, "intrinsic_weight": 3.0}, training={"num_epochs": 100}),
         "infobot": Changes(hyper=INFOBOT),
-        "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.01}),  # [M], docs/all_goals.md
+        "infogoal+all_goals": Changes(  # [M], docs/all_goals.md
+            relabelling=MEAN, hyper={"learning_rate": 5e-4, "learner_weight": 0.01}, training={"num_epochs": 100}
+        ),
+        "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.01}),  # [M]
         # [T]
         "cogoal": Changes(
             hyper={"learning_rate": 1.057e-3, "discount": 0.9866, "target_rate": 0.07083, "learner_weight": 0.2341}

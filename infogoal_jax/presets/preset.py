@@ -53,3 +53,5 @@ class Preset:
 
 INFOBOT = {"intrinsic_weight": 1.0, "learner.beta": 3e-5}
 """InfoBot's floats: the authors' beta of 0.01 stands beside rewards of 10, squared [M]."""
+MEAN = {"code": "mean"}
+"""The all-goals head learns less, and on the cube hardly anything, under the noise of codes [M], docs/all_goals.md."""
