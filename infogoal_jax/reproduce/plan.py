@@ -36,8 +36,8 @@ GOAL_SET_FIELDS = ("dataset", "generator_seed", "goal_seed", "goal_images")
 """Fields of an environment's configuration that say which goal set it has."""
 TOY = {"num_envs": 8, "rollout_steps": 12, "updates_per_epoch": 2, "batch_size": 16, "evaluation_starts": 1}
 """A size at which nothing is learned."""
-TOY_STEPS = 12
-"""Of an episode of an arm."""
+TOY_STEPS = 6
+"""Of an episode of an arm: two subgoals of HRAC."""
 EVALUATIONS = 10
 """Within the budget of a task."""
 FIRST, MOST = 6, 30

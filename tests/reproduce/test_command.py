@@ -178,10 +178,8 @@ def test_the_quick_way_trains_the_study_of_all_goals(tmp_path):
 
 
 @pytest.mark.long
-def test_the_quick_way_does_all_of_it(tmp_path, monkeypatch):
-    """Every table and figure from training to the page, at a size at which nothing is learned: compiling would be most
-    of the time."""
-    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+def test_the_quick_way_does_all_of_it(tmp_path):
+    """Every table and figure from training to the page, at a size at which nothing is learned."""
     assert main(["reproduce", "all", "--quick", "--out", str(tmp_path), "--processes", "2"]) == 0
     assert {path.stem for path in tmp_path.glob("figures/*.png")} == set(FIGURES)
     made = [files.read(path) for path in Path(tmp_path).rglob("runs/**/*.npz")]
