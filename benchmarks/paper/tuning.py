@@ -6,11 +6,12 @@ is reported on.
     python benchmarks/paper/tuning.py --merge FOLDER
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
-objects are given the names of objects that the task does not have, and are the validation goals. Fetch is tuned on the
-validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a search (docs/tuning.md); what is there is
-not run again, so that searches may come from several machines and several processes. With --final the preset and the
-three best of each search run again with eight other seeds, into FOLDER/TASK/METHOD/final. --merge puts what is finished
-in FOLDER into docs/results/tuning.jsonl, a line a search; `tables.py tuning` then writes the tables of docs/tuning.md.
+objects are given the names of objects that the task does not have, and are the validation goals. The cube and the shelf
+are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a
+search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several
+processes. With --final the preset and the three best of each search run again with eight other seeds, into
+FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl, a line a search;
+`tables.py tuning` then writes the tables of docs/tuning.md.
 """
 
 import argparse
@@ -35,7 +36,8 @@ Search = dict[str, Any]
 """search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
 evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
 [evaluations][seeds] and the seeds that diverged."""
-HOUSE = 100
+OTHER_SEED = 100
+"""Seed of the house, cube and shelf for tuning."""
 VALIDATION = {
     "crystal_hot_sauce": "pringles_bbq",
     "paper_plate": "red_cup",
@@ -50,6 +52,11 @@ VALIDATION = {
 """Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split
 of the authors."""
 
+DATA = {
+    "object_manipulation": ["--env.generator-seed", str(OTHER_SEED), "--env.goal-seed", str(OTHER_SEED)],
+    "embodied_qa": ["--env.generator-seed", str(OTHER_SEED)],
+}
+"""Flags of the generated data that no result is shown on."""
 EPOCHS = {"object_search": 100, "fetch_reach": 60}
 """Epochs of every trial; of another task those of the bare agent's preset."""
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
@@ -62,7 +69,7 @@ def tuning_house(folder: Path) -> list[str]:
     if not (folder / "house").exists():
         folder.mkdir(parents=True, exist_ok=True)
         dataset = Path(tempfile.mkdtemp(dir=folder))
-        build_house(dataset, seed=HOUSE)
+        build_house(dataset, seed=OTHER_SEED)
         for path in (dataset / "all_instance_id_map.txt", dataset / "instance_id_map.txt"):
             identifier = dict(line.split() for line in path.read_text().splitlines())
             for old, new in VALIDATION.items():
@@ -87,7 +94,7 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
     out = folder / task / method
     if (out / "best.json").exists():
         return
-    data = tuning_house(folder) if task == "object_search" else []
+    data = tuning_house(folder) if task == "object_search" else DATA.get(task, [])
     command = [
         "tune",
         task,
