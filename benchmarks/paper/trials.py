@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 import trial_numbers
 from trial_numbers import Row, code_errors
-from trial_queue import ALL_GOALS_TABLES, COMPARISONS, QUEUE, TABLES, Trial
+from trial_queue import QUEUE, Trial
 from tuning import tuning_house
 
 from infogoal_jax import jit, presets, use_compilation_cache
@@ -37,6 +37,28 @@ from infogoal_jax.train.compilation import chunk_of
 from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
+
+TABLES = {
+    "cube": (("object_manipulation",), ("degrees", 1)),
+    "fetch": (presets.FETCH_TASKS, ("m", 3)),
+    "house": (("object_search",), None),
+    "shelf": (("embodied_qa",), None),
+}
+"""Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
+ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "shelf_goals": None}
+"""Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+COMPARISONS = {
+    "cube_comparisons": [
+        ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
+        for dataset in (0, 1, 2)
+    ],
+    "shelf_comparisons": [
+        ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))
+        for dataset in (0, 1, 2)
+        for threshold in (0.99, 0.999)
+    ],
+}
+"""Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
 
 KINDS = (
     "train_goal",
