@@ -90,9 +90,9 @@ def claim(program: Program, work: Work, claims: contextlib.ExitStack, whole: boo
     none of a program that another process has begun."""
     mine = []
     for run in program.runs:
-        if not to_do(run, work):
-            continue
         path = files.path_of(work.folder, run, "lock")
+        if not (to_do(run, work) or path.exists()):  # One that was killed leaves its lock, beside a finished run too.
+            continue
         disk.make_folder(path.parent)
         with contextlib.ExitStack() as one:
             try:

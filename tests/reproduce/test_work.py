@@ -147,6 +147,13 @@ def test_a_run_that_was_stopped_at_a_lower_ceiling_is_made_again(whole, tmp_path
     assert reproduce(tmp_path, 1).finished == runs(1)[:1]
 
 
+def test_the_lock_that_a_killed_process_left_beside_a_finished_run_goes(whole, tmp_path):
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    lock = files.path_of(tmp_path, runs(1)[0], "lock")
+    lock.touch()
+    assert reproduce(tmp_path, 1).finished == [] and not lock.exists()
+
+
 @pytest.mark.long
 def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
     path = files.path_of(tmp_path, runs(1)[0], "lock")
