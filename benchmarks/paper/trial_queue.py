@@ -2,6 +2,8 @@
 
 from typing import Any, NamedTuple
 
+from tuning import DATASETS
+
 PRESET: dict[str, dict[str, float]] = {"preset": {}}
 CUBE_TASK, SHELF_TASK, HOUSE_TASK = "object_manipulation", "embodied_qa", "object_search"
 REACH, PICK_AND_PLACE = "fetch_reach", "fetch_pick_and_place"
@@ -24,9 +26,7 @@ class Trial(NamedTuple):
     agent: str | None = None
 
 
-CUBE = {
-    "env.generator_seed": 100,
-    "env.goal_seed": 100,
+CUBE = DATASETS[CUBE_TASK] | {
     "env.episode_length": 100,
     "rollout_steps": 100,
     "num_envs": 128,
@@ -40,7 +40,7 @@ CUBE = {
 FETCH = {"num_epochs": 200, "epochs_per_evaluation": 20}
 """Fetch with 20,000 updates, on the goals that are shipped: settings are to be compared by their validation goals."""
 
-SHELF = {"env.generator_seed": 100}
+SHELF = DATASETS[SHELF_TASK]
 
 HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""

@@ -36,8 +36,8 @@ Search = dict[str, Any]
 """search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
 evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
 [evaluations][seeds] and the seeds that diverged."""
-OTHER_SEED = 100
-"""Seed of the house, cube and shelf for tuning."""
+SEED = 100
+"""Of the house, the cube and the shelf for tuning: no result is shown on them."""
 VALIDATION = {
     "crystal_hot_sauce": "pringles_bbq",
     "paper_plate": "red_cup",
@@ -52,11 +52,11 @@ VALIDATION = {
 """Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split
 of the authors."""
 
-DATA = {
-    "object_manipulation": ["--env.generator-seed", str(OTHER_SEED), "--env.goal-seed", str(OTHER_SEED)],
-    "embodied_qa": ["--env.generator-seed", str(OTHER_SEED)],
+DATASETS = {
+    "object_manipulation": {"env.generator_seed": SEED, "env.goal_seed": SEED},
+    "embodied_qa": {"env.generator_seed": SEED},
 }
-"""Flags of the generated data that no result is shown on."""
+"""Fields of the cube and the shelf for tuning."""
 EPOCHS = {"object_search": 100, "fetch_reach": 60}
 """Epochs of every trial; of another task those of the bare agent's preset."""
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
@@ -69,7 +69,7 @@ def tuning_house(folder: Path) -> list[str]:
     if not (folder / "house").exists():
         folder.mkdir(parents=True, exist_ok=True)
         dataset = Path(tempfile.mkdtemp(dir=folder))
-        build_house(dataset, seed=OTHER_SEED)
+        build_house(dataset, seed=SEED)
         for path in (dataset / "all_instance_id_map.txt", dataset / "instance_id_map.txt"):
             identifier = dict(line.split() for line in path.read_text().splitlines())
             for old, new in VALIDATION.items():
@@ -88,13 +88,18 @@ def tuning_house(folder: Path) -> list[str]:
     return ["--env.dataset", str(folder / "house"), "--env.split", str(folder / "house" / "split.json")]
 
 
+def flags(fields: dict[str, int]) -> list[str]:
+    """Dotted fields as flags of the command line."""
+    return [word for name, value in fields.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+
+
 def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
     """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder
     to search again."""
     out = folder / task / method
     if (out / "best.json").exists():
         return
-    data = tuning_house(folder) if task == "object_search" else DATA.get(task, [])
+    data = tuning_house(folder) if task == "object_search" else flags(DATASETS.get(task, {}))
     command = [
         "tune",
         task,

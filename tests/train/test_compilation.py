@@ -19,7 +19,7 @@ from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.figures import draw_figures
-from infogoal_jax.train import distributed, memory, tune
+from infogoal_jax.train import compilation, distributed, memory, tune
 from infogoal_jax.train.compilation import OPTIONS, chunk_of, compiler_options, operations
 from infogoal_jax.train.host import run
 from infogoal_jax.train.low_level import host
@@ -71,6 +71,13 @@ def test_options_that_the_user_has_set_are_left_alone(monkeypatch):
     assert compiler_options() == {"xla_backend_optimization_level": 1}
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
     assert compiler_options() == {}
+
+
+def test_each_kind_of_device_has_options_of_its_own(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(compilation, "is_known", lambda option, value: True)
+    assert compiler_options() == {"xla_gpu_triton_gemm_any": False}
 
 
 def test_options_that_the_compiler_does_not_have_are_left_out(monkeypatch):
