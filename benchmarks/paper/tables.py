@@ -6,7 +6,7 @@ A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` a
 is replaced by what the numbers of the source give. Sources:
 
     paper     Table I of the runs in paper.npz; docs/reproduction.md has all that is made of them
-    tuning    the searches of tuning.py, in tuning.jsonl
+    tuning    the searches of tuning.py, in tuning.jsonl.gz
     trials    the trials of trials.py, in trials/numbers.csv.gz
     all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in

@@ -36,7 +36,7 @@ from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.reproduce.table_formats import markdown_lines
 from infogoal_jax.runs import disk
-from infogoal_jax.train.evaluation import corrupted_images
+from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
 
 FILE = "numbers.csv.gz"
 LAST = 3
@@ -257,7 +257,9 @@ def code_errors(train, params, goals: jax.Array) -> dict[str, jax.Array]:
     table, targets = encode_all(learner, params["goal"], env.goals).mean, poses(env)
     read_out = fit(table, targets, ~env.goals.test_mask)
     weight = train.parts.config.test_corruption
-    pictures = {"": env.goals.inputs_of(goals), "corrupted_": corrupted_images(env, goals, 1, weight)[:, 0]}
+    pictures = {"": env.goals.inputs_of(goals)}
+    if has_image_goals(env):
+        pictures["corrupted_"] = corrupted_images(env, goals, 1, weight)[:, 0]
     errors = {}
     for prefix, images in pictures.items():
         code = learner.encode(params["goal"], images)

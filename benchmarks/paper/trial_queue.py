@@ -47,6 +47,7 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 HOUSE_GOALS = HOUSE | {"epochs_per_evaluation": 10}
 
 WINDOW_1, CORRUPTED = {"learner.window": 1}, {"training_corruption": 0.4}
+STANDARDISED = {"learner.standardise_images": True}
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 FINER_THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.98, 0.99, 0.995, 0.998)}
 MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.002, 0.005, 0.02)}
@@ -79,6 +80,8 @@ CUBE_HEAD = {
     "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
     "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
 }
+ACHIEVED, MIXED = ({"relabelling.achieved_share": share} for share in (1.0, 0.5))
+"""Which of an update's 512 goals on the cube the batch achieves: all, or half. Half was the preset's share at first."""
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
@@ -86,6 +89,14 @@ PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 achieved, or never."""
 
 
+LEARNING = {
+    "her": "her",
+    "leo": "leo",
+    "head": "all_goals",
+    "infogoal_head": "infogoal+all_goals",
+    "infobot_head": "infobot+all_goals",
+}
+"""What learns in trials on all goals at once, and the name of the method."""
 ALL_GOALS = {
     "house_goals": Trial(HOUSE_TASK, "", HOUSE_GOALS),
     "cube_dqn": Trial(CUBE_TASK, "", CUBE, agent="dqn"),
@@ -95,21 +106,25 @@ ALL_GOALS = {
 
 
 def all_goals_trials(
-    name: str, lanes: dict[str, dict[str, dict[str, float]]], protocols: tuple[str, ...] = tuple(PROTOCOLS)
+    name: str,
+    lanes: dict[str, dict[str, dict[str, float]]],
+    protocols: tuple[str, ...] = tuple(PROTOCOLS),
+    goals: dict[str, float] | None = None,
 ) -> dict[str, Trial]:
     """HER, LEO and the all-goals head with each learner, under these protocols. lanes: of each of them, else the
-    preset."""
+    preset; goals: settings of those that learn from all goals."""
     trial = ALL_GOALS[name]
-    methods = {"her": "her", "leo": "leo", "head": "all_goals"}
-    methods |= {f"{learner}_head": f"{learner}+all_goals" for learner in ("infogoal", "infobot")}
     return {
         f"{name}_{short}{ending}": trial._replace(
             method=method,
-            settings=trial.settings | PROTOCOLS[ending] | (SAMPLED if method.endswith("+all_goals") else {}),
+            settings=trial.settings
+            | PROTOCOLS[ending]
+            | ({} if method == "her" else goals or {})
+            | (SAMPLED if method.endswith("+all_goals") else {}),
             lanes=lanes.get(short, PRESET),
         )
         for ending in protocols
-        for short, method in methods.items()
+        for short, method in LEARNING.items()
     }
 
 
@@ -228,48 +243,48 @@ QUEUE = {
             "infobot_head": LEARNER_WEIGHTS | SMALLEST_WEIGHT,
         },
         protocols=("",),  # The study itself has the other one.
+        goals=MIXED,
     ),
     # The smaller the weight of their loss, the better the head was: one still smaller. And finer codes.
     "house_goals_infogoal_head_finer": Trial(
         HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
     ),
     "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT),
-    # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
-    "cube_dqn_infogoal_head_finer": Trial(
-        CUBE_TASK, "infogoal+all_goals", CUBE | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), agent="dqn"
-    ),
-    # Even a ten thousandth leaves it far behind a plain head. Is it the noise of codes? With their means in its place:
+    # Even the smallest leaves it far behind a plain head. Is it the noise of codes? With their means in its place:
     **{
-        f"{name}_{learner}_head_mean": ALL_GOALS[name]._replace(
-            method=f"{learner}+all_goals", settings=ALL_GOALS[name].settings | MEAN, lanes=lanes, seeds=seeds
+        f"{name}_{short}_mean": ALL_GOALS[name]._replace(
+            method=LEARNING[short], settings=ALL_GOALS[name].settings | MEAN, lanes=LEARNER_WEIGHTS
         )
-        for name, learner, lanes, seeds in (
-            ("cube_dqn", "infogoal", weighted(*FINE, 1.0, 0.01, 0.0001), 2),
-            ("cube_dqn", "infobot", weighted("", {}, 0.01, 0.001, 0.0001), 2),
-            ("house_goals", "infogoal", LEARNER_WEIGHTS, 3),
-            ("house_goals", "infobot", LEARNER_WEIGHTS, 3),
-            ("shelf_goals", "infogoal", LEARNER_WEIGHTS, 3),
-            ("shelf_goals", "infobot", LEARNER_WEIGHTS, 3),
-        )
+        for name in ("house_goals", "shelf_goals")
+        for short in ("infogoal_head", "infobot_head")
     },
     # What of it is the head: the head, trained under one hindsight goal a transition.
     "house_goals_her_product": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.head": "product", "agent.bounded": True}),
-    # HER learns from eight steps at once, the head from one, as they say little under goals that were not desired. Is
-    # it that what test poses lack? And does it help to learn from goals alone that the batch achieves?
     **{
-        f"cube_dqn_{name}_steps_{steps}": Trial(CUBE_TASK, method, CUBE | {"agent.num_steps": steps}, agent="dqn")
-        for name, method, steps in (("head", "all_goals", 8), ("head", "all_goals", 3), ("her", "her", 1))
-    },
-    "cube_dqn_head_achieved": Trial(CUBE_TASK, "all_goals", CUBE | {"relabelling.achieved_share": 1.0}, agent="dqn"),
-    "cube_dqn_leo_every_goal": Trial(CUBE_TASK, "leo", CUBE | {"relabelling.num_goals": 0}, agent="dqn"),
-    **{
-        f"cube_dqn_{name}_corruption": Trial(
-            CUBE_TASK, method, CUBE | CORRUPTED | {"learner.standardise_images": True}, lanes, agent="dqn"
-        )
-        for name, method, lanes in (
-            ("her", "her", PRESET),
-            ("head", "all_goals", CUBE_HEAD),
-            ("infogoal_head", "infogoal+all_goals", weighted("", {}, 1e-3, 1e-4, 1e-5)),
+        f"cube_dqn_{short}_{words}": Trial(CUBE_TASK, LEARNING[short], CUBE | settings, lanes, seeds, agent="dqn")
+        for short, words, settings, lanes, seeds in (
+            # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
+            ("infogoal_head", "finer", MIXED | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), 3),
+            ("infogoal_head", "mean", MIXED | MEAN, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
+            ("infobot_head", "mean", MIXED | MEAN, weighted("", {}, 0.01, 0.001, 0.0001), 2),
+            # HER learns from eight steps at once, the head from one, as they say little under goals that were not
+            # desired. Is it that what test poses lack?
+            ("head", "steps_8", MIXED | {"agent.num_steps": 8}, PRESET, 3),
+            ("head", "steps_3", MIXED | {"agent.num_steps": 3}, PRESET, 3),
+            ("her", "steps_1", {"agent.num_steps": 1}, PRESET, 3),
+            # Or are there too many goals that no transition of the batch achieves? HER's share of achieved ones is 0.8.
+            ("head", "achieved", ACHIEVED, PRESET, 3),
+            ("head", "achieved_0.9", {"relabelling.achieved_share": 0.9}, PRESET, 3),
+            ("infogoal_head", "achieved", ACHIEVED | MEAN, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
+            ("infogoal_head", "achieved_sampled", ACHIEVED | SAMPLED, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
+            ("infogoal_head", "achieved_finer", ACHIEVED | SAMPLED, weighted(*FINE, 0.1, 0.03, 0.01, 0.003, 0.001), 2),
+            ("infobot_head", "achieved", ACHIEVED | MEAN, weighted("", {}, 0.1, 0.01, 0.001), 2),
+            ("infobot_head", "achieved_sampled", ACHIEVED | SAMPLED, weighted("", {}, 0.01, 0.001, 0.0001), 2),
+            ("leo", "achieved", ACHIEVED, PRESET, 3),
+            ("leo", "every_goal", {"relabelling.num_goals": 0}, PRESET, 3),
+            ("her", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),
+            ("head", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),
+            ("infogoal_head", "corruption", CORRUPTED | STANDARDISED, weighted("", {}, 1e-2, 1e-3, 1e-4), 3),
         )
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.

@@ -10,11 +10,12 @@ objects are given the names of objects that the task does not have, and are the 
 are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a
 search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several
 processes. With --final the preset and the three best of each search run again with eight other seeds, into
-FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl, a line a search;
+FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl.gz, a line a search;
 `tables.py tuning` then writes the tables of docs/tuning.md.
 """
 
 import argparse
+import gzip
 import json
 import shutil
 import subprocess
@@ -27,11 +28,13 @@ import numpy as np
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.report.statistics import paired_difference
 from infogoal_jax.reproduce.manifest import METHODS
 from infogoal_jax.reproduce.table_formats import markdown_lines
+from infogoal_jax.runs import disk
 from infogoal_jax.stand_ins.house import build_house
 
-NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "tuning.jsonl"
+NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "tuning.jsonl.gz"
 Search = dict[str, Any]
 """search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
 evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
@@ -57,8 +60,10 @@ DATASETS = {
     "embodied_qa": {"env.generator_seed": SEED},
 }
 """Fields of the cube and the shelf for tuning."""
-EPOCHS = {"object_search": 100, "fetch_reach": 60}
-"""Epochs of every trial; of another task those of the bare agent's preset."""
+EPOCHS = {"object_search": 100, "fetch_reach": 60, "object_manipulation": 20}
+"""Epochs of every trial; of another task those of the bare agent's preset. On the cube 20 of 1,000 updates make half of
+the training poses of HER's runs, and cost three minutes of a GPU a search."""
+SEEDS_OF_A_FINAL = 8
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
 """What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
 one number."""
@@ -146,7 +151,8 @@ def read_search(folder: Path, name: str) -> Search:
 
 def load(path: Path) -> dict[str, Search]:
     """The searches of a file, by name."""
-    return {search["search"]: search for search in map(json.loads, path.read_text().splitlines())}
+    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+    return {search["search"]: search for search in map(json.loads, lines)}
 
 
 def merge(folder: Path, path: Path) -> list[str]:
@@ -154,7 +160,8 @@ def merge(folder: Path, path: Path) -> list[str]:
     names = {str(found.parent.relative_to(folder)): found.parent for found in sorted(folder.rglob("best.json"))}
     new = {name: read_search(found, name) for name, found in names.items()}
     searches = (load(path) if path.exists() else {}) | new
-    path.write_text("".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches)))
+    lines = "".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches))
+    disk.write_atomically(path, lambda file: file.write(gzip.compress(lines.encode(), mtime=0)))
     return list(new)
 
 
@@ -173,21 +180,26 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
 
 
 def table(found: dict[str, Search]) -> str:
-    """A line for each method: the preset's score, the best one's and its values; what they were made on below."""
-    rows, footers = [], {}
+    """A line for each method: the preset's score, the best one's, in a final also the difference of the two over the
+    seeds, and the best one's values; what they were made on below."""
+    rows, footers, is_final = [], {}, all(len(search["seeds"]) >= SEEDS_OF_A_FINAL for search in found.values())
     for method, search in found.items():
         trials = {trial["trial"]: trial for trial in search["trials"]}
         best = trials[search["best"]]
         scores = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (trials[0], best)]
         values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
         epochs = f"{search['epochs'][-1]} of {search['num_epochs']}"
+        if is_final:
+            difference = paired_difference(best["success"][-1], trials[0]["success"][-1])
+            scores.append("" if search["best"] == 0 else difference.show(2))
         rows.append([METHODS[method], *scores, str(search["best"]), values, epochs])
         seeds = ", ".join(map(str, search["seeds"]))
         footers[
             f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
             f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
         ] = None
-    lines = markdown_lines(["method", "preset of that time", "best", "trial", "its values", "epochs"], rows)
+    scores = ["preset of that time", "best", *["best minus preset"] * is_final]
+    lines = markdown_lines(["method", *scores, "trial", "its values", "epochs"], rows)
     return "\n\n".join([lines, *footers])
 
 

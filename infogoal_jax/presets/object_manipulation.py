@@ -15,7 +15,7 @@ PRESET = Preset(
     agent="hrac",  # [P]
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
     agents={"hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6}},  # [M]
-    relabellings={"all_goals": {"num_goals": 512}},  # [M]
+    relabellings={"all_goals": {"num_goals": 512, "achieved_share": 1.0}},  # [M]
     state_encoder={"features": 256},
     training={
         "num_envs": 128,
@@ -31,8 +31,8 @@ PRESET = Preset(
     methods={
         "infogoal": FINE_CODE,
         "infobot": Changes(hyper=INFOBOT),
-        "infogoal+all_goals": Changes(relabelling=MEAN, hyper=FINE_CODE.hyper | {"learner_weight": 1e-4}),  # [M]
-        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 0.01}),  # [M]
+        "infogoal+all_goals": Changes(hyper=FINE_CODE.hyper | {"learner_weight": 0.001}),  # [M]
+        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },
