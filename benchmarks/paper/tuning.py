@@ -61,8 +61,8 @@ DATASETS = {
 }
 """Fields of the cube and the shelf for tuning."""
 EPOCHS = {"object_search": 100, "fetch_reach": 60, "object_manipulation": 20}
-"""Epochs of every trial; of another task those of the bare agent's preset. On the cube 20 of 1,000 updates make half of
-the training poses of HER's runs, and cost three minutes of a GPU a search."""
+"""Epochs of every trial; of another task those of the bare agent's preset. The cube's 120 would take a quarter
+of an hour of a GPU a search."""
 SEEDS_OF_A_FINAL = 8
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
 """What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
