@@ -82,6 +82,7 @@ CUBE_HEAD = {
 }
 ACHIEVED, MIXED = ({"relabelling.achieved_share": share} for share in (1.0, 0.5))
 """Which of an update's 512 goals on the cube the batch achieves: all, or half. Half was the preset's share at first."""
+DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
@@ -249,7 +250,6 @@ QUEUE = {
     "house_goals_infogoal_head_finer": Trial(
         HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
     ),
-    "house_goals_infobot_head_finer": Trial(HOUSE_TASK, "infobot+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT),
     # Even the smallest leaves it far behind a plain head. Is it the noise of codes? With their means in its place:
     **{
         f"{name}_{short}_mean": ALL_GOALS[name]._replace(
@@ -280,6 +280,10 @@ QUEUE = {
             ("infogoal_head", "achieved_finer", ACHIEVED | SAMPLED, weighted(*FINE, 0.1, 0.03, 0.01, 0.003, 0.001), 2),
             ("infobot_head", "achieved", ACHIEVED | MEAN, weighted("", {}, 0.1, 0.01, 0.001), 2),
             ("infobot_head", "achieved_sampled", ACHIEVED | SAMPLED, weighted("", {}, 0.01, 0.001, 0.0001), 2),
+            # Larger weights lose training poses alone: is it that a desired goal that is missed is not learned of?
+            ("head", "desired", DESIRED, PRESET, 3),
+            ("infogoal_head", "desired", DESIRED | SAMPLED, weighted(*FINE, 0.1, 0.01, 0.001), 2),
+            ("infobot_head", "desired", DESIRED | SAMPLED, weighted("", {}, 0.01, 0.001), 2),
             ("leo", "achieved", ACHIEVED, PRESET, 3),
             ("leo", "every_goal", {"relabelling.num_goals": 0}, PRESET, 3),
             ("her", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),

@@ -20,16 +20,25 @@ class AllGoalsConfig:
     """Goals drawn for an update; 0: all that are known. For 256 transitions, 6 actions and 6,384 goals each set of
     values takes 39 MB."""
     achieved_share: float = 0.5
-    """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure. The
-    rest is any known goal."""
+    """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure."""
+    desired_share: float = 0.0
+    """Share of those drawn that were desired where the transitions of the batch were collected: what is missed is
+    learned of, too. The rest is any known goal."""
     code: Literal["sampled", "mean"] = "sampled"
     """`sampled`: a goal's code is drawn once an update; `mean`: its mean, on which the policy then acts too."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
         require(self.num_goals >= 0, "relabelling.num_goals", self.num_goals, "give a whole number, 0 for all goals")
+        for name in ("achieved_share", "desired_share"):
+            value = getattr(self, name)
+            require(0 <= value <= 1, f"relabelling.{name}", value, "give a share from 0 to 1")
+        together = self.achieved_share + self.desired_share
         require(
-            0 <= self.achieved_share <= 1, "relabelling.achieved_share", self.achieved_share, "give a share from 0 to 1"
+            together <= 1 + 1e-6,
+            "relabelling.desired_share",
+            self.desired_share,
+            f"with relabelling.achieved_share it makes {together:g}; give shares of at most 1 together",
         )
 
 
@@ -45,5 +54,7 @@ def make(config: AllGoalsConfig) -> Relabelling:
     return Relabelling(
         prepare=lambda context: context.achievements.known,
         relabel=relabel,
-        all_goals=AllGoalsSpec(config.num_goals, config.achieved_share, config.code == "mean"),
+        all_goals=AllGoalsSpec(
+            config.num_goals, config.achieved_share, config.desired_share, mean_code=config.code == "mean"
+        ),
     )

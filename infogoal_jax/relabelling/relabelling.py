@@ -60,6 +60,8 @@ class AllGoalsSpec(NamedTuple):
     """Goals drawn for an update; 0: all known ones."""
     achieved_share: float
     """Share of those drawn that the transitions of the batch achieve."""
+    desired_share: float
+    """Share of those drawn that were desired in the episodes of the batch; the rest is any known goal."""
     mean_code: bool
     """The agent learns from the means of codes and acts on them, in place of samples."""
 

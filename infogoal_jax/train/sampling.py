@@ -82,7 +82,7 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         )
     if spec_of(parts) is not None:
         known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
-        goals = draw_goals(spec_of(parts), known, drawn.achieved, goals_key)
+        goals = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], goals_key)
         drawn = drawn.replace(all_goals=goals, goal_share=shares(known if goals is None else known[goals]))
     if spec.first_seen:
         led_to = jnp.minimum(step[:, None] + 1 + jnp.arange(num_steps), buffer.valid.shape[1])
@@ -135,11 +135,13 @@ def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs
     return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
 
 
-def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: jax.Array) -> jax.Array | None:
-    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, else any known
-    one. None: all goals of the task.
+def draw_goals(
+    spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired: jax.Array, key: jax.Array
+) -> jax.Array | None:
+    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, a share of those
+    that were desired, else any known one. None: all goals of the task.
 
-    known: bool [N]; achieved: int32 [B, n, K], padded with -1.
+    known: bool [N]; achieved: int32 [B, n, K], padded with -1; desired: int32 [B].
     """
     if not 0 < spec.num_goals < known.shape[0]:
         return None
@@ -148,7 +150,12 @@ def draw_goals(spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, key: j
     of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
     found = of_transition[jax.random.randint(which_key, (count,), 0, achieved.shape[0])]
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
-    return anything.at[:count].set(jnp.where(found >= 0, found, anything[:count]))
+    goals = anything.at[:count].set(jnp.where(found >= 0, found, anything[:count]))
+    missed = min(round(spec.desired_share * spec.num_goals), spec.num_goals - count)
+    if missed:
+        wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (missed,), 0, len(desired))]
+        goals = goals.at[count : count + missed].set(wanted)
+    return goals
 
 
 def shares(known: jax.Array) -> jax.Array:

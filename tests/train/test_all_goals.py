@@ -84,15 +84,22 @@ def test_same_key_gives_the_same_bits():
     jax.tree.map(np.testing.assert_array_equal, first.params, second.params)
 
 
-def test_drawn_goals_are_known_and_a_share_was_achieved_in_the_batch():
-    known = jnp.zeros(50, bool).at[jnp.array([3, 7, 20])].set(True)
-    achieved = jnp.array([[[7, -1]], [[-1, 20]], [[7, 20]]])
-    goals = draw_goals(AllGoalsSpec(40, 0.5, mean_code=False), known, achieved, jax.random.key(0))
-    assert goals.shape == (40,) and set(np.asarray(goals[:20]).tolist()) == {7, 20}
-    assert set(np.asarray(goals[20:]).tolist()) == {3, 7, 20}
-    nothing = draw_goals(AllGoalsSpec(40, 1.0, mean_code=False), known, -jnp.ones_like(achieved), jax.random.key(1))
-    assert known[nothing].all()
-    assert draw_goals(AllGoalsSpec(0, 0.5, mean_code=False), known, achieved, jax.random.key(0)) is None
+def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch():
+    known = jnp.zeros(100, bool).at[jnp.array([3, 7, 20, 30])].set(True)
+    achieved, desired = jnp.array([[[7, -1]], [[-1, 20]], [[7, 20]]]), jnp.array([3, 3, 30])
+
+    def drawn(achieved, *spec):
+        goals = draw_goals(AllGoalsSpec(*spec, mean_code=False), known, achieved, desired, jax.random.key(0))
+        return None if goals is None else np.asarray(goals)
+
+    goals = drawn(achieved, 80, 0.5, 0.25)
+    assert goals.shape == (80,) and set(goals[:40]) == {7, 20} and set(goals[40:60]) == {3, 30}
+    assert set(goals[60:]) == {3, 7, 20, 30}
+    np.testing.assert_array_equal(
+        np.delete(drawn(achieved, 80, 0.5, 0.0), range(40, 60)), np.delete(goals, range(40, 60))
+    )
+    assert known[drawn(-jnp.ones_like(achieved), 80, 1.0, 0.0)].all()
+    assert drawn(achieved, 0, 0.5, 0.25) is None
 
 
 @pytest.mark.parametrize("code", ["sampled", "mean"])
@@ -151,8 +158,13 @@ def test_what_does_not_go_together_is_refused():
     config = hand_made.config("none")
     with pytest.raises(UserError, match="agent.head = 'index'"):
         make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, head="index")), env)
-    with pytest.raises(UserError, match="relabelling.achieved_share = 2"):
-        hand_made.config("none", relabelling=presets.REGISTRIES["relabelling"]["all_goals"].config(achieved_share=2))
+    for given, blame in (
+        ({"achieved_share": 2}, "relabelling.achieved_share = 2"),
+        ({"desired_share": -1}, "relabelling.desired_share = -1"),
+        ({"achieved_share": 0.8, "desired_share": 0.3}, "relabelling.desired_share = 0.3: with .* it makes 1.1"),
+    ):
+        with pytest.raises(UserError, match=blame):
+            hand_made.config("none", relabelling=AllGoalsConfig(**given))
 
 
 def test_an_environment_with_goals_by_number_can_be_given_again():
