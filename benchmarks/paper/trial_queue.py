@@ -83,6 +83,7 @@ CUBE_HEAD = {
 ACHIEVED, MIXED = ({"relabelling.achieved_share": share} for share in (1.0, 0.5))
 """Which of an update's 512 goals on the cube the batch achieves: all, or half. Half was the preset's share at first."""
 DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
+FEW_GOALS = {"relabelling.num_goals": 32}
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
@@ -145,12 +146,7 @@ def searching(weights: tuple[float, ...], betas: tuple[float, ...]) -> dict[str,
 
 def confirmation(dataset: int) -> dict[str, Any]:
     """The cube with 120,000 updates, on a dataset that results are shown on."""
-    return CUBE | {
-        "env.generator_seed": dataset,
-        "env.goal_seed": dataset,
-        "num_epochs": 120,
-        "epochs_per_evaluation": 10,
-    }
+    return CUBE | dict.fromkeys(DATASETS[CUBE_TASK], dataset) | {"num_epochs": 120, "epochs_per_evaluation": 10}
 
 
 QUEUE = {
@@ -196,6 +192,9 @@ QUEUE = {
         )
         for dataset in (0, 1, 2)
     },
+    # The head under HRAC, with which HER reaches most. A target action for each goal: 32 goals in place of 512.
+    "cube_head": Trial(CUBE_TASK, "all_goals", CUBE | DESIRED | FEW_GOALS),
+    "cube_infogoal_head": Trial(CUBE_TASK, "infogoal+all_goals", CUBE | DESIRED | FEW_GOALS, LEARNER_WEIGHTS, seeds=2),
     # The same without HER, as in the paper: is it the code or the relabelling that test poses need?
     "cube_infogoal_window_1": Trial(CUBE_TASK, "infogoal", CUBE | WINDOW_1, THRESHOLDS, seeds=2),
     # Test questions of the shelf: is the loss in the way from a question to its object, or in the policy? Commanding
