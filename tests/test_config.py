@@ -241,9 +241,9 @@ def test_a_combination_without_a_name_takes_what_its_learner_has():
 
 
 def test_a_method_may_change_its_relabelling():
-    sampled, mean = (presets.load("object_manipulation", name, relabelling="all_goals") for name in ("none", "infobot"))
+    sampled, mean = (presets.load("object_search", name, relabelling="all_goals") for name in ("none", "infogoal"))
     assert (sampled.relabelling.code, mean.relabelling.code) == ("sampled", "mean")
-    assert mean.learner == presets.load("object_manipulation", "infobot").learner
+    assert mean.learner == presets.load("object_search", "infogoal").learner
 
 
 def test_all_public_names_can_be_completed():

@@ -29,7 +29,7 @@ import numpy as np
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.report.statistics import paired_difference
-from infogoal_jax.reproduce.manifest import METHODS
+from infogoal_jax.reproduce.paper import LEARNERS, METHODS
 from infogoal_jax.reproduce.table_formats import markdown_lines
 from infogoal_jax.runs import disk
 from infogoal_jax.stand_ins.house import build_house
@@ -63,10 +63,14 @@ DATASETS = {
 EPOCHS = {"object_search": 100, "fetch_reach": 60, "object_manipulation": 20}
 """Epochs of every trial; of another task those of the bare agent's preset. The cube's 120 would take a quarter
 of an hour of a GPU a search."""
-SEEDS_OF_A_FINAL = 8
+EVALUATED = {"object_search": 20, "fetch_reach": 20, "object_manipulation": 5}
+"""Epochs of a trial between evaluations, where `EPOCHS` says how many there are."""
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
 """What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
-one number."""
+one number. `AGENT_FIELDS` has what the agent of a task adds."""
+AGENT_FIELDS = {"embodied_qa": ["agent.conservative_weight"]}
+WITH_HER = ("object_manipulation",)
+"""Tasks on which learners are searched with HER: without it all of them stay at the floor."""
 
 
 def tuning_house(folder: Path) -> list[str]:
@@ -118,8 +122,12 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
         str(out),
         *data,
     ]
-    command += ["--num-epochs", str(EPOCHS[task]), "--epochs-per-evaluation", "20"] if task in EPOCHS else []
-    command += ["--fields", *FIELDS[method]] if method in FIELDS else []
+    if task in EPOCHS:
+        command += ["--num-epochs", str(EPOCHS[task]), "--epochs-per-evaluation", str(EVALUATED[task])]
+    if method in FIELDS:
+        command += ["--fields", *FIELDS[method], *AGENT_FIELDS.get(task, [])]
+    if task in WITH_HER and method in LEARNERS:
+        command += ["--relabelling", "her"]
     subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
@@ -175,14 +183,14 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
                 found = {
                     method: searches[name] for method, name in zip(METHODS, names, strict=True) if name in searches
                 }
-                shown[task + ending.replace("/", "_")] = table(found)
+                shown[task + ending.replace("/", "_")] = table(found, is_final=bool(ending))
     return shown
 
 
-def table(found: dict[str, Search]) -> str:
-    """A line for each method: the preset's score, the best one's, in a final also the difference of the two over the
+def table(found: dict[str, Search], is_final: bool) -> str:
+    """A line for each method: the preset's score, the best one's, of a final also the difference of the two over the
     seeds, and the best one's values; what they were made on below."""
-    rows, footers, is_final = [], {}, all(len(search["seeds"]) >= SEEDS_OF_A_FINAL for search in found.values())
+    rows, footers = [], {}
     for method, search in found.items():
         trials = {trial["trial"]: trial for trial in search["trials"]}
         best = trials[search["best"]]
@@ -198,8 +206,8 @@ def table(found: dict[str, Search]) -> str:
             f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
             f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
         ] = None
-    scores = ["preset of that time", "best", *["best minus preset"] * is_final]
-    lines = markdown_lines(["method", *scores, "trial", "its values", "epochs"], rows)
+    columns = ["method", "preset of that time", "best", *["best minus preset"] * is_final]
+    lines = markdown_lines([*columns, "trial", "its values", "epochs"], rows)
     return "\n\n".join([lines, *footers])
 
 

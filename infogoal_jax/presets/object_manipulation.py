@@ -2,7 +2,7 @@
 
 import math
 
-from infogoal_jax.presets.preset import INFOBOT, MEAN, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 3, "num_pairs": 256}
 """Which goals count as similar [M]: those at most 3 steps apart, so 45 degrees; a test goal may lie 90 degrees from the
@@ -32,7 +32,7 @@ PRESET = Preset(
         "infogoal": FINE_CODE,
         "infobot": Changes(hyper=INFOBOT),
         "infogoal+all_goals": Changes(hyper=FINE_CODE.hyper | {"learner_weight": 0.001}),  # [M]
-        "infobot+all_goals": Changes(relabelling=MEAN, hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
+        "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
     },

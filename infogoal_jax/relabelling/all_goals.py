@@ -22,8 +22,8 @@ class AllGoalsConfig:
     achieved_share: float = 0.5
     """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure."""
     desired_share: float = 0.0
-    """Share of those drawn that were desired where the transitions of the batch were collected: what is missed is
-    learned of, too. The rest is any known goal."""
+    """Share of those drawn that were desired where the transitions of the batch were collected, so that what was missed
+    enters the loss too. The rest is any known goal."""
     code: Literal["sampled", "mean"] = "sampled"
     """`sampled`: a goal's code is drawn once an update; `mean`: its mean, on which the policy then acts too."""
 
@@ -55,6 +55,9 @@ def make(config: AllGoalsConfig) -> Relabelling:
         prepare=lambda context: context.achievements.known,
         relabel=relabel,
         all_goals=AllGoalsSpec(
-            config.num_goals, config.achieved_share, config.desired_share, mean_code=config.code == "mean"
+            num_goals=config.num_goals,
+            achieved_share=config.achieved_share,
+            desired_share=config.desired_share,
+            mean_code=config.code == "mean",
         ),
     )

@@ -146,16 +146,14 @@ def draw_goals(
     if not 0 < spec.num_goals < known.shape[0]:
         return None
     goal_key, which_key, any_key = jax.random.split(key, 3)
-    count = round(spec.achieved_share * spec.num_goals)
+    num_achieved = round(spec.achieved_share * spec.num_goals)
+    num_desired = min(round(spec.desired_share * spec.num_goals), spec.num_goals - num_achieved)
     of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
-    found = of_transition[jax.random.randint(which_key, (count,), 0, achieved.shape[0])]
+    found = of_transition[jax.random.randint(which_key, (num_achieved,), 0, achieved.shape[0])]
+    wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired))]
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
-    goals = anything.at[:count].set(jnp.where(found >= 0, found, anything[:count]))
-    missed = min(round(spec.desired_share * spec.num_goals), spec.num_goals - count)
-    if missed:
-        wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (missed,), 0, len(desired))]
-        goals = goals.at[count : count + missed].set(wanted)
-    return goals
+    found = jnp.where(found >= 0, found, anything[:num_achieved])
+    return jnp.concatenate([found, wanted, anything[num_achieved + num_desired :]])
 
 
 def shares(known: jax.Array) -> jax.Array:
