@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import trial_numbers
 import trials
 import tuning
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -214,24 +215,23 @@ def sb3_tables(curves: dict[str, list[Curve]]) -> dict[str, str]:
 
 def draw_sb3(curves: dict[str, list[Curve]], path: Path) -> None:
     """Success against steps, a line for each seed."""
-    with canvas.figure_style():
-        figure = canvas.empty_figure("FetchReach, greedy policy", ("A line for each seed.",), (6.5, 3.6))
-        axes = figure.subplots()
-        for name, title in LEARNERS.items():
-            for number, curve in enumerate(curves[name]):
-                axes.plot(
-                    curve.steps, curve.success, color=LEARNER_COLOURS[name], marker=".", label="" if number else title
-                )
-        axes.axhline(ENOUGH, color="#888888", linewidth=0.8, linestyle="--")
-        axes.set(xscale="log", xlabel="environment steps", ylabel="success rate", ylim=(-0.02, 1.02))
-        axes.legend()
-        canvas.save(figure, path)
+    figure = canvas.empty_figure("FetchReach, greedy policy", ("A line for each seed.",), (6.5, 3.6))
+    axes = figure.subplots()
+    for name, title in LEARNERS.items():
+        for number, curve in enumerate(curves[name]):
+            axes.plot(
+                curve.steps, curve.success, color=LEARNER_COLOURS[name], marker=".", label="" if number else title
+            )
+    axes.axhline(ENOUGH, color="#888888", linewidth=0.8, linestyle="--")
+    axes.set(xscale="log", xlabel="environment steps", ylabel="success rate", ylim=(-0.02, 1.02))
+    axes.legend()
+    canvas.save(figure, path)
 
 
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "paper": paper_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
-    "trials": lambda: trials.tables(trials.load(trials.NUMBERS)),
+    "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS)),
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),

@@ -24,7 +24,7 @@ Both for clean images, and for images under test backgrounds: `corrupted_...`.
 import csv
 import gzip
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import jax
@@ -149,6 +149,14 @@ def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> st
     )
 
 
+def last_of_lanes(rows: list[Row]) -> Iterator[tuple[str, list[Row], str]]:
+    """Each lane of a trial with its rows of the last evaluations, and from which updates to which these are."""
+    last = sorted({int(row["updates"]) for row in rows})[-LAST:]
+    for lane in dict.fromkeys(row["lane"] for row in rows):
+        shown = [row for row in rows if row["lane"] == lane and int(row["updates"]) in last]
+        yield lane, shown, f"{last[0]:,} to {last[-1]:,}"
+
+
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
     """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
     none."""
@@ -156,18 +164,9 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
     columns = ["trial", "lane", "known goals", "seeds", "updates", *kinds.values(), "KL", "accuracy"]
     lines = []
     for trial in trials:
-        own = [row for row in rows if row["trial"] == trial]
-        last = sorted({int(row["updates"]) for row in own})[-LAST:]
-        for lane in dict.fromkeys(row["lane"] for row in own):
-            shown = [row for row in own if row["lane"] == lane and int(row["updates"]) in last]
+        for lane, shown, updates in last_of_lanes([row for row in rows if row["trial"] == trial]):
             known = shown[0].get("known_goals") or "visited"
-            cells = [
-                f"`{trial}`",
-                lane,
-                known,
-                str(len({row["seed"] for row in shown})),
-                f"{last[0]:,} to {last[-1]:,}",
-            ]
+            cells = [f"`{trial}`", lane, known, str(len({row["seed"] for row in shown})), updates]
             cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
             cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
@@ -181,14 +180,12 @@ def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
     lines, machines = [], {}
     for trial, (unit, decimals) in units.items():
         own = [row for row in rows if row["trial"] == trial and row.get("test_goal/readout_error")]
-        last = sorted({int(row["updates"]) for row in own})[-LAST:]
-        for lane in dict.fromkeys(row["lane"] for row in own):
-            shown = [row for row in own if row["lane"] == lane and int(row["updates"]) in last]
+        for lane, shown, updates in last_of_lanes(own):
             errors = [show(seed_means(shown, column), decimals) for column in PROBED]
             success = [
                 show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in ("test_goal", "corrupted_test_goal")
             ]
-            lines.append([f"`{trial}`", lane, f"{last[0]:,} to {last[-1]:,}", unit, *errors, *success])
+            lines.append([f"`{trial}`", lane, updates, unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
     columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
     return markdown_lines(columns, lines) + f"\n\n{'; '.join(machines)}."

@@ -166,11 +166,6 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     path.with_suffix(".partial").rename(path)
 
 
-def load(path: Path) -> list[Row]:
-    """What is kept of the trials."""
-    return trial_numbers.read(path)
-
-
 def tables(rows: list[Row]) -> dict[str, str]:
     """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
     done = {row["trial"] for row in rows}
@@ -216,7 +211,7 @@ def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> 
 
 def list_queue() -> None:
     """Print the queue, and how far each trial has come in the numbers that are kept."""
-    ran = trial_numbers.lanes_of(load(NUMBERS)) if NUMBERS.exists() else {}
+    ran = trial_numbers.lanes_of(trial_numbers.read(NUMBERS)) if NUMBERS.exists() else {}
     for name, trial in QUEUE.items():
         config = preset_of(trial)
         updates = config.num_epochs * config.updates_per_epoch

@@ -27,7 +27,7 @@ from infogoal_jax.cli.commands import (
     new_folder,
     seeds_from,
 )
-from infogoal_jax.errors import UserError, nearest, require, typed
+from infogoal_jax.errors import UserError, require, typed
 from infogoal_jax.stopping import STATUS, stop_on_signal
 
 HELP = """Train on a task. `infogoal train TASK --help` shows the flags of one, and
@@ -243,11 +243,8 @@ def pretraining_tasks(arguments: list[str]) -> TaskCommands:
     from infogoal_jax.train.low_level.host import TASKS, preset
 
     task = first_word(arguments)
-    if task and task not in TASKS:
-        raise UserError(
-            f"task = {task!r}: no low level can be trained for it.{nearest(task, list(TASKS))} Known: "
-            f"{', '.join(TASKS)}"
-        )
+    if task:
+        preset(task)  # Refuses a name that is none.
     written = " ".join(["infogoal pretrain", *arguments])
     commands = {
         task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written)

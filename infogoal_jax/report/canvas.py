@@ -176,15 +176,13 @@ def finish_share_axis(axes: Axes, label: str) -> None:
     axes.grid()
 
 
-def share_limits(panels: Iterable[Axes], square: bool = False) -> None:
-    """Give panels that are to be compared the same limits, those of all that is drawn in them. square: with one unit as
-    long on both axes."""
+def share_limits(panels: Iterable[Axes]) -> None:
+    """Give panels that are to be compared the same limits, those of all that is drawn in them, with one unit as long on
+    both axes."""
     limits = np.array([[axes.get_xlim(), axes.get_ylim()] for axes in panels])
     low, high = limits[..., 0].min(0), limits[..., 1].max(0)
-    if square:
-        middle, half = (low + high) / 2, (high - low).max() / 2
-        low, high = middle - half, middle + half
+    middle, half = (low + high) / 2, (high - low).max() / 2
+    low, high = middle - half, middle + half
     for axes in panels:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        if square:
-            axes.set_aspect("equal", adjustable="box")
+        axes.set_aspect("equal", adjustable="box")

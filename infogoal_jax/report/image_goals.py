@@ -275,7 +275,7 @@ def codes_and_trajectories(subject: Subject, chosen: np.ndarray, episodes: list[
         draw_codes(code_axes, code, goals, which, centre, directions, size=0.55)
         code_axes.set_xlabel("first principal axis")
         below.draw(way_axes, env, chosen, found)
-    share_limits(panels[0], square=True)
+    share_limits(panels[0])
     panels[0, 0].set_ylabel("second principal axis")
     panels[1, 0].set_ylabel(below.vertical_label)
     random_code = any(code.std is not None for code in codes)

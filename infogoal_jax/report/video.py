@@ -33,22 +33,16 @@ class GifWriter:
     def __init__(self, path: Path, fps: float):
         self.path, self.duration, self.frames = path, max(20, round(1000 / fps)), []
 
-    def isOpened(self) -> bool:  # noqa: N802, OpenCV's name.
-        """Whether frames are taken."""
-        return True
-
     def write(self, frame: np.ndarray) -> None:
         """Add a frame (BGR)."""
         self.frames.append(Image.fromarray(np.ascontiguousarray(frame[..., ::-1])))
 
     def release(self) -> None:
         """Write the file."""
-        if self.frames:
-            spread = self.frames[:: -(-len(self.frames) // 8)]
-            palette = Image.fromarray(np.concatenate([np.asarray(frame) for frame in spread])).quantize(COLOURS)
-            first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self.frames)
-            first.save(self.path, save_all=True, append_images=rest, duration=self.duration, loop=0, optimize=True)
-            self.frames = []
+        spread = self.frames[:: -(-len(self.frames) // 8)]
+        palette = Image.fromarray(np.concatenate([np.asarray(frame) for frame in spread])).quantize(COLOURS)
+        first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self.frames)
+        first.save(self.path, save_all=True, append_images=rest, duration=self.duration, loop=0, optimize=True)
 
 
 def open_writer(path: Path, fps: float, size: tuple[int, int]) -> Any:

@@ -135,14 +135,15 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
+VERDICT_HEAD = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
+
+
 def verdict_table(found: list) -> Table:
     """Every claim with its test, effect, interval and verdict."""
     rows = []
     for claim, finding in found:
-        why = f"; not counted: {'; '.join(finding.faults)}" if finding.faults else ""
-        rows.append([claim.says, f"**{finding.verdict}**", finding.shown, finding.words + why, claim.test, claim.where])
-    head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
-    return Table("verdicts", "Verdicts", head, rows)
+        rows.append([claim.says, f"**{finding.verdict}**", finding.shown, finding.details, claim.test, claim.where])
+    return Table("verdicts", "Verdicts", VERDICT_HEAD, rows)
 
 
 def report(shown: list[Table], found: list, pictures: list[Path], path: Path) -> str:
@@ -231,13 +232,11 @@ def verdict_section(found: list) -> str:
     """The claims with their verdicts."""
     rows = []
     for claim, finding in found:
-        why = f"; not counted: {'; '.join(finding.faults)}" if finding.faults else ""
         verdict = f'<td class="{VERDICT_CLASSES[finding.verdict]}">{finding.verdict}</td>'
         effect = f'<td class="number">{html.escape(finding.shown)}</td>'
         rows.append([html_cell(claim.says), verdict, effect])
-        rows[-1] += map(html_cell, (finding.words + why, claim.test, claim.where))
-    head = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
-    return f'<h2>Verdicts</h2>{html_table(head, rows, "verdicts")}<p class="foot">{INTERVALS}</p>'
+        rows[-1] += map(html_cell, (finding.details, claim.test, claim.where))
+    return f'<h2>Verdicts</h2>{html_table(VERDICT_HEAD, rows, "verdicts")}<p class="foot">{INTERVALS}</p>'
 
 
 def figure_section(path: Path) -> str:

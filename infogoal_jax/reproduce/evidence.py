@@ -46,6 +46,11 @@ class Finding:
         return "" if self.effect is None else self.effect.show(self.decimals)
 
     @property
+    def details(self) -> str:
+        """What the effect is, and why it does not count."""
+        return self.words + (f"; not counted: {'; '.join(self.faults)}" if self.faults else "")
+
+    @property
     def verdict(self) -> Verdict:
         """Holds, fails, or cannot be told."""
         if self.effect is None or self.faults or not math.isfinite(self.effect.low):

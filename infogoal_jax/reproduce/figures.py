@@ -2,7 +2,6 @@
 and 15: success with and without SSE-DB, beta and accuracy while training, and success under fixed beta."""
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,14 +23,6 @@ GROUPS = {"train": TRAINING, "test": TEST}
 """Groups of goals of the figure, and their number in `uses`."""
 
 
-class Areas(NamedTuple):
-    """Areas under the curves of a run, [seeds] each, as shares of the largest: of success while training up to the same
-    environment steps, and of success within so many steps."""
-
-    efficiency: np.ndarray
-    optimality: np.ndarray
-
-
 def compared(results: Results) -> dict[str, Result]:
     """The runs of the figure that there are, by title."""
     found = {}
@@ -50,10 +41,11 @@ def within(result: Result, group: str) -> np.ndarray:
     return success_within(result.arrays["first_reached"], mask, result.about["episode_length"])
 
 
-def areas(result: Result, group: str, evaluations: int) -> Areas:
-    """The areas under the curves of a group of goals, over the first so many evaluations."""
+def areas(result: Result, group: str, evaluations: int) -> tuple[np.ndarray, np.ndarray]:
+    """The areas under the curves of a group of goals, [seeds] each, as shares of the largest: of success while
+    training, over the first so many evaluations, and of success within so many steps."""
     curve = result.evaluations[f"{group}_goal/success_rate"][:, :evaluations]
-    return Areas(curve.mean(1), within(result, group).mean(1))
+    return curve.mean(1), within(result, group).mean(1)
 
 
 def fig8(results: Results) -> Figure | None:

@@ -211,9 +211,8 @@ def begin(batch: Batch) -> Training:
 
     def step(state, numbers, hyper, env):
         state, epochs = train.epochs(state, numbers, hyper, env)
-        finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
         learned = {name: epochs[name][-1] for name in learned_names(train, epochs)}
-        return state, learned | {"finite": finite}
+        return state, learned | {"finite": host.is_finite(epochs)}
 
     numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
     shapes = jax.eval_shape(initial, seeds, hyper, leaves)

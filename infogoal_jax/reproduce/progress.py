@@ -152,7 +152,7 @@ def write(folder: Path, runs: list[Run], at_once: bool = False) -> None:
         path,
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f'<meta http-equiv="refresh" content="{SECONDS}"><title>Reproduction: progress</title><style>{STYLE}</style>'
-        f"<h1>Reproduction: progress</h1><p>{html.escape(summary(folder, runs))}</p>"
+        f"<h1>Reproduction: progress</h1><p>{html.escape(summary(folder, runs, states))}</p>"
         f"<div><table><tr><th>run</th><th></th><th></th></tr>{rows}</table></div></html>\n",
     )
 

@@ -34,13 +34,18 @@ from infogoal_jax.reproduce.scores import (
 from infogoal_jax.reproduce.table_formats import Cell, Table
 
 
+def methods_of(rows: dict[tuple[str, str], Row], variant: str) -> list[str]:
+    """The methods of a variant that have a row."""
+    return [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+
+
 def table1(results: Results, variant: str) -> Table | None:
     """Table I in one of the variants; None where there are no runs."""
     rows = rows_of(results, variant, ROWS[variant])
     if not rows:
         return None
     shown = [(kind, task) for kind, task in columns() if any(known == task for known, _ in rows)]
-    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+    methods = methods_of(rows, variant)
     cells = {
         (method, kind, task): cell_of(rows.get((task, method)), variant, kind, task, method)
         for method in methods
@@ -73,7 +78,7 @@ def equal_training(results: Results, variant: str) -> Table | None:
     updates = {task: min(each) for task, each in lengths.items() if each}
     if not updates:
         return None
-    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+    methods = methods_of(rows, variant)
     columns = []
     for task, most in updates.items():
         own = {method: rows.get((task, method)) for method in methods}
@@ -215,7 +220,7 @@ def over_tasks(results: Results, variant: str) -> Table | None:
     """The interquartile mean of each method over the tasks on which its row counts, and the probability that InfoGoal
     is better over those on which both do; by kind of goals, of the tasks on which all of the methods ran."""
     rows = rows_of(results, variant, ROWS[variant])
-    methods = [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+    methods = methods_of(rows, variant)
     if len(methods) < 2:
         return None
     tasks_of = {

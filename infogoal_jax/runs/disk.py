@@ -105,7 +105,7 @@ def read_bytes(place: Place, missing: str) -> bytes:
             raise place.refusal(f"it is {'a folder' if stat.S_ISDIR(kind) else 'no regular file'}")
         return place.path.read_bytes()
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise UserError(f"{missing}") from error
+        raise UserError(missing) from error
     except OSError as error:
         raise UserError(
             f"{place.path}: could not be read ({error.strerror or error}); give files that you may read"

@@ -26,7 +26,7 @@ from infogoal_jax.train import distributed
 from infogoal_jax.train.compilation import Chunk, chunk_of, jit
 from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, placed, seed_mesh, shardings_of
 from infogoal_jax.train.memory import at_once as seeds_at_once
-from infogoal_jax.train.memory import bytes_of, check_program
+from infogoal_jax.train.memory import check_program
 from infogoal_jax.train.program import Train, make_train
 
 WATCHED = ("agent/loss", "agent/gradient_norm")  # Metrics that stop being finite when a seed diverges.
@@ -59,8 +59,6 @@ class Sweep:
     params: Any
     diverged: dict[int, int]
     stopped: bool
-    compile_seconds: float
-    run_seconds: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,6 +93,11 @@ def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> 
         for j, number in enumerate(epoch_numbers)
         for i, seed in enumerate(seeds)
     ]
+
+
+def is_finite(epochs: dict[str, jax.Array]) -> jax.Array:
+    """Whether these epochs' metrics show no divergence, bool []."""
+    return jnp.stack([jnp.isfinite(epochs[name]).all() for name in WATCHED]).all()
 
 
 def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
@@ -195,10 +198,8 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
 def check_fits(train: Train, programs: Programs) -> None:
     """Raise `UserError`, naming the field that is to blame, if the traced programs of all seeds need more memory than
     there is. Lowering them does not trace them again: the types are the same."""
-    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    traced = programs.chunk.trace(programs.states_shape, numbers, *programs.shared)
-    carried, held = bytes_of(programs.states_shape), bytes_of(train.env)
-    check_program(traced, carried, held, train, programs.count, programs.by_seed.mesh)
+    states, mesh = programs.states_shape, programs.by_seed.mesh
+    check_program(programs.chunk, states, programs.shared, train, programs.count, mesh)
 
 
 def train_on(
@@ -265,5 +266,4 @@ def train_on(
         # Again, if a kill came between the two files.
         checkpoint.save(folder / "policy", {"epoch": done, **now.values()}, params)
         diverged = diverged_seeds(tables.read_table(folder, "epochs"))
-    stopped = done < config.num_epochs
-    return Sweep(folder, train, params, diverged, stopped, compile_seconds, run_seconds)
+    return Sweep(folder, train, params, diverged, stopped=done < config.num_epochs)

@@ -86,8 +86,7 @@ def lane_programs(train: Train, group: str) -> tuple[Callable, Callable, Callabl
 
     def epochs(lane, numbers, env):
         state, epochs = train.epochs(lane.state, numbers, lane.hyper, env)
-        finite = jnp.stack([jnp.isfinite(epochs[name]).all() for name in host.WATCHED]).all()
-        return Lane(state, lane.hyper), {"loss": epochs["agent/loss"][-1], "finite": finite}
+        return Lane(state, lane.hyper), {"loss": epochs["agent/loss"][-1], "finite": host.is_finite(epochs)}
 
     def evaluation(lane, env):
         return {"success": train.evaluation(lane.state, lane.hyper, env)[f"{group}_goal/success_rate"]}
@@ -154,10 +153,8 @@ def side_by_side(
 
 def check_fits(train: Train, programs: Programs, count: int) -> None:
     """Raise `UserError`, naming the field that is to blame, if all lanes need more memory than there is."""
-    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), jnp.int32)
-    traced = programs.chunk.trace(programs.shape, numbers, programs.shared)
-    carried, held = memory.bytes_of(programs.shape), memory.bytes_of(train.env)
-    memory.check_program(traced, carried, held, train, count, programs.by_lane.mesh, "trials x seeds")
+    mesh = programs.by_lane.mesh
+    memory.check_program(programs.chunk, programs.shape, (programs.shared,), train, count, mesh, "trials x seeds")
 
 
 def plan_of(result: TuneResult) -> Plan:

@@ -18,7 +18,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs.checkpoint import is_key
-from infogoal_jax.train.compilation import inner_programs
+from infogoal_jax.train.compilation import Chunk, inner_programs
 from infogoal_jax.train.program import Train, make_train
 
 MEMORY_SHARE = 0.8
@@ -177,24 +177,19 @@ def needed_bytes(train: Train, num_seeds: int) -> float:
 
 
 def check_program(
-    traced: tuple[Any, Any],
-    carried: int,
-    held: int,
-    train: Train,
-    num_seeds: int,
-    mesh: jax.sharding.Mesh,
-    name: str = "seeds",
+    chunk: Chunk, states: Any, shared: tuple, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
 ) -> None:
     """Raise `UserError`, naming the field that is to blame, if the traced epochs and evaluation of all seeds cannot
-    run.
+    run. Lowering them does not trace them again: the types are the same.
 
-    carried, held: bytes of the states that a program is given to overwrite, and of its other arguments, on all
-    devices of the mesh together; name: of the number of seeds.
+    states, shared: what `chunk` is called with beside the numbers of epochs, or their shapes, on all devices of the
+    mesh together; name: of the number of seeds.
     """
+    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), np.int32)
+    epochs, evaluation = (peak_bytes(program.jaxpr) for program in chunk.trace(states, numbers, *shared))
     # What the epochs return stands where the states stood, and is part of their peak; the evaluation reads the states.
-    epochs, evaluation = (peak_bytes(program.jaxpr) for program in traced)
-    running = max(epochs, carried + evaluation)
-    needed, memory = (held + running) / mesh.size, mesh_memory(mesh)
+    running = max(epochs, bytes_of(states) + evaluation)
+    needed, memory = (bytes_of(train.env) + running) / mesh.size, mesh_memory(mesh)
     if needed > memory:
         raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)
 

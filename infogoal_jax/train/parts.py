@@ -41,12 +41,11 @@ class Parts(NamedTuple):
 
 
 def make_parts(config: TrainConfig, env) -> Parts:
-    """The learner, agent, relabelling and encoders that the configuration names."""
-    learner = learners.registry.entry_of(config.learner).make(config.learner)
+    """The parts that the configuration names, for this environment."""
     return Parts(
         config=config,
         name=learners.registry.name_of(config.learner),
-        learner=learner,
+        learner=make_learner(config),
         agent=agents.registry.entry_of(config.agent).make(config.agent, env),
         relabelling=relabelling.registry.entry_of(config.relabelling).make(config.relabelling),
         explorer=exploration.registry.entry_of(config.explorer).make(config.explorer),
@@ -79,18 +78,15 @@ def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
 def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
     seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
-    if seen.ndim > 1:
-        require(
-            seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0,
-            "state_encoder.patch",
-            size.patch,
-            f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}",
-        )
-    return (
-        networks.VectorEncoder(size.features)
-        if seen.ndim == 1
-        else networks.PatchEncoder(size.patch, size.channels, size.features)
+    if seen.ndim == 1:
+        return networks.VectorEncoder(size.features)
+    require(
+        seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0,
+        "state_encoder.patch",
+        size.patch,
+        f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}",
     )
+    return networks.PatchEncoder(size.patch, size.channels, size.features)
 
 
 def load_environment(config: TrainConfig, env: Any = None):

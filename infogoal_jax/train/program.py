@@ -79,10 +79,13 @@ class Train:
             key,
             "give one key, such as jax.random.key(0); for several see jax.vmap",
         )
+
+        def step(state, numbers):
+            state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
+            return state, (epoch_metrics, metrics)
+
         epochs = jnp.arange(self.config.num_epochs).reshape(self.config.num_evaluations, -1)
-        state, (epoch_metrics, metrics) = jax.lax.scan(
-            lambda state, numbers: self._scannable(state, numbers, hyper, env), self.initial(key, hyper, env), epochs
-        )
+        state, (epoch_metrics, metrics) = jax.lax.scan(step, self.initial(key, hyper, env), epochs)
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), epoch_metrics)
         return TrainResult(metrics=metrics, epochs=flat, params=state.params, state=state)
 
@@ -90,10 +93,6 @@ class Train:
         """Epochs of these numbers, int32 [E], then an evaluation: (state, {name: [E]}, {name: evaluation})."""
         state, epoch_metrics = self.epochs(state, numbers, hyper, env)
         return state, epoch_metrics, self.evaluation(state, hyper, env)
-
-    def _scannable(self, state, numbers, hyper, env):
-        state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
-        return state, (epoch_metrics, metrics)
 
 
 def make_train(config: TrainConfig, env: Any = None) -> Train:

@@ -54,6 +54,12 @@ def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     return hyper.discount ** batch.mask.sum(1) * ~batch.terminated
 
 
+def goal_encoding(parts, params, env, view_key: jax.Array) -> GoalEncoding:
+    """How an update encodes goals with these parameters, their inputs varied by draws from the key."""
+    view = training_view(parts, env, augmented=True)
+    return GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size, view, view_key)
+
+
 def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, view_key, key) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way
     before and after the step."""
@@ -61,11 +67,7 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     see, see_by_target = (
         encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
     )
-    view = training_view(parts, env, augmented=True)
-    encodings = [
-        GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key)
-        for given in (params, target_params)
-    ]
+    encodings = [goal_encoding(parts, given, env, view_key) for given in (params, target_params)]
     code, target_code = (  # A relabelled goal may be any, not a training goal alone.
         (encoding.of_training_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
         for encoding in encodings
@@ -115,10 +117,8 @@ def under_all_goals(
     goals = jnp.arange(env.goals.num_goals) if goals is None else goals
     records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
     reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
-    view = training_view(parts, env, augmented=True)
     code, target_code = (
-        GoalEncoding(parts.learner, given["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()(goals)
-        for given in (params, target_params)
+        goal_encoding(parts, given, env, view_key).of_any()(goals) for given in (params, target_params)
     )
     if parts.config.stop_encoder_gradient:
         code = jax.lax.stop_gradient(code)
@@ -200,8 +200,7 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
     reward, learner_state, reward_metrics = returns(parts, state.params, state.learner, env, hyper, experience, drawn)
 
     def total_loss(params):
-        view = training_view(parts, env, augmented=True)
-        encode = GoalEncoding(learner, params["goal"], env.goals, parts.config.batch_size, view, view_key).of_any()
+        encode = goal_encoding(parts, params, env, view_key).of_any()
         codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
         if spec_of(parts) is not None:
             noise_key = jax.random.fold_in(key, 5)

@@ -137,7 +137,7 @@ def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
 
 def test_what_is_listed_as_run_is_what_the_numbers_are_of():
     """Trials in the numbers have just the lanes and seeds of the queue, so that its floats are those that ran."""
-    ran = trial_numbers.lanes_of(trials.load(trials.NUMBERS))
+    ran = trial_numbers.lanes_of(trial_numbers.read(trials.NUMBERS))
     queued = {name: dict.fromkeys(trial.lanes, trial.seeds) for name, trial in trials.QUEUE.items() if name in ran}
     assert {name: {lane: seeds for lane, (seeds, _) in lanes.items()} for name, lanes in ran.items()} == queued
 

@@ -126,14 +126,12 @@ class Trainer(NamedTuple):
 
     initial(key, hyper) -> state; policy(state) -> low level.
     learn(state, rows, number, hyper) -> (state, metrics): an epoch's updates, with the rows of `TargetAgent.run`.
-    epoch(state, number, hyper) -> (state, metrics): a run to learn from, then `learn`.
     """
 
     agent: TargetAgent
     initial: Callable[[jax.Array, Any], PretrainState]
     policy: Callable[[PretrainState], Any]
     learn: Callable[..., tuple[PretrainState, dict[str, jax.Array]]]
-    epoch: Callable[..., tuple[PretrainState, dict[str, jax.Array]]]
 
 
 def make_trainer(agent: TargetAgent) -> Trainer:
@@ -171,13 +169,7 @@ def make_trainer(agent: TargetAgent) -> Trainer:
             jnp.mean, metrics
         )
 
-    def epoch(state: PretrainState, number, hyper):
-        rows, found = agent.run(policy(state), agent.key(state.key, COLLECT, number), True, hyper)
-        state, metrics = learn(state, rows, number, hyper)
-        metrics = metrics | found
-        return state, {name: metrics[name] for name in agent.curve}
-
-    return Trainer(agent, initial, policy, learn, epoch)
+    return Trainer(agent, initial, policy, learn)
 
 
 @dataclasses.dataclass(frozen=True)
