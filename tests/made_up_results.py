@@ -12,10 +12,10 @@ import numpy as np
 from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
+from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.reproduce import claims
 from infogoal_jax.reproduce.files import Result, command_of, recorded_config
 from infogoal_jax.reproduce.manifest import FETCH, PRESET, STUDIES, Choice, Lane, Run, runs_of
-from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.reproduce.plan import config_of, is_judged, is_pictured

@@ -8,17 +8,21 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode, GoalEncoding, InputSpec, Visited
-from infogoal_jax.report.canvas import USE_MARKERS, USE_TITLES, Subject, in_words, new_figure, room_colour
+from infogoal_jax.report.canvas import NOTHING, USE_MARKERS, USE_TITLES, Subject, in_words, new_figure, room_colour
 from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, clean_view, draw_starts, run_side_by_side
 
 CODE_SAMPLES = 60  # Drawn from the Gaussian of each goal.
+PATH, STEP_COLOURS = "#30305C", "cool"
+"""Of walks: the line, and the steps from first to last."""
 
 
 def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -27,6 +31,20 @@ def principal_components(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     _, scales, axes = np.linalg.svd(points - centre, full_matrices=False)
     shares = scales**2 / max((scales**2).sum(), np.finfo(float).tiny)
     return centre, axes[:2], shares[:2]
+
+
+def finish_code_axes(axes: Axes, shares: np.ndarray) -> None:
+    """Label a plane of codes with the axes' shares of the variance."""
+    # One unit is as long on both axes: an axis of little variance shall look like one.
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
+    axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
+
+
+def reward_scale(rewards: Sequence[np.ndarray]) -> tuple[Normalize, Colormap]:
+    """From the lowest of these intrinsic rewards to 0, and the colours for that; NaN is nothing."""
+    lowest = min(np.nanmin(reward) for reward in rewards)
+    return Normalize(lowest, 0), colormaps["viridis"].with_extremes(bad=NOTHING)
 
 
 def draw_codes(
@@ -107,10 +125,7 @@ def representations(subject: Subject) -> Figure | None:
     axes.legend(
         handles=code_legend(goals, goals.groups, code.std is not None), loc="center left", bbox_to_anchor=(1.0, 0.5)
     )
-    # One unit is as long on both axes: an axis of little variance shall look like one.
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
-    axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
+    finish_code_axes(axes, shares)
     return figure
 
 

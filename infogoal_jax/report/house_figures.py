@@ -7,7 +7,6 @@ Rooms have no outlines in the data: what is drawn are the places where images we
 import dataclasses
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
@@ -23,18 +22,20 @@ from infogoal_jax.data.active_vision import ACTIONS
 from infogoal_jax.envs.object_search import ObjectSearch
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, Subject, new_figure, white_mark, write_room
 from infogoal_jax.report.codes_and_walks import (
+    PATH,
+    STEP_COLOURS,
     Walk,
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
+    reward_scale,
     rewards_of_images,
     tells_images_apart,
     walks_of_policy,
 )
 
 ROTATIONS = [ACTIONS.index("rotate_ccw"), ACTIONS.index("rotate_cw")]
-SIGHT, PATH = "#F0E442", "#30305C"
-STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
+SIGHT = "#F0E442"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,10 +259,7 @@ def intrinsic_reward(subject: Subject, plan: Plan, walks: dict[int, list[Walk]])
     )
     entries = legend_entries(Patch(color=NOTHING, label="no goal in view"))
     figure, grid = panels(subject, plan, "intrinsic reward for training goals", len(goals), shown, entries)
-    norm, colours = (
-        Normalize(min(np.nanmin(reward) for reward in rewards), 0),
-        colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING),
-    )
+    norm, colours = reward_scale(rewards)
     for axes, goal, reward in zip(grid, goals, rewards, strict=True):
         walk = from_farthest(walks[goal])
         part = plan.part[walk.nodes[0]]

@@ -35,11 +35,11 @@ from infogoal_jax.train.rollout import Episodes, Policy
 PICTURES_A_FRAME = 8
 """How often each frame of a walk is shown: about three steps a second."""
 WEIGHTS = (0.1, 0.2, 0.4, 0.8)
-"""Of the backgrounds, in the paper's figures."""
+"""Of the backgrounds, in the paper's figures [P]."""
 EXAMPLES, EXAMPLE_SEED = 2, 0
 """Goals of each kind in the figure of examples, and the seed of their backgrounds."""
 SHOWN_GOALS = 4
-"""Test goals whose trajectories are drawn."""
+"""Test goals whose trajectories are drawn [P]."""
 
 
 @flax.struct.dataclass
@@ -173,6 +173,13 @@ def with_inset(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
     return picture
 
 
+def test_goal_episodes(subject: Subject) -> tuple[np.ndarray, list[Episodes]]:
+    """Numbers of the test goals that are shown, and for each of `WEIGHTS` an episode to each."""
+    env = subject.train.env
+    chosen = spread_goals(env.goals, env.goals.test_mask, SHOWN_GOALS, drawing_of(env).apart(env))
+    return chosen, policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
+
+
 def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
     """The figures of this file by name; none for a task with other goals. Those of the policy need parameters and test
     goals."""
@@ -182,8 +189,7 @@ def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
     figures = {"goal_images": goal_images(env, subject.run.config.task)}
     if subject.params is None or "test" not in env.goals.groups:
         return figures
-    chosen = spread_goals(env.goals, env.goals.test_mask, SHOWN_GOALS, drawing_of(env).apart(env))
-    episodes = policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
+    chosen, episodes = test_goal_episodes(subject)
     figures["codes_and_trajectories"] = codes_and_trajectories(subject, chosen, episodes)
     if has_poses(env):
         seen = {weight: seen_images(env, chosen, weight, EVALUATION_SEED) for weight in WEIGHTS}

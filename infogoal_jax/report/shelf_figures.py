@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PatchCollection
@@ -27,21 +26,23 @@ from infogoal_jax.report.canvas import (
     write_room,
 )
 from infogoal_jax.report.codes_and_walks import (
+    PATH,
+    STEP_COLOURS,
     Walk,
     code_legend,
     codes_of,
     draw_codes,
+    finish_code_axes,
     from_farthest,
     one_goal_a_region,
     outcome_in_words,
     principal_components,
+    reward_scale,
     rewards_of_images,
     tells_images_apart,
     walks_of_policy,
 )
 
-PATH = "#30305C"
-STEP_COLOURS, REWARD_COLOURS = "cool", "viridis"
 MOST_PANELS, LONGEST_NAME = 8, 72
 """Goals that a figure shows at most, and letters of their names."""
 
@@ -227,9 +228,7 @@ def draw_all_codes(subject: Subject, axes: Axes) -> list:
         group for group in ("train", "test", "other") if group != "other" or len(goals.evaluated) < goals.num_goals
     )
     titles = {"train": "training question", "test": "test question", "other": "name of an object"}
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"first principal axis ({shares[0]:.0%} of the variance of the means)")
-    axes.set_ylabel(f"second principal axis ({shares[1]:.0%})")
+    finish_code_axes(axes, shares)
     return code_legend(goals, groups, code.std is not None, titles)
 
 
@@ -253,10 +252,7 @@ def intrinsic_reward(subject: Subject, shelf: Shelf, walks: dict[int, list[Walk]
     grid = figure.add_gridspec(rows + 1, 2, height_ratios=[0.3, *[height] * rows])
     in_view = Patch(facecolor="white", edgecolor="black", linewidth=1.8, label="the goal's object is in view")
     legend_row(figure, grid[0, :], legend_entries(in_view, Patch(color=NOTHING, label="no known goal in view")), 6)
-    norm, colours = (
-        Normalize(min(np.nanmin(reward) for reward in rewards), 0),
-        colormaps[REWARD_COLOURS].with_extremes(bad=NOTHING),
-    )
+    norm, colours = reward_scale(rewards)
     panels = [figure.add_subplot(grid[1 + index // 2, index % 2]) for index in range(len(goals))]
     for axes, goal, reward in zip(panels, goals, rewards, strict=True):
         draw_shelf(axes, env, shelf)

@@ -10,9 +10,9 @@ from infogoal_jax.goals import GoalSet
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.report.canvas import FAILURE, NOTHING, SUCCESS, empty_figure, room_colour
 from infogoal_jax.report.codes_and_walks import draw_codes, principal_components
+from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import DRAWN, EXTERNAL, PRESET, fixed
-from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.paper import title_of
 from infogoal_jax.reproduce.scores import TITLES, row_of

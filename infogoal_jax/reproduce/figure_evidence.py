@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.reproduce import measure
 from infogoal_jax.reproduce.evidence import (
@@ -33,7 +34,6 @@ from infogoal_jax.reproduce.evidence import (
 )
 from infogoal_jax.reproduce.files import Result
 from infogoal_jax.reproduce.manifest import FETCH, FIXED_BETAS, METHODS, PRESET, fixed
-from infogoal_jax.reproduce.measure import WEIGHTS
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.plan import PICTURED
 from infogoal_jax.reproduce.scores import TITLES, Row, row_of

@@ -23,9 +23,9 @@ from infogoal_jax.report.codes_and_walks import (
     rewards_of_images,
     walks_of_policy,
 )
-from infogoal_jax.report.image_goals import is_fetch, policy_episodes, seen_images, spread_goals
+from infogoal_jax.report.image_goals import WEIGHTS, is_fetch, seen_images, test_goal_episodes
 from infogoal_jax.report.runs import Run as RunInFolder
-from infogoal_jax.report.trajectory_figures import angles_to_goals, drawing_of
+from infogoal_jax.report.trajectory_figures import angles_to_goals
 from infogoal_jax.train.combinations import has_own_loss, has_reward
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
@@ -33,10 +33,6 @@ from infogoal_jax.train.program import Train
 from infogoal_jax.train.sampling import sample
 from infogoal_jax.train.update import update
 
-WEIGHTS = (0.1, 0.2, 0.4, 0.8)
-"""Of the backgrounds in Figures 9 and 14 [P]."""
-WAYS = 4
-"""Test goals whose ways are drawn [P]."""
 BATCHES = 8
 """Over which the share of the gradient is a mean."""
 STEP = 1e4
@@ -157,8 +153,7 @@ def ways_of_images(subject: Subject) -> dict[str, np.ndarray]:
     way_goal float32 [G, 2]."""
     env = subject.train.env
     fetch = is_fetch(env)
-    chosen = spread_goals(env.goals, np.asarray(env.goals.test_mask), WAYS, drawing_of(env).apart(env))
-    episodes = policy_episodes(subject, chosen, WEIGHTS, EVALUATION_SEED)
+    chosen, episodes = test_goal_episodes(subject)
     way = np.full((len(WEIGHTS), len(chosen), env.episode_length + 1, 2), np.nan, np.float32)
     for view, found in enumerate(episodes):
         if fetch:
