@@ -67,11 +67,20 @@ PROBED = {
 Row = dict[str, str]
 
 
+def read_text(path: Path) -> str:
+    """The text of a file, as it is or compressed."""
+    content = path.read_bytes()
+    return (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+
+
+def write_compressed(path: Path, text: str) -> None:
+    """Write a text compressed, the same bytes whenever it is written."""
+    disk.write_atomically(path, lambda file: file.write(gzip.compress(text.encode(), mtime=0)))
+
+
 def read(path: Path) -> list[Row]:
     """The rows of a file of trials, CSV as it is or compressed."""
-    content = path.read_bytes()
-    text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
-    return list(csv.DictReader(io.StringIO(text, newline="")))
+    return list(csv.DictReader(io.StringIO(read_text(path), newline="")))
 
 
 def write(rows: list[Row], path: Path) -> None:
@@ -87,7 +96,7 @@ def write(rows: list[Row], path: Path) -> None:
     )
     table.writeheader()
     table.writerows(rows)
-    disk.write_atomically(path, lambda file: file.write(gzip.compress(text.getvalue().encode(), mtime=0)))
+    write_compressed(path, text.getvalue())
 
 
 def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:

@@ -83,9 +83,9 @@ CUBE_HEAD = {
 ACHIEVED, MIXED = ({"relabelling.achieved_share": share} for share in (1.0, 0.5))
 """Which of an update's 512 goals on the cube the batch achieves: all, or half. Half was the preset's share at first."""
 DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
-FEW_GOALS = {"relabelling.num_goals": 32, "relabelling.code": "sampled"}
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
+FEW_GOALS = SAMPLED | {"relabelling.num_goals": 32}
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""

@@ -15,7 +15,6 @@ FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/resu
 """
 
 import argparse
-import gzip
 import json
 import shutil
 import subprocess
@@ -25,13 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trial_numbers
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
 from infogoal_jax.report.statistics import paired_difference
 from infogoal_jax.reproduce.paper import LEARNERS, METHODS
 from infogoal_jax.reproduce.table_formats import markdown_lines
-from infogoal_jax.runs import disk
 from infogoal_jax.stand_ins.house import build_house
 
 NUMBERS = Path(__file__).parents[2] / "docs" / "results" / "tuning.jsonl.gz"
@@ -60,11 +59,9 @@ DATASETS = {
     "embodied_qa": {"env.generator_seed": SEED},
 }
 """Fields of the cube and the shelf for tuning."""
-EPOCHS = {"object_search": 100, "fetch_reach": 60, "object_manipulation": 20}
-"""Epochs of every trial; of another task those of the bare agent's preset. The cube's 120 would take a quarter
-of an hour of a GPU a search."""
-EVALUATED = {"object_search": 20, "fetch_reach": 20, "object_manipulation": 5}
-"""Epochs of a trial between evaluations, where `EPOCHS` says how many there are."""
+EPOCHS = {"object_search": (100, 20), "fetch_reach": (60, 20), "object_manipulation": (20, 5)}
+"""Epochs of every trial, and from one evaluation to the next; of another task those of the bare agent's preset. The
+cube's 120 would take a quarter of an hour of a GPU a search."""
 FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
 """What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
 one number. `AGENT_FIELDS` has what the agent of a task adds."""
@@ -123,7 +120,8 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
         *data,
     ]
     if task in EPOCHS:
-        command += ["--num-epochs", str(EPOCHS[task]), "--epochs-per-evaluation", str(EVALUATED[task])]
+        epochs, between = map(str, EPOCHS[task])
+        command += ["--num-epochs", epochs, "--epochs-per-evaluation", between]
     if method in FIELDS:
         command += ["--fields", *FIELDS[method], *AGENT_FIELDS.get(task, [])]
     if task in WITH_HER and method in LEARNERS:
@@ -159,8 +157,7 @@ def read_search(folder: Path, name: str) -> Search:
 
 def load(path: Path) -> dict[str, Search]:
     """The searches of a file, by name."""
-    lines = gzip.decompress(path.read_bytes()).decode().splitlines()
-    return {search["search"]: search for search in map(json.loads, lines)}
+    return {search["search"]: search for search in map(json.loads, trial_numbers.read_text(path).splitlines())}
 
 
 def merge(folder: Path, path: Path) -> list[str]:
@@ -169,7 +166,7 @@ def merge(folder: Path, path: Path) -> list[str]:
     new = {name: read_search(found, name) for name, found in names.items()}
     searches = (load(path) if path.exists() else {}) | new
     lines = "".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches))
-    disk.write_atomically(path, lambda file: file.write(gzip.compress(lines.encode(), mtime=0)))
+    trial_numbers.write_compressed(path, lines)
     return list(new)
 
 

@@ -196,8 +196,7 @@ def programs_of(train: Train, seeds: Sequence[int]) -> Programs:
 
 
 def check_fits(train: Train, programs: Programs) -> None:
-    """Raise `UserError`, naming the field that is to blame, if the traced programs of all seeds need more memory than
-    there is. Lowering them does not trace them again: the types are the same."""
+    """Raise `UserError`, naming the field that is to blame, if all seeds need more memory than there is."""
     states, mesh = programs.states_shape, programs.by_seed.mesh
     check_program(programs.chunk, states, programs.shared, train, programs.count, mesh)
 

@@ -73,7 +73,7 @@ def write_search(folder: Path, best: float) -> None:
 
 
 def test_a_search_that_is_run_again_replaces_what_was_kept(tmp_path):
-    path = tmp_path / "kept.jsonl"
+    path = tmp_path / tuning.NUMBERS.name
     write_search(tmp_path / "first" / "object_search" / "vae", 0.4)
     write_search(tmp_path / "first" / "fetch_reach" / "vae", 0.4)
     assert tuning.merge(tmp_path / "first", path) == ["fetch_reach/vae", "object_search/vae"]
