@@ -160,41 +160,48 @@ QUEUE = {
     "cube_infogoal_her_small_subgoals": Trial(
         CUBE_TASK, "infogoal+her", CUBE | WINDOW_1 | {"agent.subgoal_scale": 0.2618}, THRESHOLDS | UNCOMPRESSED, seeds=2
     ),
-    "pick_and_place_her": Trial(PICK_AND_PLACE, "her", FETCH),
-    "pick_and_place_infogoal": Trial(PICK_AND_PLACE, "infogoal", FETCH, THRESHOLDS),
-    "pick_and_place_infogoal_her": Trial(PICK_AND_PLACE, "infogoal+her", FETCH, THRESHOLDS),
-    "pick_and_place_infogoal_her_window_1": Trial(PICK_AND_PLACE, "infogoal+her", FETCH | WINDOW_1, THRESHOLDS),
-    "pick_and_place_infogoal_her_corruption": Trial(PICK_AND_PLACE, "infogoal+her", FETCH | CORRUPTED, THRESHOLDS),
-    # Training on corrupted goals may be all that the trial before owes its corrupted test goals to.
-    "pick_and_place_her_corruption": Trial(PICK_AND_PLACE, "her", FETCH | CORRUPTED),
-    "reach_infogoal": Trial(REACH, "infogoal", FETCH, THRESHOLDS),
+    # Does it take HER and corrupted training goals together, and InfoGoal? A window of 1 lets a code be compressed.
+    **{
+        f"{short}_{words}": Trial(task, method, FETCH | settings, lanes)
+        for short, task in (("pick_and_place", PICK_AND_PLACE), ("reach", REACH))
+        for words, method, settings, lanes in (
+            ("her", "her", {}, PRESET),
+            ("her_corruption", "her", CORRUPTED, PRESET),
+            ("infogoal", "infogoal", {}, THRESHOLDS),
+            ("infogoal_window_1", "infogoal", WINDOW_1, FINER_THRESHOLDS),
+            ("infogoal_her", "infogoal+her", {}, THRESHOLDS),
+            ("infogoal_her_corruption", "infogoal+her", CORRUPTED, THRESHOLDS),
+            ("infogoal_her_window_1", "infogoal+her", WINDOW_1, THRESHOLDS),
+        )
+    },
     "reach_infogoal_corruption": Trial(REACH, "infogoal", FETCH | CORRUPTED, THRESHOLDS),
-    # On PickAndPlace it takes HER and corrupted training goals together. What do both give without InfoGoal?
-    "reach_her": Trial(REACH, "her", FETCH),
-    "reach_infogoal_her": Trial(REACH, "infogoal+her", FETCH, THRESHOLDS),
-    "reach_infogoal_her_window_1": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, THRESHOLDS),
-    "reach_her_corruption": Trial(REACH, "her", FETCH | CORRUPTED),
-    "reach_infogoal_her_corruption": Trial(REACH, "infogoal+her", FETCH | CORRUPTED, THRESHOLDS),
     "reach_infogoal_her_window_1_corruption": Trial(REACH, "infogoal+her", FETCH | CORRUPTED | WINDOW_1, THRESHOLDS),
-    # A window of 1 lets a code be compressed on Reach: without HER too, as the paper has it, and on PickAndPlace?
-    "reach_infogoal_window_1": Trial(REACH, "infogoal", FETCH | WINDOW_1, FINER_THRESHOLDS),
-    "pick_and_place_infogoal_window_1": Trial(PICK_AND_PLACE, "infogoal", FETCH | WINDOW_1, FINER_THRESHOLDS),
     "reach_infogoal_her_window_1_relative": Trial(REACH, "infogoal+her", FETCH | RELATIVE | WINDOW_1, FINER_MARGINS),
     "reach_infogoal_her_window_1_thresholds": Trial(REACH, "infogoal+her", FETCH | WINDOW_1, FINER_THRESHOLDS),
     # GCB's loss was tuned to 0.0015 of the agent's on Reach, 0.06 of the goal encoder's gradient: does more help?
     "reach_gcb": Trial(REACH, "gcb", FETCH, LEARNER_SHARES),
     "house_gcb": Trial(HOUSE_TASK, "gcb", HOUSE, LEARNER_SHARES),
     # What was found on the cube's dataset 100 with two seeds has to hold on others, with five and for longer.
-    **{f"cube_{dataset}_her": Trial(CUBE_TASK, "her", confirmation(dataset), seeds=5) for dataset in (0, 1, 2)},
     **{
-        f"cube_{dataset}_infogoal_her_window_1": Trial(
-            CUBE_TASK, "infogoal+her", confirmation(dataset) | WINDOW_1, chosen(THRESHOLDS, 0.999), seeds=5
+        f"cube_{dataset}_{words}": Trial(CUBE_TASK, method, confirmation(dataset) | settings, lanes, seeds=5)
+        for words, method, settings, lanes in (
+            ("her", "her", {}, PRESET),
+            ("infogoal_her_window_1", "infogoal+her", WINDOW_1, chosen(THRESHOLDS, 0.999)),
+            ("infogoal_head", "infogoal+all_goals", DESIRED | FEW_GOALS, weighted("", {}, 0.1)),
         )
         for dataset in (0, 1, 2)
     },
-    # The head under HRAC, with which HER reaches most. A target action for each goal: 32 goals in place of 512.
-    "cube_head": Trial(CUBE_TASK, "all_goals", CUBE | DESIRED | FEW_GOALS),
-    "cube_infogoal_head": Trial(CUBE_TASK, "infogoal+all_goals", CUBE | DESIRED | FEW_GOALS, LEARNER_WEIGHTS, seeds=2),
+    # The head under HRAC, with which HER reaches most. A target action for each goal: 32 goals in place of 512. Does a
+    # pose that is desired and missed have to be among them?
+    **{
+        f"cube_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | goals | FEW_GOALS, lanes, seeds)
+        for short, ending, goals, lanes, seeds in (
+            ("head", "", DESIRED, PRESET, 3),
+            ("infogoal_head", "", DESIRED, LEARNER_WEIGHTS, 2),
+            ("infogoal_head", "_achieved", ACHIEVED, LEARNER_WEIGHTS, 2),
+            ("infobot_head", "", DESIRED, LEARNER_WEIGHTS, 2),
+        )
+    },
     # The same without HER, as in the paper: is it the code or the relabelling that test poses need?
     "cube_infogoal_window_1": Trial(CUBE_TASK, "infogoal", CUBE | WINDOW_1, THRESHOLDS, seeds=2),
     # Test questions of the shelf: is the loss in the way from a question to its object, or in the policy? Commanding

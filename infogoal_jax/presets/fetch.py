@@ -68,6 +68,18 @@ FOUND_FOR_REACH = {
     "none": {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858},
 }
 
+FOUND_FOR_PUSH = {
+    "cogoal": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725, "learner_weight": 0.07715},
+    "her": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+    "ghrl": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725},
+}
+
+FOUND_FOR_PICK_AND_PLACE = {
+    "her": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+    "cher": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+    "ghrl": {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128},
+}
+
 PRESETS = {
     # Sizes for two cores.
     "fetch_reach": preset(
@@ -77,8 +89,14 @@ PRESETS = {
         TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000},
         FOUND_FOR_REACH,
     ),
-    "fetch_push": preset("A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, {}),
+    "fetch_push": preset(
+        "A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, FOUND_FOR_PUSH
+    ),
     "fetch_pick_and_place": preset(
-        "A robot arm carries a cube to where an image shows it, in the air too.", 3, 256, TRAINING, {}
+        "A robot arm carries a cube to where an image shows it, in the air too.",
+        3,
+        256,
+        TRAINING,
+        FOUND_FOR_PICK_AND_PLACE,
     ),
 }

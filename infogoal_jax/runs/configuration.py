@@ -14,6 +14,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
+from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
@@ -31,6 +32,7 @@ ADDED: dict[type, dict[str, Any]] = {
     InfoGoalHyperparameters: {"beta_margin": 0.005},
     InfoBotConfig: {"reward": "rarity"},
     GHRLConfig: {"choice": "best"},
+    AllGoalsConfig: {"desired_share": 0.0},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
