@@ -43,8 +43,8 @@ class TwinProductCritic(nn.Module):
 
     hidden: tuple[int, ...]
     size: int
-    bounded: bool
-    """A sigmoid keeps values between 0 and 1."""
+    starting_value: float | None = None
+    """Of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
 
     def setup(self):
         twin = nn.vmap(
@@ -69,7 +69,7 @@ class TwinProductCritic(nn.Module):
         """The products over these axes."""
         states = self.states(jnp.concatenate([features, action], axis=-1)) / self.size**0.5
         values = jnp.einsum(axes, states, self.goals(codes))
-        return nn.sigmoid(values) if self.bounded else values
+        return values if self.starting_value is None else networks.bounded_value(values, self.starting_value)
 
 
 class OfInputs(NamedTuple):

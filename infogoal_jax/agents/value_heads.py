@@ -39,20 +39,22 @@ class ValueHead(NamedTuple):
     """(params, features [B, F], actions int32 [B], codes [G, d]) -> float32 [B, G], of one action in each state."""
 
 
-def make(kind: Kind, hidden: tuple[int, ...], size: int, bounded: bool, num_actions: int, num_goals: int) -> ValueHead:
-    """The head of this kind. hidden: widths of its layers; size: D of the product; bounded: a sigmoid keeps values
-    between 0 and 1."""
+def make(
+    kind: Kind, hidden: tuple[int, ...], size: int, starting_value: float | None, num_actions: int, num_goals: int
+) -> ValueHead:
+    """The head of this kind. hidden: widths of its layers; size: D of the product; starting_value: of values that a
+    sigmoid keeps between 0 and 1; None: values are not bounded."""
     inner = {
         "concatenated": lambda: concatenated(hidden, num_actions),
         "product": lambda: product(hidden, size, num_actions),
         "index": lambda: index(hidden, num_actions, num_goals),
     }[kind]()
-    if not bounded:
+    if starting_value is None:
         return inner
     return ValueHead(
         inner.init,
         *(
-            lambda *arguments, logits=logits: jax.nn.sigmoid(logits(*arguments))
+            lambda *arguments, logits=logits: networks.bounded_value(logits(*arguments), starting_value)
             for logits in (inner.values, inner.values_of_all, inner.taken_of_all)
         ),
     )

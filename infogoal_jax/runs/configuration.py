@@ -27,8 +27,8 @@ MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
 ADDED: dict[type, dict[str, Any]] = {
-    DQNConfig: {"head": "concatenated", "head_size": 128, "bounded": False},
-    HRACConfig: {"critic": "concatenated", "critic_size": 128, "bounded": False},
+    DQNConfig: {"head": "concatenated", "head_size": 128, "bounded": False, "starting_value": 0.5},
+    HRACConfig: {"critic": "concatenated", "critic_size": 128, "bounded": False, "starting_value": 0.5},
     InfoGoalHyperparameters: {"beta_margin": 0.005},
     InfoBotConfig: {"reward": "rarity"},
     GHRLConfig: {"choice": "best"},

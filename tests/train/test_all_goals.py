@@ -165,6 +165,9 @@ def test_what_does_not_go_together_is_refused():
     ):
         with pytest.raises(UserError, match=blame):
             hand_made.config("none", relabelling=AllGoalsConfig(**given))
+    for agent in (config.agent, HRACConfig()):
+        with pytest.raises(UserError, match="agent.starting_value = 1"):
+            presets.load("fetch_reach", "none", agent=dataclasses.replace(agent, starting_value=1))
 
 
 def test_an_environment_with_goals_by_number_can_be_given_again():
