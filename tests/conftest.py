@@ -29,7 +29,6 @@ MANY_MAPS = 30_000
 next."""
 LONGEST_FIRST = (
     "command",
-    "same_numbers",
     "every_method",
     "fly",
     "folder",

@@ -1,4 +1,5 @@
-"""The queue of the trials: what is run by trials.py, and why, in order of what it would tell."""
+"""The queue of the trials: what is run by trials.py, and why, in order of what it would tell. all_goals_queue.py has
+those on all goals at once."""
 
 from typing import Any, NamedTuple
 
@@ -44,7 +45,6 @@ SHELF = DATASETS[SHELF_TASK]
 
 HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""
-HOUSE_GOALS = HOUSE | {"epochs_per_evaluation": 10}
 
 WINDOW_1, CORRUPTED = {"learner.window": 1}, {"training_corruption": 0.4}
 STANDARDISED = {"learner.standardise_images": True}
@@ -60,74 +60,7 @@ NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
 
 
-def weighted(words: str, values: dict[str, float], *weights: float) -> dict[str, dict[str, float]]:
-    """Lanes with these values, which the words name, and these weights of the learner's loss."""
-    return {f"{words}learner weight {weight}": values | {"learner_weight": weight} for weight in weights}
-
-
-FINE = "threshold 0.999, ", {"learner.beta_threshold": 0.999}
-"""A code as fine as the cube and the shelf ask for."""
-LEARNER_WEIGHTS, SMALLEST_WEIGHT = weighted("", {}, 1.0, 0.1, 0.01), weighted("", {}, 0.001)
-"""The loss under all goals is a mean over goals, nearly all of which are far: it is smaller than that of one goal."""
-LEARNER_SHARES = weighted("", {}, 0.0015, 0.05, 1.0)
-CONSERVATIVE = {
-    f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
-    for weight in (0.002, 0.02, 0.2)
-}
-CUBE_HEAD = {
-    "preset": {},
-    "target rate 0.05": {"target_rate": 0.05},
-    "target rate 0.05, discount 0.95": {"target_rate": 0.05, "discount": 0.95},
-    "target rate 0.05, learning rate 0.0003": {"target_rate": 0.05, "learning_rate": 3e-4},
-}
-ACHIEVED, MIXED = ({"relabelling.achieved_share": share} for share in (1.0, 0.5))
-"""Which of an update's 512 goals on the cube the batch achieves: all, or half. Half was the preset's share at first."""
-DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
-SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
-"""How the head sees codes; a plain encoder has no noise."""
-FEW_GOALS = SAMPLED | {"relabelling.num_goals": 32}
-PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
-"""Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
-achieved, or never."""
-
-
-LEARNING = {
-    "her": "her",
-    "leo": "leo",
-    "head": "all_goals",
-    "infogoal_head": "infogoal+all_goals",
-    "infobot_head": "infobot+all_goals",
-}
-"""What learns in trials on all goals at once, and the name of the method."""
-ALL_GOALS = {
-    "house_goals": Trial(HOUSE_TASK, "", HOUSE_GOALS),
-    "cube_dqn": Trial(CUBE_TASK, "", CUBE, agent="dqn"),
-    "shelf_goals": Trial(SHELF_TASK, "", SHELF),
-}
-"""Trials on all goals at once, by how their names begin, without a method."""
-
-
-def all_goals_trials(
-    name: str,
-    lanes: dict[str, dict[str, dict[str, float]]],
-    protocols: tuple[str, ...] = tuple(PROTOCOLS),
-    goals: dict[str, float] | None = None,
-) -> dict[str, Trial]:
-    """HER, LEO and the all-goals head with each learner, under these protocols. lanes: of each of them, else the
-    preset; goals: settings of those that learn from all goals."""
-    trial = ALL_GOALS[name]
-    return {
-        f"{name}_{short}{ending}": trial._replace(
-            method=method,
-            settings=trial.settings
-            | PROTOCOLS[ending]
-            | ({} if method == "her" else goals or {})
-            | (SAMPLED if method.endswith("+all_goals") else {}),
-            lanes=lanes.get(short, PRESET),
-        )
-        for ending in protocols
-        for short, method in LEARNING.items()
-    }
+LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
 
 
 def chosen(lanes: dict[str, dict[str, float]], *thresholds: float) -> dict[str, dict[str, float]]:
@@ -187,20 +120,8 @@ QUEUE = {
         for words, method, settings, lanes in (
             ("her", "her", {}, PRESET),
             ("infogoal_her_window_1", "infogoal+her", WINDOW_1, chosen(THRESHOLDS, 0.999)),
-            ("infogoal_head", "infogoal+all_goals", DESIRED | FEW_GOALS, weighted("", {}, 0.1)),
         )
         for dataset in (0, 1, 2)
-    },
-    # The head under HRAC, with which HER reaches most. A target action for each goal: 32 goals in place of 512. Does a
-    # pose that is desired and missed have to be among them?
-    **{
-        f"cube_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | goals | FEW_GOALS, lanes, seeds)
-        for short, ending, goals, lanes, seeds in (
-            ("head", "", DESIRED, PRESET, 3),
-            ("infogoal_head", "", DESIRED, LEARNER_WEIGHTS, 2),
-            ("infogoal_head", "_achieved", ACHIEVED, LEARNER_WEIGHTS, 2),
-            ("infobot_head", "", DESIRED, LEARNER_WEIGHTS, 2),
-        )
     },
     # The same without HER, as in the paper: is it the code or the relabelling that test poses need?
     "cube_infogoal_window_1": Trial(CUBE_TASK, "infogoal", CUBE | WINDOW_1, THRESHOLDS, seeds=2),
@@ -239,68 +160,6 @@ QUEUE = {
     "house_ghrl": Trial(HOUSE_TASK, "ghrl", HOUSE),
     # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
-    # Learning from every transition under all goals at once: LEO, and the head that values a goal through its code.
-    **all_goals_trials("house_goals", dict.fromkeys(("infogoal_head", "infobot_head"), LEARNER_WEIGHTS)),
-    **all_goals_trials(
-        "cube_dqn",
-        {
-            "leo": CUBE_HEAD,
-            "head": CUBE_HEAD,
-            "infogoal_head": weighted("target rate 0.05, ", {"target_rate": 0.05}, 1.0, 0.1, 0.01),
-            "infobot_head": LEARNER_WEIGHTS | SMALLEST_WEIGHT,
-        },
-        protocols=("",),  # The study itself has the other one.
-        goals=MIXED,
-    ),
-    # The smaller the weight of their loss, the better the head was: one still smaller. And finer codes.
-    "house_goals_infogoal_head_finer": Trial(
-        HOUSE_TASK, "infogoal+all_goals", HOUSE_GOALS | SAMPLED, SMALLEST_WEIGHT | weighted(*FINE, 1.0, 0.1)
-    ),
-    # Is it the noise of codes that keeps learners behind a plain head? With their means in its place:
-    **{
-        f"{name}_{short}_mean": ALL_GOALS[name]._replace(
-            method=LEARNING[short], settings=ALL_GOALS[name].settings | MEAN, lanes=LEARNER_WEIGHTS
-        )
-        for name in ("house_goals", "shelf_goals")
-        for short in ("infogoal_head", "infobot_head")
-    },
-    # What of it is the head: the head, trained under one hindsight goal a transition.
-    "house_goals_her_product": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.head": "product", "agent.bounded": True}),
-    **{
-        f"cube_dqn_{short}_{words}": Trial(CUBE_TASK, LEARNING[short], CUBE | settings, lanes, seeds, agent="dqn")
-        for short, words, settings, lanes, seeds in (
-            # With the preset's weight of 1 InfoGoal's loss makes all of the goal encoder's gradient on the cube.
-            ("infogoal_head", "finer", MIXED | SAMPLED, weighted(*FINE, 1.0, 0.1, 0.01, 0.001, 0.0001), 3),
-            ("infogoal_head", "mean", MIXED | MEAN, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
-            ("infobot_head", "mean", MIXED | MEAN, weighted("", {}, 0.01, 0.001, 0.0001), 2),
-            # HER learns from eight steps at once, the head from one, as they say little under goals that were not
-            # desired. Is it that what test poses lack?
-            ("head", "steps_8", MIXED | {"agent.num_steps": 8}, PRESET, 3),
-            ("head", "steps_3", MIXED | {"agent.num_steps": 3}, PRESET, 3),
-            ("her", "steps_1", {"agent.num_steps": 1}, PRESET, 3),
-            # Or are there too many goals that no transition of the batch achieves? HER's share of achieved ones is 0.8.
-            ("head", "achieved", ACHIEVED, PRESET, 3),
-            ("head", "achieved_0.9", {"relabelling.achieved_share": 0.9}, PRESET, 3),
-            ("infogoal_head", "achieved", ACHIEVED | MEAN, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
-            ("infogoal_head", "achieved_sampled", ACHIEVED | SAMPLED, weighted(*FINE, 1.0, 0.01, 0.0001), 2),
-            ("infogoal_head", "achieved_finer", ACHIEVED | SAMPLED, weighted(*FINE, 0.1, 0.03, 0.01, 0.003, 0.001), 2),
-            ("infobot_head", "achieved", ACHIEVED | MEAN, weighted("", {}, 0.1, 0.01, 0.001), 2),
-            ("infobot_head", "achieved_sampled", ACHIEVED | SAMPLED, weighted("", {}, 0.01, 0.001, 0.0001), 2),
-            # Larger weights lose training poses alone: is it that a desired goal that is missed is not learned of?
-            ("head", "desired", DESIRED, PRESET, 3),
-            ("infogoal_head", "desired", DESIRED | SAMPLED, weighted(*FINE, 0.1, 0.01, 0.001), 2),
-            ("infobot_head", "desired", DESIRED | SAMPLED, weighted("", {}, 0.01, 0.001), 2),
-            ("leo", "achieved", ACHIEVED, PRESET, 3),
-            ("leo", "every_goal", {"relabelling.num_goals": 0}, PRESET, 3),
-            ("her", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),
-            ("head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, PRESET, 3),
-            ("infogoal_head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, weighted("", {}, 1e-2, 1e-3), 3),
-        )
-    },
-    # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
-    **all_goals_trials(
-        "shelf_goals", dict.fromkeys(("leo", "head", "infogoal_head", "infobot_head"), CONSERVATIVE), protocols=("",)
-    ),
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
 shown on others."""

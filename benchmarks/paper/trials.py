@@ -5,9 +5,9 @@ by side in one program.
     python benchmarks/paper/trials.py --out FOLDER [--trials cube_her cube_infogoal_her_window_1 ...] [--minutes 9]
     python benchmarks/paper/trials.py --merge FOLDER
 
-`trial_queue.py` has the list of what is to be run. A trial is a preset, what is changed in it,
-and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation of
-every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
+`trial_queue.py` and `all_goals_queue.py` have the list of what is to be run. A trial is a preset, what is changed in
+it, and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation
+of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
 FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
 writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has
@@ -20,12 +20,14 @@ import json
 import time
 from pathlib import Path
 
+import all_goals_queue
 import jax
 import jax.numpy as jnp
 import numpy as np
 import trial_numbers
+import trial_queue
 from trial_numbers import Row, code_errors
-from trial_queue import QUEUE, Trial
+from trial_queue import Trial
 from tuning import tuning_house
 
 from infogoal_jax import jit, presets, use_compilation_cache
@@ -38,6 +40,7 @@ from infogoal_jax.train.evaluation import near_and_far
 from infogoal_jax.train.lanes import batched_hyper
 from infogoal_jax.train.program import make_train
 
+QUEUE = trial_queue.QUEUE | all_goals_queue.QUEUE
 TABLES = {
     "cube": (("object_manipulation",), ("degrees", 1)),
     "fetch": (presets.FETCH_TASKS, ("m", 3)),
@@ -45,7 +48,7 @@ TABLES = {
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
-ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "shelf_goals": None}
+ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
 """Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
 COMPARISONS = {
     "cube_comparisons": [

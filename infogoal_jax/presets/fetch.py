@@ -1,4 +1,5 @@
-"""The Fetch tasks with goal images, tuned on goal sets of other seeds than those that results are shown on."""
+"""The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats [T] on validation goals of goal
+set 0 (docs/tuning.md)."""
 
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
@@ -89,9 +90,7 @@ PRESETS = {
         TRAINING | {"num_envs": 64, "batch_size": 128, "buffer_steps": 200_000},
         FOUND_FOR_REACH,
     ),
-    "fetch_push": preset(
-        "A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, FOUND_FOR_PUSH
-    ),
+    "fetch_push": preset("A robot arm pushes a cube to where an image shows it.", 3, 128, TRAINING, FOUND_FOR_PUSH),
     "fetch_pick_and_place": preset(
         "A robot arm carries a cube to where an image shows it, in the air too.",
         3,

@@ -157,7 +157,9 @@ def test_targets_look_at_legal_actions_only():
 
 def inputs_of(kind: str):
     """A head with random parameters, features [B, F], and codes [G, d] of all goals."""
-    head = value_heads.make(kind, (8, 8), 5, starting_value=0.5 if kind == "index" else None, num_actions=A, num_goals=G)
+    head = value_heads.make(
+        kind, (8, 8), 5, starting_value=0.5 if kind == "index" else None, num_actions=A, num_goals=G
+    )
     keys = jax.random.split(jax.random.key(0), 4)
     features = jax.random.normal(keys[0], (B, F))
     codes = jnp.arange(G, dtype=jnp.float32)[:, None] if kind == "index" else jax.random.normal(keys[1], (G, D))
