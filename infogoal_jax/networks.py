@@ -19,11 +19,14 @@ class MLP(nn.Module):
 
     hidden: tuple[int, ...]
     out: int
+    layer_norm: bool = False
+    """Normalise what each ReLU gets over the layer: units cannot die together."""
 
     @nn.compact
     def __call__(self, inputs):
         for width in self.hidden:
-            inputs = nn.relu(nn.Dense(width)(inputs))
+            inputs = nn.Dense(width)(inputs)
+            inputs = nn.relu(nn.LayerNorm()(inputs) if self.layer_norm else inputs)
         return nn.Dense(self.out)(inputs)
 
 

@@ -43,8 +43,14 @@ DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
 FEW_GOALS = SAMPLED | {"relabelling.num_goals": 32}
-HALF, LOW = ({"agent.starting_value": value} for value in (0.5, 0.02))
-"""What values begin at: the middle of the sigmoid, as until 2026-11-26, or what the presets have since."""
+HALF = {"agent.starting_value": 0.5}
+"""What values of the head begin at: the middle of the sigmoid."""
+STARTS = {
+    "low": {"agent.starting_value": 0.02},
+    "norm": HALF | {"agent.layer_norm": True},
+    "low_norm": {"agent.starting_value": 0.02, "agent.layer_norm": True},
+}
+"""What may keep units of the head alive."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -150,26 +156,31 @@ QUEUE = {
             ("her", "corruption", CORRUPTED | STANDARDISED, PRESET, 3),
             ("head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, PRESET, 3),
             ("infogoal_head", "corruption", ACHIEVED | CORRUPTED | STANDARDISED, weighted("", {}, 1e-2, 1e-3), 3),
-            # In some seeds nothing was learned: values that begin at 0.5 fall first, and units die of that.
-            ("head", "low", LOW | ACHIEVED, PRESET, 3),
-            ("head", "low_desired", LOW | DESIRED, PRESET, 3),
-            ("infogoal_head", "low", LOW | ACHIEVED | SAMPLED, LEARNER_WEIGHTS | SMALLEST_WEIGHT, 2),
-            ("infogoal_head", "low_desired", LOW | DESIRED | SAMPLED, LEARNER_WEIGHTS | SMALLEST_WEIGHT, 2),
-            ("infogoal_head", "low_mean", LOW | ACHIEVED | MEAN, LEARNER_WEIGHTS | SMALLEST_WEIGHT, 2),
-            ("infobot_head", "low", LOW | ACHIEVED | SAMPLED, LEARNER_WEIGHTS | SMALLEST_WEIGHT, 2),
-            ("leo", "low", LOW | ACHIEVED, PRESET, 3),
         )
     },
+    # In some seeds nothing was learned, whatever the weight: values that begin at 0.5 all fall first, and units die.
     **{
-        f"{name}_{short}_low{ending}": ALL_GOALS[name]._replace(
+        f"cube_dqn_{short}_{start}": Trial(
+            CUBE_TASK, LEARNING[short], CUBE | DESIRED | code | STARTS[start], lanes, agent="dqn"
+        )
+        for start in STARTS
+        for short, code, lanes in (
+            ("head", {}, PRESET),
+            ("infogoal_head", SAMPLED, weighted("", {}, 0.1, 0.01, 0.001)),
+            ("infobot_head", SAMPLED, weighted("", {}, 0.01, 0.001)),
+            ("leo", {}, PRESET),
+        )
+    },
+    # The same where fewer goals are known and nothing died, and with the noise of InfoGoal's codes.
+    **{
+        f"{name}_{short}_{start}": ALL_GOALS[name]._replace(
             method=LEARNING[short],
-            settings=ALL_GOALS[name].settings | LOW | (code if short.startswith("info") else {}),
-            lanes=LEARNER_WEIGHTS if short.startswith("info") else PRESET,
+            settings=ALL_GOALS[name].settings | code | STARTS[start],
+            lanes=LEARNER_WEIGHTS if code else PRESET,
         )
         for name in ("house_goals", "shelf_goals")
-        for short in ("leo", "head", "infogoal_head", "infobot_head")
-        for ending, code in (("", SAMPLED), ("_mean", MEAN))
-        if short.startswith("info") or not ending
+        for start in STARTS
+        for short, code in (("head", {}), ("infogoal_head", SAMPLED), ("infobot_head", SAMPLED), ("leo", {}))
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
     **all_goals_trials(
@@ -184,8 +195,7 @@ QUEUE = {
             ("infogoal_head", "", HALF | DESIRED, LEARNER_WEIGHTS, 2),
             ("infogoal_head", "_achieved", HALF | ACHIEVED, LEARNER_WEIGHTS, 2),
             ("infobot_head", "", HALF | DESIRED, LEARNER_WEIGHTS, 2),
-            ("head", "_low", LOW | DESIRED, PRESET, 3),
-            ("infogoal_head", "_low", LOW | DESIRED, LEARNER_WEIGHTS, 2),
+            *(("infogoal_head", f"_{start}", STARTS[start] | DESIRED, LEARNER_WEIGHTS, 3) for start in STARTS),
         )
     },
     # What was found on dataset 100 has to hold on others, with five seeds and for longer.

@@ -27,9 +27,11 @@ class DQNConfig:
     `index`: LEO (docs/all_goals.md)."""
     head_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
+    layer_norm: bool = False
+    """Normalise the layers of `product` and `index`, as LEO's authors do."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
-    starting_value: float = 0.02
+    starting_value: float = 0.5
     """Of every action under every goal before training, where values are bounded (docs/all_goals.md)."""
 
     def check(self, config) -> None:
@@ -99,7 +101,9 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
     """
     num_goals = env.goals.num_goals if config.head == "index" else 0
     start = config.starting_value if config.bounded else None
-    head = value_heads.make(config.head, config.hidden, config.head_size, start, env.action_size, num_goals)
+    head = value_heads.make(
+        config.head, config.hidden, config.head_size, config.layer_norm, start, env.action_size, num_goals
+    )
     values = head.values
 
     def init(key, features, code):

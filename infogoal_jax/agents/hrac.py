@@ -56,9 +56,11 @@ class HRACConfig:
     head (docs/all_goals.md)."""
     critic_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
+    layer_norm: bool = False
+    """Normalise the layers of the critics, for `product` alone, as LEO's authors do."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
-    starting_value: float = 0.02
+    starting_value: float = 0.5
     """Of every action under every goal before training, where values are bounded (docs/all_goals.md)."""
     low_level: str = ""
     """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
@@ -136,7 +138,7 @@ def make(config: HRACConfig, env) -> Agent:
     space = env.space
     actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
     start = config.starting_value if config.bounded else None
-    product = td3.TwinProductCritic(config.hidden, config.critic_size, start)
+    product = td3.TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, start)
     concatenated = td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)

@@ -43,6 +43,7 @@ class TwinProductCritic(nn.Module):
 
     hidden: tuple[int, ...]
     size: int
+    layer_norm: bool = False
     starting_value: float | None = None
     """Of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
 
@@ -50,7 +51,8 @@ class TwinProductCritic(nn.Module):
         twin = nn.vmap(
             networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
         )
-        self.states, self.goals = twin(self.hidden, self.size), twin(self.hidden[-1:], self.size)
+        self.states = twin(self.hidden, self.size, self.layer_norm)
+        self.goals = twin(self.hidden[-1:], self.size, self.layer_norm)
 
     def __call__(self, features, action, code):
         """Features [..., F] and action [..., A], each under its own goal [..., d]: [2, ...]."""

@@ -40,14 +40,20 @@ class ValueHead(NamedTuple):
 
 
 def make(
-    kind: Kind, hidden: tuple[int, ...], size: int, starting_value: float | None, num_actions: int, num_goals: int
+    kind: Kind,
+    hidden: tuple[int, ...],
+    size: int,
+    layer_norm: bool,
+    starting_value: float | None,
+    num_actions: int,
+    num_goals: int,
 ) -> ValueHead:
-    """The head of this kind. hidden: widths of its layers; size: D of the product; starting_value: of values that a
-    sigmoid keeps between 0 and 1; None: values are not bounded."""
+    """The head of this kind. hidden: widths of its layers, which a product and LEO normalise with `layer_norm`; size: D
+    of the product; starting_value: of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
     inner = {
         "concatenated": lambda: concatenated(hidden, num_actions),
-        "product": lambda: product(hidden, size, num_actions),
-        "index": lambda: index(hidden, num_actions, num_goals),
+        "product": lambda: product(hidden, size, layer_norm, num_actions),
+        "index": lambda: index(hidden, layer_norm, num_actions, num_goals),
     }[kind]()
     if starting_value is None:
         return inner
@@ -88,9 +94,10 @@ def concatenated(hidden: tuple[int, ...], num_actions: int) -> ValueHead:
     )
 
 
-def product(hidden: tuple[int, ...], size: int, num_actions: int) -> ValueHead:
+def product(hidden: tuple[int, ...], size: int, layer_norm: bool, num_actions: int) -> ValueHead:
     """Features and code pass layers of their own, which meet in a scalar product."""
-    states, goals = networks.MLP(hidden, num_actions * size), networks.MLP(hidden[-1:], size)
+    states = networks.MLP(hidden, num_actions * size, layer_norm)
+    goals = networks.MLP(hidden[-1:], size, layer_norm)
 
     def init(key, features, code):
         state_key, goal_key = jax.random.split(key)
@@ -118,9 +125,9 @@ def product(hidden: tuple[int, ...], size: int, num_actions: int) -> ValueHead:
     )
 
 
-def index(hidden: tuple[int, ...], num_actions: int, num_goals: int) -> ValueHead:
+def index(hidden: tuple[int, ...], layer_norm: bool, num_actions: int, num_goals: int) -> ValueHead:
     """An output for each action and goal (LEO). A code [1] is the number of its goal."""
-    layers = networks.MLP(hidden[:-1], hidden[-1])
+    layers, norm = networks.MLP(hidden[:-1], hidden[-1], layer_norm), nn.LayerNorm(use_bias=False, use_scale=False)
     starting_weights = nn.initializers.lecun_normal()
 
     def init(key, features, code):
@@ -141,7 +148,8 @@ def index(hidden: tuple[int, ...], num_actions: int, num_goals: int) -> ValueHea
         return params["weights"][..., goals], params["biases"][..., goals]
 
     def of_states(params, features):
-        return nn.relu(layers.apply(params["layers"], features))
+        outputs = layers.apply(params["layers"], features)
+        return nn.relu(norm.apply({}, outputs) if layer_norm else outputs)
 
     def values(params, features, code):
         goals = code[:, 0].astype(jnp.int32)

@@ -26,9 +26,10 @@ OF_A_SEARCH = "drawn"
 MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
+OF_HEADS = {"bounded": False, "layer_norm": False, "starting_value": 0.5}
 ADDED: dict[type, dict[str, Any]] = {
-    DQNConfig: {"head": "concatenated", "head_size": 128, "bounded": False, "starting_value": 0.5},
-    HRACConfig: {"critic": "concatenated", "critic_size": 128, "bounded": False, "starting_value": 0.5},
+    DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
+    HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
     InfoGoalHyperparameters: {"beta_margin": 0.005},
     InfoBotConfig: {"reward": "rarity"},
     GHRLConfig: {"choice": "best"},

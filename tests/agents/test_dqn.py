@@ -158,7 +158,7 @@ def test_targets_look_at_legal_actions_only():
 def inputs_of(kind: str):
     """A head with random parameters, features [B, F], and codes [G, d] of all goals."""
     head = value_heads.make(
-        kind, (8, 8), 5, starting_value=0.5 if kind == "index" else None, num_actions=A, num_goals=G
+        kind, (8, 8), 5, layer_norm=True, starting_value=0.5 if kind == "index" else None, num_actions=A, num_goals=G
     )
     keys = jax.random.split(jax.random.key(0), 4)
     features = jax.random.normal(keys[0], (B, F))
@@ -189,7 +189,7 @@ def test_bounded_values_begin_at_their_starting_value(start):
     """Outputs of a network that has learned nothing are about 0."""
     np.testing.assert_allclose(networks.bounded_value(jnp.zeros(3), start), start, rtol=1e-5)
     features, codes = jnp.ones((B, F)), jnp.ones((G, D))
-    head = value_heads.make("product", (8, 8), 5, start, num_actions=A, num_goals=G)
+    head = value_heads.make("product", (8, 8), 5, False, start, num_actions=A, num_goals=G)
     values = head.values_of_all(head.init(jax.random.key(0), features[0], codes[0]), features, codes)
     assert start / 3 < values.min() and values.max() < 3 * start
 
@@ -207,7 +207,7 @@ def test_goals_without_a_share_teach_nothing():
 
 def critic_of_vectors():
     """TD3's product critics and actor with random parameters, features [B, F], actions [B, A] and codes [G, D]."""
-    critic, actor = td3.TwinProductCritic((8,), 5, starting_value=0.02), td3.Actor((8,), A)
+    critic, actor = td3.TwinProductCritic((8,), 5, layer_norm=True, starting_value=0.02), td3.Actor((8,), A)
     keys = jax.random.split(jax.random.key(1), 5)
     features, actions = jax.random.normal(keys[0], (B, F)), jax.random.normal(keys[1], (B, A))
     codes = jax.random.normal(keys[2], (G, D))

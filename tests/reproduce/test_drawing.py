@@ -95,6 +95,15 @@ def test_damaged_numbers_are_refused(folder, tmp_path):
     (tmp_path / "paper.npz").write_bytes(content[: len(content) // 2])
     with pytest.raises(UserError, match="paper.npz"):
         numbers.load(tmp_path)
+    members = dict(np.load(folder / "paper.npz"))
+    for changes, blame in (
+        ({"evaluations.float32": members["evaluations.float32"][:-1]}, "evaluations.float32 = .* numbers are left"),
+        ({"names": members["shapes"][:0]}, "names = unreadable"),
+        ({"names": np.frombuffer(b"[]", np.uint8)}, "names = .* should be as many"),
+    ):
+        np.savez(tmp_path / "paper.npz", **members | changes)
+        with pytest.raises(UserError, match=f"paper.npz.*{blame}"):
+            numbers.load(tmp_path)
 
 
 @pytest.mark.long
