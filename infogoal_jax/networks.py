@@ -20,7 +20,7 @@ class MLP(nn.Module):
     hidden: tuple[int, ...]
     out: int
     layer_norm: bool = False
-    """Normalise what each ReLU gets over the layer: units cannot die together."""
+    """Normalise over the layer what each ReLU gets, so that few of its units die (docs/all_goals.md)."""
 
     @nn.compact
     def __call__(self, inputs):
@@ -184,7 +184,7 @@ class VectorEncoder(nn.Module):
 
 
 def bounded_value(logit: jax.Array, starting_value: float) -> jax.Array:
-    """A value between 0 and 1: `starting_value` where a network gives 0, as it does before training.
+    """A value between 0 and 1: `starting_value` where a network gives 0, and about that before training.
 
     Most goals are out of reach. From 0.5, where a sigmoid alone begins, all values fall for a thousand updates, which
     Adam makes in full steps of one direction: ReLU units die of it, in some seeds a whole layer (docs/all_goals.md).

@@ -60,6 +60,8 @@ NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
 
 
+FORMER = {"preset": {"learning_rate": 1e-3, "discount": 0.99, "target_rate": 0.01}}
+"""HER on PickAndPlace as its preset was when its trials were made."""
 LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
 
 
@@ -95,7 +97,9 @@ QUEUE = {
     ),
     # Does it take HER and corrupted training goals together, and InfoGoal? A window of 1 lets a code be compressed.
     **{
-        f"{short}_{words}": Trial(task, method, FETCH | settings, lanes)
+        f"{short}_{words}": Trial(
+            task, method, FETCH | settings, FORMER if (task, method) == (PICK_AND_PLACE, "her") else lanes
+        )
         for short, task in (("pick_and_place", PICK_AND_PLACE), ("reach", REACH))
         for words, method, settings, lanes in (
             ("her", "her", {}, PRESET),

@@ -127,7 +127,8 @@ def product(hidden: tuple[int, ...], size: int, layer_norm: bool, num_actions: i
 
 def index(hidden: tuple[int, ...], layer_norm: bool, num_actions: int, num_goals: int) -> ValueHead:
     """An output for each action and goal (LEO). A code [1] is the number of its goal."""
-    layers, norm = networks.MLP(hidden[:-1], hidden[-1], layer_norm), nn.LayerNorm(use_bias=False, use_scale=False)
+    layers = networks.MLP(hidden[:-1], hidden[-1], layer_norm)
+    norm = nn.LayerNorm(use_bias=False, use_scale=False)  # The weights and biases of the outputs follow it.
     starting_weights = nn.initializers.lecun_normal()
 
     def init(key, features, code):

@@ -54,4 +54,4 @@ class Preset:
 INFOBOT = {"intrinsic_weight": 1.0, "learner.beta": 3e-5}
 """InfoBot's floats: the authors' beta of 0.01 stands beside rewards of 10, squared [M]."""
 MEAN = {"code": "mean"}
-"""The all-goals head learns less, and on the cube hardly anything, under the noise of codes [M], docs/all_goals.md."""
+"""On object search the all-goals head learns less under the noise of InfoGoal's codes [M], docs/all_goals.md."""

@@ -79,6 +79,9 @@ def load(folder: Path, field: str = "from") -> Results:
     for path in paths:
         with archives.naming("numbers", path, REMEDY):
             archive = archives.read(path, REMEDY)
+            require(
+                "shapes" in archive.sizes, "format", "that of an earlier version", f"merge the runs again; {REMEDY}"
+            )
             texts = {name: entries(archive, name) for name in TEXTS}
             lengths = {len(text) for text in texts.values()}
             require(len(lengths) == 1, "names", sorted(lengths), f"should be as many as {', '.join(TEXTS)}; {REMEDY}")
@@ -92,9 +95,11 @@ def entries(archive: archives.Archive, name: str) -> list:
     """What one of `TEXTS` has of each run."""
     text = archives.member(archive, name, REMEDY).tobytes()
     try:
-        return json.loads(text)
+        found = json.loads(text)
     except ValueError as error:
         raise UserError(f"{name} = unreadable ({error}); {REMEDY}") from error
+    require(isinstance(found, list), name, type(found).__name__, f"should be a list; {REMEDY}")
+    return found
 
 
 def parted(archive: archives.Archive, shapes: list[dict[str, list]]) -> Iterator[dict[str, np.ndarray]]:
@@ -103,13 +108,16 @@ def parted(archive: archives.Archive, shapes: list[dict[str, list]]) -> Iterator
     taken = dict.fromkeys(joined, 0)
     for own in shapes:
         arrays = {}
-        for name, (kind, *shape) in own.items():
-            whole, count = f"{name}.{kind}", math.prod(shape)
-            left = len(joined.get(whole, ())) - taken.get(whole, 0)
-            require(count <= left, whole, left, f"numbers are left of {count}; {REMEDY}")
-            arrays[name] = joined[whole][taken[whole] : taken[whole] + count].reshape(shape)
-            taken[whole] += count
+        try:
+            for name, (kind, *shape) in own.items():
+                whole, first = f"{name}.{kind}", taken[f"{name}.{kind}"]
+                taken[whole] += math.prod(shape)
+                arrays[name] = joined[whole][first : taken[whole]].reshape(shape)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise UserError(f"shapes = not those of the arrays ({error}); {REMEDY}") from error
         yield arrays
+    for whole, array in joined.items():
+        require(taken[whole] == len(array), whole, len(array), f"numbers, {taken[whole]} of them of runs; {REMEDY}")
 
 
 def holds(results: Results, run: Run, config: TrainConfig, measured: bool = False) -> bool:
@@ -150,7 +158,10 @@ def save(results: Results, folder: Path) -> list[Path]:
         members = {name: np.frombuffer(json.dumps(value).encode(), np.uint8) for name, value in texts}
         members |= {name: np.concatenate(arrays) for name, arrays in sorted(parts.items())}
         paths.append(folder / f"{study}.npz")
-        archives.write(paths[-1], members, zipfile.ZIP_LZMA)
+        try:
+            archives.write(paths[-1], members, zipfile.ZIP_LZMA)
+        except OSError as error:
+            raise disk.disk_error(paths[-1], error) from error
     return paths
 
 

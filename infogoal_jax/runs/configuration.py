@@ -27,6 +27,7 @@ MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
 OF_HEADS = {"bounded": False, "layer_norm": False, "starting_value": 0.5}
+"""Fields of the heads of DQN and HRAC alike, as those of `ADDED`."""
 ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,

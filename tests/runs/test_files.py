@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from places import FIXTURES
 
+from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import ADDED, Description, from_dict, to_dict
@@ -129,6 +130,18 @@ def test_a_wrong_value_at_any_depth_of_a_configuration_is_named(value):
             continue  # Files of earlier versions lack it.
         with pytest.raises(UserError, match=path[-1] if path[-1] != "name" else path[-2]):
             from_dict(changed(values, path, value))
+
+
+@pytest.mark.parametrize("agent", ["dqn", "hrac"])
+def test_runs_of_all_goals_from_before_a_field_was_there_are_read(agent):
+    """What was added since has the value of what was done before."""
+    config = presets.load("object_manipulation", agent=agent, relabelling="all_goals")
+    values = to_dict(config)
+    for part, name in (("relabelling", "desired_share"), ("agent", "layer_norm"), ("agent", "starting_value")):
+        del values[part][name]
+    found = from_dict(values)
+    assert found.relabelling.desired_share == 0
+    assert not found.agent.layer_norm and found.agent.starting_value == 0.5
 
 
 def value_at(values: dict, path: tuple[str, ...]):

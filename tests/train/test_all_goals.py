@@ -4,6 +4,7 @@ import dataclasses
 
 import hand_made
 import hand_made_frames
+import hand_made_points
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,6 +179,23 @@ def test_an_environment_with_goals_by_number_can_be_given_again():
     assert env.goals.by_index and load_environment(config, env).goals.by_index
     with pytest.raises(UserError, match="image_goals is True, should be False"):
         load_environment(presets.load("object_search", "leo"), env)
+
+
+@pytest.mark.parametrize("norm", [False, True])
+def test_settings_of_the_head_reach_its_network(norm):
+    """Of DQN and of HRAC: normalised layers have parameters, and the first values are those that were asked for."""
+    for config, env, head in (
+        (hand_made.config("none", relabelling="all_goals"), hand_made.environment(), {"head": "product"}),
+        (hand_made_points.config("none", relabelling="all_goals"), hand_made_points.steered(), {"critic": "product"}),
+    ):
+        agent = dataclasses.replace(config.agent, **head, bounded=True, layer_norm=norm, starting_value=0.02)
+        train = make_train(dataclasses.replace(config, agent=agent), env)
+        params = initial(train).params["agent"]
+        network = params["states"] if "states" in params else params["critic"]["params"]["states"]
+        assert ("LayerNorm_0" in network.get("params", network)) == norm
+        features, code = jnp.ones((1, config.state_encoder.features)), jnp.ones((1, config.learner.latent_size))
+        value = train.parts.agent.value(params, features, code, jnp.ones((1, 6), bool))
+        assert value.min() > 0.002 and value.max() < 0.2
 
 
 def test_names_say_what_is_learned_from():
