@@ -1,7 +1,11 @@
 """What `infogoal reproduce` does with a folder: it draws when all is done, and mixes no sizes; and several processes on
-one folder, of which each has its GPU, its share of the memory, and what was asked for."""
+one folder, of which each has its GPU, its share of the memory, and what was asked for. And the compact numbers that it
+refuses."""
 
 import dataclasses
+import errno
+import json
+import os
 from pathlib import Path
 
 import made_up_results
@@ -9,6 +13,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax.cli.main import main
+from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import command, files, numbers, workers
 from infogoal_jax.reproduce.command import DONE, MORE, Asked
@@ -186,3 +191,43 @@ def test_the_quick_way_does_all_of_it(tmp_path):
     assert [result.run.name for result in made if result.missing() or result.about["measuring_failed"]] == []
     assert {"table1_paper", "table1_her", "table2", "costs"} <= {path.stem for path in tmp_path.glob("tables/*.md")}
     assert (tmp_path / "reproduction.md").exists() and (tmp_path / "index.html").exists()
+
+
+def test_damaged_numbers_are_refused(results, tmp_path):
+    numbers.save(results, tmp_path)
+    content = (tmp_path / "paper.npz").read_bytes()
+    members = dict(np.load(tmp_path / "paper.npz"))
+    (tmp_path / "paper.npz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(UserError, match="paper.npz"):
+        numbers.load(tmp_path)
+    evaluations, shapes = members["evaluations.float32"], json.loads(members["shapes"].tobytes())
+    for changes, blame in (
+        ({"evaluations.float32": evaluations[:-1]}, "shapes = not those of the arrays"),
+        ({"evaluations.float32": np.append(evaluations, 0)}, "evaluations.float32 = .*numbers"),
+        ({"shapes": text([*shapes[:-1], None])}, "shapes = not those of the arrays"),
+        ({"shapes": text([*shapes[:-1], {"evaluations": ["float32", "a"]}])}, "shapes = not those of the arrays"),
+        ({"shapes": text(5)}, "shapes = 'int': should be a list"),
+        ({"names": members["names"][:0]}, "names = unreadable"),
+        ({"names": text([])}, "names = .* should be as many"),
+    ):
+        np.savez(tmp_path / "paper.npz", **members | changes)
+        with pytest.raises(UserError, match=f"paper.npz.*{blame}"):
+            numbers.load(tmp_path)
+    del members["shapes"]
+    np.savez(tmp_path / "paper.npz", **members)
+    with pytest.raises(UserError, match="format = 'that of an earlier version'"):
+        numbers.load(tmp_path)
+
+
+def text(value) -> np.ndarray:
+    """JSON as a member of an archive."""
+    return np.frombuffer(json.dumps(value).encode(), np.uint8)
+
+
+def test_a_disk_that_refuses_compact_numbers_is_one_sentence(results, tmp_path, monkeypatch):
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(archives, "replace_file", full)
+    with pytest.raises(UserError, match="paper.npz: could not be written .No space left"):
+        numbers.save(results, tmp_path)

@@ -1,9 +1,6 @@
 """What is drawn of compact numbers: the same bytes each time, every number from its run, and verdicts that follow."""
 
 import dataclasses
-import errno
-import json
-import os
 import re
 
 import made_up_results
@@ -14,7 +11,6 @@ from matplotlib.image import imread
 from places import ROOT
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import all_goals, claims, drawing, numbers, table_formats, tables
 from infogoal_jax.reproduce.figures import FIGURES
@@ -92,45 +88,6 @@ def test_a_merge_says_what_it_takes_away(results, tmp_path, capsys):
     assert f"{run.name} had pictures, which" in capsys.readouterr().out
     assert main(merge) == 0
     assert "which the run in its place" not in capsys.readouterr().out
-
-
-def test_damaged_numbers_are_refused(folder, tmp_path):
-    content = (folder / "paper.npz").read_bytes()
-    (tmp_path / "paper.npz").write_bytes(content[: len(content) // 2])
-    with pytest.raises(UserError, match="paper.npz"):
-        numbers.load(tmp_path)
-    members = dict(np.load(folder / "paper.npz"))
-    evaluations, shapes = members["evaluations.float32"], json.loads(members["shapes"].tobytes())
-    for changes, blame in (
-        ({"evaluations.float32": evaluations[:-1]}, "shapes = not those of the arrays"),
-        ({"evaluations.float32": np.append(evaluations, 0)}, "evaluations.float32 = .*numbers"),
-        ({"shapes": text([*shapes[:-1], None])}, "shapes = not those of the arrays"),
-        ({"shapes": text([*shapes[:-1], {"evaluations": ["float32", "a"]}])}, "shapes = not those of the arrays"),
-        ({"shapes": text(5)}, "shapes = 'int': should be a list"),
-        ({"names": members["names"][:0]}, "names = unreadable"),
-        ({"names": text([])}, "names = .* should be as many"),
-    ):
-        np.savez(tmp_path / "paper.npz", **members | changes)
-        with pytest.raises(UserError, match=f"paper.npz.*{blame}"):
-            numbers.load(tmp_path)
-    del members["shapes"]
-    np.savez(tmp_path / "paper.npz", **members)
-    with pytest.raises(UserError, match="format = 'that of an earlier version'"):
-        numbers.load(tmp_path)
-
-
-def text(value) -> np.ndarray:
-    """JSON as a member of an archive."""
-    return np.frombuffer(json.dumps(value).encode(), np.uint8)
-
-
-def test_a_disk_that_refuses_compact_numbers_is_one_sentence(results, tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(archives, "replace_file", full)
-    with pytest.raises(UserError, match="paper.npz: could not be written .No space left"):
-        numbers.save(results, tmp_path)
 
 
 @pytest.mark.long
