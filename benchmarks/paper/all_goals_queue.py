@@ -166,11 +166,14 @@ QUEUE = {
         for start in STARTS
         for short, code, lanes in (
             ("head", {}, PRESET),
-            ("infogoal_head", SAMPLED, weighted("", {}, 0.1, 0.01, 0.001)),
-            ("infobot_head", SAMPLED, weighted("", {}, 0.01, 0.001)),
+            ("infogoal_head", SAMPLED, LEARNER_WEIGHTS),
+            ("infobot_head", SAMPLED, weighted("", {}, 0.1, 0.01, 0.001)),
             ("leo", {}, PRESET),
         )
     },
+    # Do normalised layers help HER as well?
+    "cube_dqn_her_norm": Trial(CUBE_TASK, "her", CUBE | {"agent.layer_norm": True}, agent="dqn"),
+    "house_goals_her_norm": Trial(HOUSE_TASK, "her", HOUSE_GOALS | {"agent.layer_norm": True}),
     # The same where fewer goals are known and nothing died, and with the noise of InfoGoal's codes.
     **{
         f"{name}_{short}_{start}": ALL_GOALS[name]._replace(

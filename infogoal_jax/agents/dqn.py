@@ -28,7 +28,7 @@ class DQNConfig:
     head_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
-    """Normalise the layers of `product` and `index`, as LEO's authors do."""
+    """Normalise what each ReLU of the head gets, as LEO's authors do (docs/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
     starting_value: float = 0.5

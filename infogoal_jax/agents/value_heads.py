@@ -48,10 +48,10 @@ def make(
     num_actions: int,
     num_goals: int,
 ) -> ValueHead:
-    """The head of this kind. hidden: widths of its layers, which a product and LEO normalise with `layer_norm`; size: D
-    of the product; starting_value: of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
+    """The head of this kind. hidden: widths of its layers, which are normalised with `layer_norm`; size: D of the
+    product; starting_value: of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
     inner = {
-        "concatenated": lambda: concatenated(hidden, num_actions),
+        "concatenated": lambda: concatenated(hidden, layer_norm, num_actions),
         "product": lambda: product(hidden, size, layer_norm, num_actions),
         "index": lambda: index(hidden, layer_norm, num_actions, num_goals),
     }[kind]()
@@ -71,9 +71,9 @@ def of_actions(values: jax.Array, actions: jax.Array) -> jax.Array:
     return jnp.take_along_axis(values, jnp.expand_dims(actions, range(1, values.ndim)), axis=1)[:, 0]
 
 
-def concatenated(hidden: tuple[int, ...], num_actions: int) -> ValueHead:
+def concatenated(hidden: tuple[int, ...], layer_norm: bool, num_actions: int) -> ValueHead:
     """Features and code pass all layers together."""
-    network = networks.MLP(hidden, num_actions)
+    network = networks.MLP(hidden, num_actions, layer_norm)
 
     def values(params, features, code):
         return network.apply(params, jnp.concatenate([features, code], axis=-1))
