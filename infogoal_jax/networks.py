@@ -4,8 +4,6 @@ All layers are matrix products. A convolution inside a scan runs 5 to 15 times s
 patches instead.
 """
 
-import math
-
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -181,15 +179,6 @@ class VectorEncoder(nn.Module):
     @nn.compact
     def __call__(self, observation):
         return nn.relu(MLP((self.features,), self.features)(observation))
-
-
-def bounded_value(logit: jax.Array, starting_value: float) -> jax.Array:
-    """A value between 0 and 1: `starting_value` where a network gives 0, and about that before training.
-
-    Most goals are out of reach. From 0.5, where a sigmoid alone begins, all values fall for a thousand updates, which
-    Adam makes in full steps of one direction: ReLU units die of it, in some seeds a whole layer (docs/all_goals.md).
-    """
-    return jax.nn.sigmoid(logit + math.log(starting_value / (1 - starting_value)))
 
 
 def squared_or_huber(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:

@@ -31,8 +31,6 @@ class DQNConfig:
     """Normalise what each ReLU of the head gets, as LEO's authors do (docs/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
-    starting_value: float = 0.5
-    """Of every action under every goal before training, where values are bounded (docs/all_goals.md)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -49,12 +47,6 @@ class DQNConfig:
             f"must lie between 1 and the episode length, {config.env.episode_length}",
         )
         require(self.head_size > 0, "agent.head_size", self.head_size, "give a whole number greater than 0")
-        require(
-            0 < self.starting_value < 1,
-            "agent.starting_value",
-            self.starting_value,
-            "give a number between 0 and 1, such as 0.02",
-        )
 
 
 def traits(config: DQNConfig) -> AgentTraits:
@@ -100,9 +92,8 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
     error.
     """
     num_goals = env.goals.num_goals if config.head == "index" else 0
-    start = config.starting_value if config.bounded else None
     head = value_heads.make(
-        config.head, config.hidden, config.head_size, config.layer_norm, start, env.action_size, num_goals
+        config.head, config.hidden, config.head_size, config.layer_norm, config.bounded, env.action_size, num_goals
     )
     values = head.values
 

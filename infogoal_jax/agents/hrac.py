@@ -60,8 +60,6 @@ class HRACConfig:
     """Normalise the layers of the critics, for `product` alone, as LEO's authors do."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
-    starting_value: float = 0.5
-    """Of every action under every goal before training, where values are bounded (docs/all_goals.md)."""
     low_level: str = ""
     """File of a low level, written by `infogoal pretrain`; empty: the one that the project ships."""
 
@@ -94,12 +92,6 @@ class HRACConfig:
             )
         for name in ("num_decisions", "adjacency_size", "critic_size"):
             require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
-        require(
-            0 < self.starting_value < 1,
-            "agent.starting_value",
-            self.starting_value,
-            "give a number between 0 and 1, such as 0.02",
-        )
 
 
 @flax.struct.dataclass
@@ -137,8 +129,7 @@ def make(config: HRACConfig, env) -> Agent:
     """HRAC's high level over the target states of this environment (`envs.target_states.SubgoalEnv`)."""
     space = env.space
     actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
-    start = config.starting_value if config.bounded else None
-    product = td3.TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, start)
+    product = td3.TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, config.bounded)
     concatenated = td3.TwinCritic(config.hidden)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)

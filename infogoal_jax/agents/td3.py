@@ -44,8 +44,8 @@ class TwinProductCritic(nn.Module):
     hidden: tuple[int, ...]
     size: int
     layer_norm: bool = False
-    starting_value: float | None = None
-    """Of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
+    bounded: bool = False
+    """Keep values between 0 and 1 by a sigmoid."""
 
     def setup(self):
         twin = nn.vmap(
@@ -71,7 +71,7 @@ class TwinProductCritic(nn.Module):
         """The products over these axes."""
         states = self.states(jnp.concatenate([features, action], axis=-1)) / self.size**0.5
         values = jnp.einsum(axes, states, self.goals(codes))
-        return values if self.starting_value is None else networks.bounded_value(values, self.starting_value)
+        return jax.nn.sigmoid(values) if self.bounded else values
 
 
 class OfInputs(NamedTuple):

@@ -40,27 +40,21 @@ class ValueHead(NamedTuple):
 
 
 def make(
-    kind: Kind,
-    hidden: tuple[int, ...],
-    size: int,
-    layer_norm: bool,
-    starting_value: float | None,
-    num_actions: int,
-    num_goals: int,
+    kind: Kind, hidden: tuple[int, ...], size: int, layer_norm: bool, bounded: bool, num_actions: int, num_goals: int
 ) -> ValueHead:
     """The head of this kind. hidden: widths of its layers, which are normalised with `layer_norm`; size: D of the
-    product; starting_value: of values that a sigmoid keeps between 0 and 1; None: values are not bounded."""
+    product; bounded: a sigmoid keeps values between 0 and 1."""
     inner = {
         "concatenated": lambda: concatenated(hidden, layer_norm, num_actions),
         "product": lambda: product(hidden, size, layer_norm, num_actions),
         "index": lambda: index(hidden, layer_norm, num_actions, num_goals),
     }[kind]()
-    if starting_value is None:
+    if not bounded:
         return inner
     return ValueHead(
         inner.init,
         *(
-            lambda *arguments, logits=logits: networks.bounded_value(logits(*arguments), starting_value)
+            lambda *arguments, logits=logits: jax.nn.sigmoid(logits(*arguments))
             for logits in (inner.values, inner.values_of_all, inner.taken_of_all)
         ),
     )

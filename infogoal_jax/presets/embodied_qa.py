@@ -30,8 +30,25 @@ PRESET = Preset(
         ),
         "infobot": Changes(hyper=INFOBOT),
         "cogoal": Changes(learner=SIMILAR),
-        "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
+        "gcb": Changes(  # [T]
+            hyper={
+                "learning_rate": 1.161e-3,
+                "discount": 0.9127,
+                "target_rate": 0.05128,
+                "learner_weight": 0.143,
+                "agent.conservative_weight": 0.02033,
+            }
+        ),
         "vae": Changes(learner=UNIT_VARIANCE),
-        "dgrl": Changes(learner=UNIT_VARIANCE),
+        "dgrl": Changes(
+            learner=UNIT_VARIANCE,
+            hyper={  # [T]
+                "learning_rate": 1.548e-3,
+                "discount": 0.9839,
+                "target_rate": 0.07479,
+                "learner_weight": 0.1129,
+                "agent.conservative_weight": 0.003694,
+            },
+        ),
     },
 )

@@ -41,7 +41,7 @@ METHODS = (
 del METHODS["index"]
 
 AGENT_FIELDS = {
-    "all_goals": {"head": "product", "critic": "product", "bounded": True, "num_steps": 1},
+    "all_goals": {"head": "product", "critic": "product", "bounded": True, "layer_norm": True, "num_steps": 1},
     "index": {"head": "index"},
 }
 """What a relabelling, and then a learner, changes in the configuration of an agent that has such fields."""

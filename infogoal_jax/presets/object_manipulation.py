@@ -14,8 +14,11 @@ PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
     agent="hrac",  # [P]
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
-    agents={"hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6}},  # [M]
-    relabellings={"all_goals": {"num_goals": 512, "achieved_share": 1.0}},  # [M]
+    agents={  # [M]
+        "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6},
+        "dqn": {"layer_norm": True},  # docs/all_goals.md
+    },
+    relabellings={"all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1}},  # [M]
     state_encoder={"features": 256},
     training={
         "num_envs": 128,
@@ -31,7 +34,6 @@ PRESET = Preset(
     methods={
         "infogoal": FINE_CODE,
         "infobot": Changes(hyper=INFOBOT),
-        "infogoal+all_goals": Changes(hyper=FINE_CODE.hyper | {"learner_weight": 0.001}),  # [M]
         "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]

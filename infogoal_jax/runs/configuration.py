@@ -26,7 +26,7 @@ OF_A_SEARCH = "drawn"
 MOST_SEEDS = 2**32
 FORMAT = 2
 """Version of the format of saved runs. Runs of another one are refused: the names of 1 were others."""
-OF_HEADS = {"bounded": False, "layer_norm": False, "starting_value": 0.5}
+OF_HEADS = {"bounded": False, "layer_norm": False}
 """Fields of the heads of DQN and HRAC alike, as those of `ADDED`."""
 ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,

@@ -11,7 +11,7 @@ import numpy as np
 import places
 import pytest
 
-from infogoal_jax import agents, networks
+from infogoal_jax import agents
 from infogoal_jax.agents import td3, value_heads
 from infogoal_jax.agents.agent import AgentBatch, AllGoals, Exploration
 from infogoal_jax.agents.cql import CQLConfig, CQLHyperparameters, conservative_gap
@@ -157,9 +157,7 @@ def test_targets_look_at_legal_actions_only():
 
 def inputs_of(kind: str):
     """A head with random parameters, features [B, F], and codes [G, d] of all goals."""
-    head = value_heads.make(
-        kind, (8, 8), 5, layer_norm=True, starting_value=0.5 if kind == "index" else None, num_actions=A, num_goals=G
-    )
+    head = value_heads.make(kind, (8, 8), 5, layer_norm=True, bounded=kind == "index", num_actions=A, num_goals=G)
     keys = jax.random.split(jax.random.key(0), 4)
     features = jax.random.normal(keys[0], (B, F))
     codes = jnp.arange(G, dtype=jnp.float32)[:, None] if kind == "index" else jax.random.normal(keys[1], (G, D))
@@ -184,16 +182,6 @@ def test_bounded_values_lie_between_0_and_1():
     assert values.min() >= 0 and values.max() <= 1 and values.std() > 0.3
 
 
-@pytest.mark.parametrize("start", [0.02, 0.5])
-def test_bounded_values_begin_at_their_starting_value(start):
-    """Outputs of a network that has learned nothing are about 0."""
-    np.testing.assert_allclose(networks.bounded_value(jnp.zeros(3), start), start, rtol=1e-5)
-    features, codes = jnp.ones((B, F)), jnp.ones((G, D))
-    head = value_heads.make("product", (8, 8), 5, False, start, num_actions=A, num_goals=G)
-    values = head.values_of_all(head.init(jax.random.key(0), features[0], codes[0]), features, codes)
-    assert start / 3 < values.min() and values.max() < 3 * start
-
-
 def test_goals_without_a_share_teach_nothing():
     """The loss does not depend on their values, and the mean is over the others."""
     predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
@@ -207,7 +195,7 @@ def test_goals_without_a_share_teach_nothing():
 
 def critic_of_vectors():
     """TD3's product critics and actor with random parameters, features [B, F], actions [B, A] and codes [G, D]."""
-    critic, actor = td3.TwinProductCritic((8,), 5, layer_norm=True, starting_value=0.02), td3.Actor((8,), A)
+    critic, actor = td3.TwinProductCritic((8,), 5, layer_norm=True, bounded=True), td3.Actor((8,), A)
     keys = jax.random.split(jax.random.key(1), 5)
     features, actions = jax.random.normal(keys[0], (B, F)), jax.random.normal(keys[1], (B, A))
     codes = jax.random.normal(keys[2], (G, D))

@@ -64,9 +64,8 @@ def train_of(task: str, method: str):
     learner = presets.METHODS[method].learner
     # LEO's learner is no method of its own.
     config = make_config(method if method == "leo" else learner, **SHORT, **changes)
-    names = [
-        name for name in ("head", "critic", "bounded") if hasattr(preset.agent, name) and hasattr(config.agent, name)
-    ]
+    fields = ("head", "critic", "bounded", "layer_norm")
+    names = [name for name in fields if hasattr(preset.agent, name) and hasattr(config.agent, name)]
     head = {name: getattr(preset.agent, name) for name in names}
     return make_train(dataclasses.replace(config, agent=dataclasses.replace(config.agent, **head)), make_environment())
 
