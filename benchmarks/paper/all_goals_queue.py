@@ -167,16 +167,15 @@ QUEUE = {
             ("her", {}, PRESET),
         )
     },
-    "house_goals_her_norm": Trial(HOUSE_TASK, "her", HOUSE_GOALS | NORMALISED),
     # The same where fewer goals are known and nothing died, and with the noise of InfoGoal's codes.
     **{
         f"{name}_{short}_norm": ALL_GOALS[name]._replace(
             method=LEARNING[short],
-            settings=ALL_GOALS[name].settings | code | NORMALISED,
-            lanes=LEARNER_WEIGHTS if code else PRESET,
+            settings=ALL_GOALS[name].settings | NORMALISED | (SAMPLED if short.startswith("info") else {}),
+            lanes=LEARNER_WEIGHTS if short.startswith("info") else PRESET,
         )
         for name in ("house_goals", "shelf_goals")
-        for short, code in (("head", {}), ("infogoal_head", SAMPLED), ("infobot_head", SAMPLED), ("leo", {}))
+        for short in ("her", "leo", "head", "infogoal_head", "infobot_head")
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
     **all_goals_trials(

@@ -40,6 +40,14 @@ PRESET = Preset(
             }
         ),
         "vae": Changes(learner=UNIT_VARIANCE),
+        "rad": Changes(  # [T]
+            hyper={
+                "learning_rate": 3.765e-4,
+                "discount": 0.9508,
+                "target_rate": 0.08725,
+                "agent.conservative_weight": 0.007225,
+            }
+        ),
         "dgrl": Changes(
             learner=UNIT_VARIANCE,
             hyper={  # [T]
