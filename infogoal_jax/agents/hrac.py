@@ -57,7 +57,7 @@ class HRACConfig:
     critic_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
-    """Normalise the layers of the critics, for `product` alone, as LEO's authors do."""
+    """Normalise what each ReLU of the critics gets, as LEO's authors do (docs/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
     low_level: str = ""
@@ -130,7 +130,7 @@ def make(config: HRACConfig, env) -> Agent:
     space = env.space
     actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
     product = td3.TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, config.bounded)
-    concatenated = td3.TwinCritic(config.hidden)
+    concatenated = td3.TwinCritic(config.hidden, config.layer_norm)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)
     require(

@@ -28,6 +28,7 @@ class TwinCritic(nn.Module):
     """Q1 and Q2 of inputs [..., D] and actions [..., A], stacked: [2, ...]."""
 
     hidden: tuple[int, ...]
+    layer_norm: bool = False
 
     @nn.compact
     def __call__(self, inputs, action):
@@ -35,7 +36,7 @@ class TwinCritic(nn.Module):
         twin = nn.vmap(
             networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
         )
-        return twin(self.hidden, 1)(together)[..., 0]
+        return twin(self.hidden, 1, self.layer_norm)(together)[..., 0]
 
 
 class TwinProductCritic(nn.Module):
