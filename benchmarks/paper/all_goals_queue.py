@@ -31,6 +31,8 @@ CONSERVATIVE = {
     f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
     for weight in (0.002, 0.02, 0.2)
 }
+COARSE = {"learner.beta_threshold": 0.96}
+"""A code as coarse as those of the cube and the shelf were in their first trials."""
 CUBE_HEAD = {
     "preset": {},
     "target rate 0.05": {"target_rate": 0.05},
@@ -100,7 +102,7 @@ QUEUE = {
         {
             "leo": CUBE_HEAD,
             "head": CUBE_HEAD,
-            "infogoal_head": weighted("target rate 0.05, ", {"target_rate": 0.05}, 1.0, 0.1, 0.01),
+            "infogoal_head": weighted("target rate 0.05, ", {"target_rate": 0.05} | COARSE, 1.0, 0.1, 0.01),
             "infobot_head": LEARNER_WEIGHTS | SMALLEST_WEIGHT,
         },
         protocols=("",),  # The study itself has the other one.
@@ -175,13 +177,16 @@ QUEUE = {
             lanes=LEARNER_WEIGHTS if short.startswith("info") else PRESET,
         )
         for name in ("house_goals", "shelf_goals")
-        for short in ("her", "leo", "head", "infogoal_head", "infobot_head")
+        for short in LEARNING
     },
     # A test question enters no training of the shelf; what is achieved are names of objects, under both protocols.
     **all_goals_trials(
-        "shelf_goals", dict.fromkeys(("leo", "head", "infogoal_head", "infobot_head"), CONSERVATIVE), protocols=("",)
+        "shelf_goals",
+        dict.fromkeys(("leo", "head", "infobot_head"), CONSERVATIVE)
+        | {"infogoal_head": {name: values | COARSE for name, values in CONSERVATIVE.items()}},
+        protocols=("",),
     ),
-    # The head under HRAC, with which HER reaches most. A target action for each goal: 32 goals in place of 512. Does a
+    # The head under HRAC, the task's own agent. A target action for each goal: 32 goals in place of 512. Does a
     # pose that is desired and missed have to be among them?
     **{
         f"cube_hrac_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | FEW_GOALS | goals, lanes, seeds)

@@ -63,7 +63,7 @@ BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight"
 FORMER = {"preset": {"learning_rate": 1e-3, "discount": 0.99, "target_rate": 0.01}}
 """HER on PickAndPlace as its preset was when its trials were made."""
 HER_FOUND = {"HER's settings": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}}
-"""On Push and PickAndPlace."""
+"""What the search found for HER on Push and PickAndPlace."""
 LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
 
 
@@ -176,8 +176,8 @@ QUEUE = {
             ("infobot_her", "infobot+her", {}, PRESET),
         )
     },
-    # HER's settings on Push and PickAndPlace are of a search, those of learners with HER of searches without it.
-    # COGOAL, whose discount is as small, has all of Push's test goals with HER.
+    # Searches of learners without HER found nothing better than their presets, on Push and PickAndPlace, but for COGOAL
+    # on Push, which has all test goals with HER. Is it the discount and the target rate, which HER's search found too?
     **{
         f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH, PRESET | HER_FOUND)
         for short, task in (("push", "fetch_push"), ("pick_and_place", PICK_AND_PLACE))
