@@ -7,6 +7,8 @@ from trial_queue import (
     CUBE_TASK,
     HOUSE,
     HOUSE_TASK,
+    NORMALISED,
+    PLAIN,
     PRESET,
     SHELF,
     SHELF_TASK,
@@ -47,8 +49,6 @@ DESIRED = {"relabelling.achieved_share": 0.9, "relabelling.desired_share": 0.1}
 SAMPLED, MEAN = {"relabelling.code": "sampled"}, {"relabelling.code": "mean"}
 """How the head sees codes; a plain encoder has no noise."""
 FEW_GOALS = SAMPLED | {"relabelling.num_goals": 32}
-PLAIN, NORMALISED = ({"agent.layer_norm": layer_norm} for layer_norm in (False, True))
-"""Layers of the head, as they were in the first trials and as they are since."""
 PROTOCOLS = {"": {}, "_held_out": {"known_goals": "held_out"}}
 """Endings of the trials on all goals at once, and what they change: test and validation goals enter once they are
 achieved, or never."""
@@ -186,8 +186,8 @@ QUEUE = {
         | {"infogoal_head": {name: values | COARSE for name, values in CONSERVATIVE.items()}},
         protocols=("",),
     ),
-    # The head under HRAC, the task's own agent. A target action for each goal: 32 goals in place of 512. Does a
-    # pose that is desired and missed have to be among them?
+    # The head under HRAC, the task's own agent. A target action for each goal: 32 goals in place of 512. Does a pose
+    # that is desired and missed have to be among them?
     **{
         f"cube_hrac_{short}{ending}": Trial(CUBE_TASK, LEARNING[short], CUBE | FEW_GOALS | goals, lanes, seeds)
         for short, ending, goals, lanes, seeds in (

@@ -48,6 +48,8 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 
 WINDOW_1, CORRUPTED = {"learner.window": 1}, {"training_corruption": 0.4}
 STANDARDISED = {"learner.standardise_images": True}
+PLAIN, NORMALISED = ({"agent.layer_norm": layer_norm} for layer_norm in (False, True))
+"""Layers of the agent's values: plain in the first trials, also where a preset has since normalised them."""
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 FINER_THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.98, 0.99, 0.995, 0.998)}
 MARGINS = {f"margin {value}": {"learner.beta_margin": value} for value in (0.002, 0.005, 0.02)}
@@ -168,7 +170,7 @@ QUEUE = {
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
     # Under DQN normalised layers bring HER from 0.60 to 0.73 of the cube's test poses. And under HRAC?
     **{
-        f"cube_{short}_norm": Trial(CUBE_TASK, method, CUBE | settings | {"agent.layer_norm": True}, lanes)
+        f"cube_{short}_norm": Trial(CUBE_TASK, method, CUBE | settings | NORMALISED, lanes)
         for short, method, settings, lanes in (
             ("her", "her", {}, PRESET),
             ("infogoal_her", "infogoal+her", WINDOW_1, chosen(THRESHOLDS, 0.999)),

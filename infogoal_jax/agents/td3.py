@@ -24,6 +24,10 @@ class Actor(nn.Module):
         return jnp.tanh(networks.MLP(self.hidden, self.size)(inputs))
 
 
+TwinMLP = nn.vmap(networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2)
+"""Two networks with the same inputs [..., D], their outputs stacked: [2, ..., out]."""
+
+
 class TwinCritic(nn.Module):
     """Q1 and Q2 of inputs [..., D] and actions [..., A], stacked: [2, ...]."""
 
@@ -33,10 +37,7 @@ class TwinCritic(nn.Module):
     @nn.compact
     def __call__(self, inputs, action):
         together = jnp.concatenate([inputs, action], axis=-1)
-        twin = nn.vmap(
-            networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
-        )
-        return twin(self.hidden, 1, self.layer_norm)(together)[..., 0]
+        return TwinMLP(self.hidden, 1, self.layer_norm)(together)[..., 0]
 
 
 class TwinProductCritic(nn.Module):
@@ -49,11 +50,8 @@ class TwinProductCritic(nn.Module):
     """Keep values between 0 and 1 by a sigmoid."""
 
     def setup(self):
-        twin = nn.vmap(
-            networks.MLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2
-        )
-        self.states = twin(self.hidden, self.size, self.layer_norm)
-        self.goals = twin(self.hidden[-1:], self.size, self.layer_norm)
+        self.states = TwinMLP(self.hidden, self.size, self.layer_norm)
+        self.goals = TwinMLP(self.hidden[-1:], self.size, self.layer_norm)
 
     def __call__(self, features, action, code):
         """Features [..., F] and action [..., A], each under its own goal [..., d]: [2, ...]."""
