@@ -2,6 +2,7 @@
 it would tell."""
 
 from trial_queue import (
+    COARSE,
     CORRUPTED,
     CUBE,
     CUBE_TASK,
@@ -33,8 +34,6 @@ CONSERVATIVE = {
     f"conservative weight {weight}": {"agent.conservative_weight": weight, "intrinsic_weight": 0.0}
     for weight in (0.002, 0.02, 0.2)
 }
-COARSE = {"learner.beta_threshold": 0.96}
-"""A code as coarse as those of the cube and the shelf were in their first trials."""
 CUBE_HEAD = {
     "preset": {},
     "target rate 0.05": {"target_rate": 0.05},
