@@ -13,6 +13,7 @@ TRAINING = {
     "evaluation_starts": 5,
 }
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
+INFOGOAL = {"intrinsic_weight": 1.0}  # [M]
 
 
 def preset(description: str, window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
@@ -24,7 +25,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
     found: floats of each method that a search found [T].
     """
     similar = {"window": window, "num_pairs": num_pairs}
-    measured = {"infogoal": {"intrinsic_weight": 1.0}, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
+    measured = {"infogoal": INFOGOAL, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
     learners = {"infogoal": similar, "cogoal": similar}
     return Preset(
         description=description,
@@ -70,14 +71,18 @@ FOUND_FOR_REACH = {
 }
 
 FOUND_FOR_PUSH = {
+    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.999},  # docs/trials.md
     "cogoal": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725, "learner_weight": 0.07715},
     "her": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
     "ghrl": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725},
 }
 
+HER_ON_PICK_AND_PLACE = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
 FOUND_FOR_PICK_AND_PLACE = {
-    "her": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
-    "cher": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+    "her": HER_ON_PICK_AND_PLACE,
+    "cher": HER_ON_PICK_AND_PLACE,
+    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.99},  # docs/trials.md
+    "infobot+her": INFOBOT | HER_ON_PICK_AND_PLACE,  # docs/trials.md
     "ghrl": {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128},
 }
 
