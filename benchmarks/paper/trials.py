@@ -54,6 +54,20 @@ COMPARISONS = {
     "cube_comparisons": [
         ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
         for dataset in (0, 1, 2)
+    ]
+    + [
+        tuple((f"cube_{method.replace('+', '_')}_found", lane) for lane in ("found", "preset"))
+        for method in trial_queue.FOUND_ON_CUBE
+    ],
+    "fetch_comparisons": [
+        tuple((f"{short}_infogoal{relabelling}", f"threshold {threshold}") for threshold in (finer, 0.96))
+        for short, finer in (("pick_and_place", 0.99), ("push", 0.999))
+        for relabelling in ("", "_her")
+    ]
+    + [
+        tuple((f"{short}_{learner}_her_settings", lane) for lane in ("HER's settings", "preset"))
+        for short in ("push", "pick_and_place")
+        for learner in ("infogoal", "infobot", "gcb")
     ],
     "shelf_comparisons": [
         ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))

@@ -15,7 +15,7 @@ PRESET = Preset(
     agent="hrac",  # [P]
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
     agents={  # [M]
-        "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6},
+        "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6, "layer_norm": True},
         "dqn": {"layer_norm": True},  # docs/all_goals.md
     },
     relabellings={"all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1}},  # [M]
@@ -37,5 +37,8 @@ PRESET = Preset(
         "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
         "gcb": Changes(hyper={"learner_weight": 0.1}),  # [M]
+        "gcb+her": Changes(  # [T]
+            hyper={"learning_rate": 3.489e-4, "discount": 0.9813, "target_rate": 7.352e-3, "learner_weight": 0.01187}
+        ),
     },
 )
