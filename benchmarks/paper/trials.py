@@ -65,9 +65,9 @@ COMPARISONS = {
         for relabelling in ("", "_her")
     ]
     + [
-        tuple((f"{short}_{learner}_her_settings", lane) for lane in ("HER's settings", "preset"))
-        for short in ("push", "pick_and_place")
-        for learner in ("infogoal", "infobot", "gcb")
+        tuple((trial, lane) for lane in ("HER's settings", "preset"))
+        for trial in trial_queue.QUEUE
+        if trial.endswith("_her_settings")
     ],
     "shelf_comparisons": [
         ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))

@@ -1,5 +1,5 @@
-"""The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats [T] on validation goals of goal
-set 0 (docs/tuning.md)."""
+"""The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats on validation goals of goal set
+0, by searches [T] (docs/tuning.md) and by trials [M] (docs/trials.md)."""
 
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
@@ -13,7 +13,8 @@ TRAINING = {
     "evaluation_starts": 5,
 }
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
-INFOGOAL = {"intrinsic_weight": 1.0}  # [M]
+INFOGOAL = {"intrinsic_weight": 1.0}
+"""InfoGoal's floats [M]."""
 
 
 def preset(description: str, window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
@@ -22,7 +23,8 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
     description: the task in a line.
     window, num_pairs: of similar goals [M]; the window's steps lead no farther than the 20 cm that lie at most between
     a test goal and the nearest training goal.
-    found: floats of each method that a search found [T].
+    found: floats of each method that a search [T] or a trial [M] found; those of a learner with a relabelling stand in
+      place of the learner's.
     """
     similar = {"window": window, "num_pairs": num_pairs}
     measured = {"infogoal": INFOGOAL, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
@@ -70,19 +72,21 @@ FOUND_FOR_REACH = {
     "none": {"learning_rate": 1.399e-4, "discount": 0.972, "target_rate": 0.00858},
 }
 
+HER = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
+"""What searches found for HER on Push and on PickAndPlace [T]."""
+
 FOUND_FOR_PUSH = {
-    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.999},  # docs/trials.md
+    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.999},  # [M]
     "cogoal": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725, "learner_weight": 0.07715},
-    "her": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+    "her": HER,
     "ghrl": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725},
 }
 
-HER_ON_PICK_AND_PLACE = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
 FOUND_FOR_PICK_AND_PLACE = {
-    "her": HER_ON_PICK_AND_PLACE,
-    "cher": HER_ON_PICK_AND_PLACE,
-    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.99},  # docs/trials.md
-    "infobot+her": INFOBOT | HER_ON_PICK_AND_PLACE,  # docs/trials.md
+    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.99},  # [M]
+    "infobot+her": INFOBOT | HER,  # [M]
+    "her": HER,
+    "cher": HER,
     "ghrl": {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128},
 }
 

@@ -14,9 +14,9 @@ PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
     agent="hrac",  # [P]
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
-    agents={  # [M]
+    agents={  # [M]; layers are normalised by docs/trials.md and, for DQN, docs/all_goals.md.
         "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6, "layer_norm": True},
-        "dqn": {"layer_norm": True},  # docs/all_goals.md
+        "dqn": {"layer_norm": True},
     },
     relabellings={"all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1}},  # [M]
     state_encoder={"features": 256},
