@@ -44,5 +44,5 @@ def nearest(name: str, known: list[str]) -> str:
     """`" Did you mean 'x'?"` for the known name closest to `name`, or an empty string."""
     import difflib
 
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4) if name else []
     return f" Did you mean {close[0]!r}?" if close else ""

@@ -1,7 +1,6 @@
 """Results with made-up numbers. Of a reproduction: every run of the manifest, none of it trained. Of a search over the
 hand-made task: trials with given successes, and the search on disk."""
 
-import dataclasses
 import functools
 import zlib
 from pathlib import Path
@@ -15,7 +14,7 @@ from infogoal_jax.report import tuning
 from infogoal_jax.report.image_goals import WEIGHTS
 from infogoal_jax.reproduce import claims
 from infogoal_jax.reproduce.files import Result, command_of, recorded_config
-from infogoal_jax.reproduce.manifest import FETCH, PRESET, STUDIES, Choice, Lane, Run, runs_of
+from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.numbers import Results, compact
 from infogoal_jax.reproduce.paper import IMAGE_TASKS
 from infogoal_jax.reproduce.plan import config_of, is_judged, is_pictured
@@ -31,7 +30,7 @@ SUCCESS = {"infogoal": 0.9, "infobot": 0.7, "her": 0.6, "cher": 0.6, "ghrl": 0.6
 @functools.cache
 def configuration(run: Run) -> dict:
     """The configuration that a run records."""
-    return recorded_config(config_of(run))
+    return recorded_config(config_of(run, Path()))
 
 
 def result_of(run: Run, level: float | None = None, **about) -> Result:
@@ -59,7 +58,7 @@ def result_of(run: Run, level: float | None = None, **about) -> Result:
     arrays |= codes_of(run, draw) if is_judged(run) else {}
     arrays |= {"near": np.arange(GOALS) % 2 == 0} if run.task in FETCH else {}
     known = {
-        "config": configuration(dataclasses.replace(run, goal_set=0, lane=Lane(*PRESET), seeds=(0,), toy=False)),
+        "config": configuration(run),
         "data": "made up",
         "versions": {"jax": "0"},
         "machine": "a machine, 2026-11-23",

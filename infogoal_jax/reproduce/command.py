@@ -7,7 +7,6 @@ from pathlib import Path
 
 from infogoal_jax.errors import require, typed
 from infogoal_jax.reproduce import numbers, progress
-from infogoal_jax.reproduce.files import was_made_with
 from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.numbers import Results
 from infogoal_jax.reproduce.plan import config_of, fetch_sets, programs_of
@@ -183,7 +182,7 @@ def merge(folders: list[Path], into: Path) -> int:
     results = numbers.merged(before, folders)
     for path in numbers.save(results, into):
         print(f"{path}: {path.stat().st_size:,} bytes")
-    others = [run.name for run, result in results.items() if not was_made_with(result, config_of(run, Path()))]
+    others = [run.name for run, result in results.items() if result.has_former_settings]
     if others:
         print(f"{len(others)} runs were made with other settings than the presets have now: {', '.join(others)}")
     for run, result in before.items():

@@ -7,6 +7,7 @@ FOLDER/unfinished/            checkpoints of what was stopped, and of what is no
 """
 
 import dataclasses
+import functools
 import io
 import json
 import operator
@@ -82,6 +83,11 @@ class Result:
     def kept(self) -> list[int]:
         """The places of the seeds that did not diverge."""
         return [place for place, seed in enumerate(self.run.seeds) if seed not in self.about["diverged"]]
+
+    @functools.cached_property
+    def has_former_settings(self) -> bool:
+        """Whether the preset has changed since the run was made."""
+        return not was_made_with(self, plan.config_of(self.run, Path()))
 
     def missing(self) -> list[str]:
         """What is to be measured of the run and was not."""

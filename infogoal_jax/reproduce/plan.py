@@ -12,6 +12,7 @@ Validation and test goals have no say in it.
 """
 
 import dataclasses
+import functools
 import json
 import math
 from collections.abc import Iterable
@@ -160,6 +161,7 @@ class Budget(NamedTuple):
     evaluations: int
 
 
+@functools.cache
 def budget_of(task: str, toy: bool = False) -> Budget:
     """The budget of every run of a task."""
     if toy:

@@ -176,6 +176,7 @@ MARKS = {
     "diverged": ("§", "seeds diverged and are left out"),
     "unmeasured": ("°", "the share of the method's own loss in the gradient was not measured"),
     "sets": ("¶", "other methods ran on goal sets of the task on which it did not"),
+    "former": ("◇", "the preset has changed since it was trained"),
 }
 """What is wrong with a row: its mark, and in words."""
 NOT_COUNTED = {"rises", "off", "unmeasured"}
@@ -216,6 +217,8 @@ class Row(NamedTuple):
             found.append("diverged")
         if self.lacking:
             found.append("sets")
+        if any(result.has_former_settings for result in self.results):
+            found.append("former")
         return found
 
     def marks(self) -> str:

@@ -8,6 +8,7 @@ import pytest
 
 from infogoal_jax.reproduce import claims, measure, numbers
 from infogoal_jax.reproduce.manifest import FIXED_BETAS, fixed
+from infogoal_jax.reproduce.scores import row_of
 
 RISING = np.linspace(0, 1, made_up_results.EVALUATIONS)
 
@@ -224,3 +225,15 @@ def test_a_beta_that_fell_to_nothing_is_as_far_off_as_any(results, beta, verdict
 
     there = {"task": "fetch_pick_and_place", "method": "infogoal"}
     assert finding(changed(results, with_beta, **there), "beta").verdict == verdict
+
+
+def test_a_row_that_was_trained_with_former_settings_is_marked_and_counts(results):
+    def with_another_batch(result):
+        config = result.about["config"] | {"batch_size": 7}
+        return dataclasses.replace(result, about=result.about | {"config": config})
+
+    name = "first-test-PickAndPlace"
+    former = changed(results, with_another_batch, task="fetch_pick_and_place", method="infogoal")
+    rows = [row_of(found, "paper", "fetch_pick_and_place", "infogoal") for found in (results, former)]
+    assert [row.marks() for row in rows] == ["", "◇"]
+    assert finding(former, name) == finding(results, name) and finding(results, name).verdict == "holds"
