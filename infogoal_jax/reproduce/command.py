@@ -5,7 +5,7 @@ import functools
 import time
 from pathlib import Path
 
-from infogoal_jax.errors import require, typed
+from infogoal_jax.errors import counted, require, typed
 from infogoal_jax.reproduce import numbers, progress
 from infogoal_jax.reproduce.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_jax.reproduce.numbers import Results
@@ -184,7 +184,8 @@ def merge(folders: list[Path], into: Path) -> int:
         print(f"{path}: {path.stat().st_size:,} bytes")
     others = [run.name for run, result in results.items() if result.has_former_settings]
     if others:
-        print(f"{len(others)} runs were made with other settings than the presets have now: {', '.join(others)}")
+        words = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
+        print(f"{counted(len(others), 'run')} made with other settings than the presets have now: {words}")
     for run, result in before.items():
         lost = [name for name in results[run].missing() if name not in result.missing()]
         if lost:

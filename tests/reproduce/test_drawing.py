@@ -72,7 +72,7 @@ def test_a_merge_names_runs_of_other_settings(tmp_path, capsys):
     numbers.save(made, tmp_path / "some")
     assert main(["reproduce", "merge", str(tmp_path / "some"), "--into", str(tmp_path / "all")]) == 0
     printed = capsys.readouterr().out
-    assert f"1 runs were made with other settings than the presets have now: {runs[1].name}\n" in printed
+    assert f"1 run made with other settings than the presets have now: {runs[1].name}\n" in printed
 
 
 def test_a_merge_says_what_it_takes_away(results, tmp_path, capsys):
