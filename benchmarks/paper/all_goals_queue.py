@@ -16,6 +16,7 @@ from trial_queue import (
     STANDARDISED,
     Trial,
     confirmation,
+    each_with,
 )
 
 HOUSE_GOALS = HOUSE | {"epochs_per_evaluation": 10}
@@ -182,7 +183,7 @@ QUEUE = {
     **all_goals_trials(
         "shelf_goals",
         dict.fromkeys(("leo", "head", "infobot_head"), CONSERVATIVE)
-        | {"infogoal_head": {name: values | COARSE for name, values in CONSERVATIVE.items()}},
+        | {"infogoal_head": each_with(CONSERVATIVE, COARSE)},
         protocols=("",),
     ),
     # The head under HRAC, the task's own agent. A target action for each goal: 32 goals in place of 512. Does a pose

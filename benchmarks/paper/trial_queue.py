@@ -45,6 +45,8 @@ CUBE = {
 
 FETCH = {"num_epochs": 200, "epochs_per_evaluation": 20}
 """Fetch with 20,000 updates, on the goals that are shipped: settings are to be compared by their validation goals."""
+FETCH_AS_IN_TABLE_1 = FETCH | {"num_epochs": 80}
+"""Fetch with 8,000 updates, about as many as runs of Table I have."""
 
 SHELF = DATASETS[SHELF_TASK]
 
@@ -91,6 +93,11 @@ LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for wei
 def chosen(lanes: dict[str, dict[str, float]], *thresholds: float) -> dict[str, dict[str, float]]:
     """The lanes of these thresholds."""
     return {name: values for name, values in lanes.items() if values["learner.beta_threshold"] in thresholds}
+
+
+def each_with(lanes: dict[str, dict[str, float]], values: dict[str, float]) -> dict[str, dict[str, float]]:
+    """The lanes, each with these values besides."""
+    return {name: own | values for name, own in lanes.items()}
 
 
 def searching(weights: tuple[float, ...], betas: tuple[float, ...]) -> dict[str, dict[str, float]]:
@@ -201,10 +208,7 @@ QUEUE = {
     # on Push, which has all test goals with HER. Is it the discount and the target rate, which HER's search found too?
     **{
         f"{short}_{learner}_her_settings": Trial(
-            task,
-            f"{learner}+her",
-            FETCH,
-            {name: values | (COARSE if learner == "infogoal" else {}) for name, values in (FORMER | HER_FOUND).items()},
+            task, f"{learner}+her", FETCH, each_with(FORMER | HER_FOUND, COARSE if learner == "infogoal" else {})
         )
         for short, task in (("push", "fetch_push"), ("pick_and_place", PICK_AND_PLACE))
         for learner in ("infogoal", "infobot", "gcb")
@@ -212,7 +216,7 @@ QUEUE = {
     # GCB has as many goals with either in the end, and with HER's settings long before: where runs of Table I end, at
     # 4,000 to 9,000 updates, they would decide. And for the others, and for InfoGoal with its finer code?
     **{
-        f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH | {"num_epochs": 80}, FORMER | HER_FOUND)
+        f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH_AS_IN_TABLE_1, FORMER | HER_FOUND)
         for short, task, learners in (
             ("push", "fetch_push", ("vae", "dgrl", "rad")),
             ("pick_and_place", PICK_AND_PLACE, ("cogoal", "vae", "dgrl", "rad")),
@@ -223,8 +227,8 @@ QUEUE = {
         f"{short}_infogoal_finer_her_settings": Trial(
             task,
             "infogoal+her",
-            FETCH | {"num_epochs": 80},
-            {name: values | {"learner.beta_threshold": threshold} for name, values in (FORMER | HER_FOUND).items()},
+            FETCH_AS_IN_TABLE_1,
+            each_with(FORMER | HER_FOUND, {"learner.beta_threshold": threshold}),
         )
         for short, task, threshold in (("push", "fetch_push", 0.999), ("pick_and_place", PICK_AND_PLACE, 0.99))
     },

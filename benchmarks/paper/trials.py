@@ -55,10 +55,7 @@ COMPARISONS = {
         ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
         for dataset in (0, 1, 2)
     ]
-    + [
-        tuple((f"cube_{method.replace('+', '_')}_found", lane) for lane in ("found", "preset"))
-        for method in trial_queue.FOUND_ON_CUBE
-    ],
+    + [tuple((trial, lane) for lane in ("found", "preset")) for trial in trial_queue.QUEUE if trial.endswith("_found")],
     "fetch_comparisons": [
         tuple((f"{short}_infogoal{relabelling}", f"threshold {threshold}") for threshold in (finer, 0.96))
         for short, finer in (("pick_and_place", 0.99), ("push", 0.999))

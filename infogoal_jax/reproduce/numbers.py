@@ -170,7 +170,7 @@ def is_superseded(before: Result, after: Result) -> bool:
     rose, and was trained for longer."""
     earlier, later = (result.evaluations["train_goal/success_rate"] for result in (before, after))
     longer = plan.still_rises(earlier) and earlier.shape[1] > later.shape[1]
-    return not longer or not files.was_made_with(before, plan.config_of(before.run, Path()))
+    return not longer or before.has_former_settings
 
 
 def merged(before: Results, folders: list[Path]) -> Results:

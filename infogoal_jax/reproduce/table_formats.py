@@ -70,8 +70,15 @@ def latex_cell(cell: Cell | str) -> str:
     return (words + paper).strip()
 
 
-LATEX = {"%": r"\%", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S", "°": r"$^\circ$", "¶": r"\P"} | {
-    "◇": r"$\diamond$"
+LATEX = {
+    "%": r"\%",
+    "±": r"$\pm$",
+    "†": r"$\dagger$",
+    "‡": r"$\ddagger$",
+    "§": r"\S",
+    "°": r"$^\circ$",
+    "¶": r"\P",
+    "◇": r"$\diamond$",
 }
 """Characters of the tables that LaTeX writes otherwise."""
 
