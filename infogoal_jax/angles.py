@@ -20,6 +20,33 @@ def on_circles(angles: jax.Array) -> jax.Array:
     return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)], axis=-1)
 
 
+def quaternions(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternions [..., 4] (w first, sign free) of rotation matrices [..., 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation.astype(np.float64)).as_quat(scalar_first=True).astype(np.float32)
+
+
+def rotation_matrices(quaternion: jax.Array) -> jax.Array:
+    """Rotation matrices, float32 [..., 9] row by row, of unit quaternions [..., 4] (w first). The distance of two grows
+    with the angle between them."""
+    w, x, y, z = jnp.moveaxis(quaternion, -1, 0)
+    return jnp.stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ],
+        axis=-1,
+    )
+
+
 def geodesic(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Angle of the turn from one orientation to another: [..., 3, 3] and [..., 3, 3] to float64 radians [...], 0 to pi;
     the two broadcast."""

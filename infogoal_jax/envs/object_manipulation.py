@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.angles import geodesic, orientation_classes
+from infogoal_jax.angles import geodesic, on_circles, orientation_classes, quaternions, rotation_matrices
 from infogoal_jax.data import backgrounds, frames
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
@@ -45,6 +45,9 @@ class ObjectManipulationConfig:
     """Numbers of training [P], validation and test poses [P]."""
     backgrounds: str = ""
     """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/goal_inputs.md)."""
+    privileged: bool = False
+    """Show poses in place of images, as rotation matrices of 9 numbers, and the joints beside the agent's own: what
+    perfect perception could reach (docs/trials.md). Such goals are not corrupted."""
     episode_length: int = 30
     """Steps after which an episode is truncated."""
 
@@ -112,8 +115,11 @@ class ObjectManipulation(GraphWalk):
         return observation.frame
 
     def render(self, observation: Posed) -> jax.Array:
-        """What the network sees: images uint8 [..., H, W, C]."""
-        return self.goals.inputs[observation.frame]
+        """What the network sees: images uint8 [..., H, W, C]; privileged, rotation matrices, and cosines and sines of
+        the joints, float32 [..., 9 + 2 J]."""
+        seen = self.goals.inputs[observation.frame]
+        is_image = seen.dtype == jnp.uint8
+        return seen if is_image else jnp.concatenate([seen, on_circles(observation.joints)], axis=-1)
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32
@@ -124,21 +130,7 @@ class ObjectManipulation(GraphWalk):
     @property
     def goal_positions(self) -> jax.Array:
         """Rotation matrices of the goals, float32 [N, 9]. Their distance grows with the angle between two poses."""
-        w, x, y, z = self.goal_quaternion.T
-        return jnp.stack(
-            [
-                1 - 2 * (y * y + z * z),
-                2 * (x * y - w * z),
-                2 * (x * z + w * y),
-                2 * (x * y + w * z),
-                1 - 2 * (x * x + z * z),
-                2 * (y * z - w * x),
-                2 * (x * z - w * y),
-                2 * (y * z + w * x),
-                1 - 2 * (x * x + y * y),
-            ],
-            axis=-1,
-        )
+        return rotation_matrices(self.goal_quaternion)
 
     @property
     def num_cells(self) -> int:
@@ -152,13 +144,6 @@ class ObjectManipulation(GraphWalk):
     def goals_of(self, record: jax.Array) -> jax.Array:
         """The orientation that the image shows, int32 [..., 1]."""
         return self.orientation[record][..., None]
-
-
-def quaternions(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternions [..., 4] (w first, sign free) of rotation matrices [..., 3, 3]."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation.astype(np.float64)).as_quat(scalar_first=True).astype(np.float32)
 
 
 def choose_goals(rotation: np.ndarray, reachable: np.ndarray, counts: tuple[int, int, int], seed: int) -> np.ndarray:
@@ -226,7 +211,7 @@ def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
 
 def traits(config: ObjectManipulationConfig) -> Traits:
     """What the task can be combined with follows from these."""
-    return Traits(image_goals=True, target_states=True)
+    return Traits(image_goals=not config.privileged, target_states=True)
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
@@ -283,16 +268,23 @@ def lay_out(
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)
     regions = tuple(f"near training pose {number}" for number in range(len(training)))
-    goals = GoalSet.of(data.frames, region, uses, goal_names(rotation, uses), regions, rows=shown)
+    inputs = data.rotation.reshape(-1, 9).astype(np.float32) if config.privileged else data.frames
+    goals = GoalSet.of(inputs, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
+    seen, behind_goals = "poses are seen in place of images", {}
+    if not config.privileged:
+        seen = f"backgrounds: {behind.source}"
+        behind_goals = {
+            "train_backgrounds": jax.device_put(like_frames(behind.train, data)),
+            "test_backgrounds": jax.device_put(like_frames(behind.test, data)),
+        }
     return ObjectManipulation(
         joints=jax.device_put(joints),
         quaternion=jax.device_put(quaternions(data.rotation)),
         orientation=jax.device_put(np.asarray(orientation, np.int32)),
         goal_quaternion=jax.device_put(quaternions(rotation)),
         views=None if views is None else jax.device_put(views),
-        train_backgrounds=jax.device_put(like_frames(behind.train, data)),
-        test_backgrounds=jax.device_put(like_frames(behind.test, data)),
-        source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; backgrounds: {behind.source}",
+        source=f"{data.describe(data.frames, data.rotation, next_node, shown)}; {seen}",
+        **behind_goals,
         **walk_arrays(next_node, goals, distance, config.episode_length),
     )

@@ -10,6 +10,7 @@ from infogoal_jax import presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
 from infogoal_jax.learners.infobot import InfoBotConfig
@@ -35,6 +36,7 @@ ADDED: dict[type, dict[str, Any]] = {
     InfoBotConfig: {"reward": "rarity"},
     GHRLConfig: {"choice": "best"},
     AllGoalsConfig: {"desired_share": 0.0},
+    ObjectManipulationConfig: {"privileged": False},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""

@@ -48,6 +48,33 @@ def test_a_goal_is_seen_as_an_image_that_shows_it(env, data):
     np.testing.assert_array_equal(env.render(env.observe_frame(jnp.arange(4))), data.frames[:4])
 
 
+def test_a_privileged_agent_sees_poses(env, data):
+    """Rotation matrices stand in place of images, of observations and of goals, and joints beside the agent's own.
+    Goals and starts are the same, and there are no backgrounds to corrupt with."""
+    privileged = hand_made_frames.manipulation(privileged=True)
+    seen, joints = privileged.render(privileged.observe_frame(jnp.arange(4))), data.joints[:4]
+    np.testing.assert_array_equal(seen[:, :9], data.rotation.reshape(-1, 9)[:4])
+    np.testing.assert_allclose(seen[:, 9:], np.concatenate([np.cos(joints), np.sin(joints)], 1), atol=1e-6)
+    shown = privileged.goals.inputs_of(jnp.arange(env.goals.num_goals))
+    np.testing.assert_allclose(shown, env.goal_positions, atol=1e-6)
+    np.testing.assert_array_equal(privileged.goals.evaluated, env.goals.evaluated)
+    np.testing.assert_array_equal(privileged.starts, env.starts)
+    assert privileged.train_backgrounds is None and privileged.test_backgrounds is None
+    assert "poses are seen in place of images" in privileged.source and "backgrounds" not in privileged.source
+
+
+@pytest.mark.long
+def test_a_privileged_agent_learns_from_poses():
+    """A run trains on them from the encoders on, and says nothing of corrupted goals."""
+    config = hand_made_frames.manipulation_config(relabelling="her")
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
+    train = make_train(config, hand_made_frames.manipulation(privileged=True))
+    result = jax.jit(train)(jax.random.key(0))
+    assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
+    assert "test_goal/success_rate" in result.metrics
+    assert not [name for name in result.metrics if "corrupted" in name]
+
+
 def test_reached_is_the_angle_between_poses(env, data):
     """Within 10 degrees on SO(3), for every image and every goal, whatever joints made the pose."""
     rotation = Rotation.from_matrix(data.rotation)
