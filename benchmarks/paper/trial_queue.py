@@ -235,9 +235,20 @@ QUEUE = {
     # Is what the searches of the cube found for the start of training better in the end, too?
     **{
         f"cube_{method.replace('+', '_')}_found": Trial(
-            CUBE_TASK, method, CUBE | NORMALISED, {"preset": BEFORE_SEARCH.get(method, {}), "found": values}
+            CUBE_TASK, method, CUBE | NORMALISED, {"preset": BEFORE_SEARCH.get(method, {}), "found": values}, seeds=5
         )
         for method, values in FOUND_ON_CUBE.items()
+    },
+    # Is it perception or control that keeps test poses of the cube from being reached? Poses in place of images are the
+    # upper end of the former.
+    **{
+        f"cube_{short}_privileged": Trial(CUBE_TASK, method, CUBE | NORMALISED | {"env.privileged": True}, seeds=5)
+        for short, method in (
+            ("none", "none"),
+            ("infogoal", "infogoal"),
+            ("her", "her"),
+            ("infogoal_her", "infogoal+her"),
+        )
     },
     # With HER InfoGoal was the last of the learners on Push. Was its code too coarse there, as on PickAndPlace?
     **{
