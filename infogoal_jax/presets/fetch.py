@@ -15,6 +15,7 @@ TRAINING = {
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
 INFOGOAL = {"intrinsic_weight": 1.0}
 """InfoGoal's floats [M]."""
+GCB = {"learner_weight": 0.1}  # [M]
 
 
 def preset(description: str, window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
@@ -27,7 +28,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
       place of the learner's.
     """
     similar = {"window": window, "num_pairs": num_pairs}
-    measured = {"infogoal": INFOGOAL, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}  # [M]
+    measured = {"infogoal": INFOGOAL, "infobot": INFOBOT, "gcb": GCB}
     learners = {"infogoal": similar, "cogoal": similar}
     return Preset(
         description=description,
@@ -75,16 +76,37 @@ FOUND_FOR_REACH = {
 HER = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
 """What searches found for HER on Push and on PickAndPlace [T]."""
 
+
+def learners_with_her(**own: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Floats of learners with HER: their own, and those that the search found for HER, with which all of them learn
+    faster [M]."""
+    return {f"{learner}+her": floats | HER for learner, floats in own.items()}
+
+
 FOUND_FOR_PUSH = {
-    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.999},  # [M]
+    **learners_with_her(
+        infogoal=INFOGOAL | {"learner.beta_threshold": 0.999},  # [M]
+        infobot=INFOBOT,
+        gcb=GCB,
+        vae={},
+        dgrl={},
+        rad={},
+    ),
     "cogoal": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725, "learner_weight": 0.07715},
     "her": HER,
     "ghrl": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725},
 }
 
 FOUND_FOR_PICK_AND_PLACE = {
-    "infogoal+her": INFOGOAL | {"learner.beta_threshold": 0.99},  # [M]
-    "infobot+her": INFOBOT | HER,  # [M]
+    **learners_with_her(
+        infogoal=INFOGOAL | {"learner.beta_threshold": 0.99},  # [M]
+        infobot=INFOBOT,
+        cogoal={},
+        gcb=GCB,
+        vae={},
+        dgrl={},
+        rad={},
+    ),
     "her": HER,
     "cher": HER,
     "ghrl": {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128},

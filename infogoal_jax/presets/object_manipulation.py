@@ -9,6 +9,8 @@ SIMILAR = {"window": 3, "num_pairs": 256}
 nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
 """InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
+CLOSE_TARGETS = {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128, "learner_weight": 0.143}
+"""What the search found for VAE and DGRL with HER: a short horizon, and targets that follow fast [T]."""
 
 PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
@@ -33,6 +35,16 @@ PRESET = Preset(
     hyper={"discount": 0.98, "epsilon": 0.3, "intrinsic_weight": 0.0},  # [M]
     methods={
         "infogoal": FINE_CODE,
+        "infogoal+her": Changes(  # [T]
+            hyper=FINE_CODE.hyper
+            | {
+                "learning_rate": 1.497e-3,
+                "discount": 0.9605,
+                "target_rate": 7.239e-3,
+                "learner_weight": 9.346,
+                "intrinsic_weight": 7.265,
+            }
+        ),
         "infobot": Changes(hyper=INFOBOT),
         "infobot+all_goals": Changes(hyper=INFOBOT | {"learner_weight": 0.001}),  # [M]
         "cogoal": Changes(learner=SIMILAR),
@@ -40,5 +52,7 @@ PRESET = Preset(
         "gcb+her": Changes(  # [T]
             hyper={"learning_rate": 3.489e-4, "discount": 0.9813, "target_rate": 7.352e-3, "learner_weight": 0.01187}
         ),
+        "vae+her": Changes(hyper=CLOSE_TARGETS),  # [T]
+        "dgrl+her": Changes(hyper=CLOSE_TARGETS),  # [T]
     },
 )
