@@ -7,7 +7,7 @@ from tuning import DATASETS
 
 PRESET: dict[str, dict[str, float]] = {"preset": {}}
 CUBE_TASK, SHELF_TASK, HOUSE_TASK = "object_manipulation", "embodied_qa", "object_search"
-REACH, PICK_AND_PLACE = "fetch_reach", "fetch_pick_and_place"
+REACH, PUSH, PICK_AND_PLACE = "fetch_reach", "fetch_push", "fetch_pick_and_place"
 
 
 class Trial(NamedTuple):
@@ -67,12 +67,16 @@ NO_EXPLORER = {"no explorer": {"explorer_weight": 0.0, "bonus_weight": 0.0}}
 BONUSES = {f"weight 0.1, bonus {bonus}": {"explorer_weight": 0.1, "bonus_weight": bonus} for bonus in (0.0, 0.01, 0.3)}
 
 
-FORMER = {"preset": {"learning_rate": 1e-3, "discount": 0.99, "target_rate": 0.01}}
-"""Floats that HER on PickAndPlace had, and learners with HER on it and on Push, before HER was searched."""
+FORMER = {"learning_rate": 1e-3, "discount": 0.99, "target_rate": 0.01}
+"""Floats that methods with HER had on Push and PickAndPlace before HER was searched."""
+FORMER_ON_CUBE = FORMER | {"discount": 0.98}
 COARSE = {"learner.beta_threshold": 0.96}
 """The authors' threshold, which InfoGoal had in the first trials of every task."""
-HER_FOUND = {"HER's settings": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}}
-"""What the search found for HER on Push and PickAndPlace."""
+HER_SETTINGS = {
+    "preset": FORMER,
+    "HER's settings": {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919},
+}
+"""What the search found for HER on Push and PickAndPlace, beside what was there before."""
 SEARCH_TRIAL_9 = {"learning_rate": 1.497e-3, "discount": 0.9605, "target_rate": 7.239e-3}
 SEARCH_TRIAL_3 = {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128}
 """Floats of these numbers of the searches: methods that share a field try the same values of it."""
@@ -85,8 +89,15 @@ FOUND_ON_CUBE = {
     "dgrl+her": SEARCH_TRIAL_3 | {"learner_weight": 0.143},
 }
 """Winners of the finals on the cube, after 20,000 updates, that are clear of their presets (docs/tuning.md)."""
-BEFORE_SEARCH = {"gcb+her": {"learning_rate": 1e-3, "discount": 0.98, "target_rate": 0.01, "learner_weight": 0.1}}
-"""What presets had when the trials were made, of methods whose winner is the preset now."""
+FORMER_PRESETS: dict[tuple[str, str], dict[str, float]] = {
+    (PICK_AND_PLACE, "her"): FORMER,
+    **{(task, "infogoal+her"): FORMER | COARSE for task in (PUSH, PICK_AND_PLACE)},
+    (CUBE_TASK, "infogoal+her"): FORMER_ON_CUBE | {"learner_weight": 1.0, "intrinsic_weight": 3.0},
+    (CUBE_TASK, "gcb+her"): FORMER_ON_CUBE | {"learner_weight": 0.1},
+    **{(CUBE_TASK, f"{learner}+her"): FORMER_ON_CUBE | {"learner_weight": 1.0} for learner in ("vae", "dgrl")},
+}
+"""What presets had when the trials were made, of tasks and methods for which trials found better: every lane of theirs
+has it, unless it says otherwise."""
 LEARNER_SHARES = {f"learner weight {weight}": {"learner_weight": weight} for weight in (0.0015, 0.05, 1.0)}
 
 
@@ -96,8 +107,8 @@ def chosen(lanes: dict[str, dict[str, float]], *thresholds: float) -> dict[str, 
 
 
 def each_with(lanes: dict[str, dict[str, float]], values: dict[str, float]) -> dict[str, dict[str, float]]:
-    """The lanes, each with these values besides."""
-    return {name: own | values for name, own in lanes.items()}
+    """The lanes, each with these values where it has none of its own."""
+    return {name: values | own for name, own in lanes.items()}
 
 
 def searching(weights: tuple[float, ...], betas: tuple[float, ...]) -> dict[str, dict[str, float]]:
@@ -114,7 +125,7 @@ def confirmation(dataset: int) -> dict[str, Any]:
     return CUBE | dict.fromkeys(DATASETS[CUBE_TASK], dataset) | {"num_epochs": 120, "epochs_per_evaluation": 10}
 
 
-QUEUE = {
+TRIALS = {
     "cube_her": Trial(CUBE_TASK, "her", CUBE, seeds=4),
     **{
         f"cube_infogoal_her_window_{window}": Trial(
@@ -127,9 +138,7 @@ QUEUE = {
     ),
     # Does it take HER and corrupted training goals together, and InfoGoal? A window of 1 lets a code be compressed.
     **{
-        f"{short}_{words}": Trial(
-            task, method, FETCH | settings, FORMER if (task, method) == (PICK_AND_PLACE, "her") else lanes
-        )
+        f"{short}_{words}": Trial(task, method, FETCH | settings, lanes)
         for short, task in (("pick_and_place", PICK_AND_PLACE), ("reach", REACH))
         for words, method, settings, lanes in (
             ("her", "her", {}, PRESET),
@@ -207,35 +216,30 @@ QUEUE = {
     # Searches of learners without HER found nothing better than their presets, on Push and PickAndPlace, but for COGOAL
     # on Push, which has all test goals with HER. Is it the discount and the target rate, which HER's search found too?
     **{
-        f"{short}_{learner}_her_settings": Trial(
-            task, f"{learner}+her", FETCH, each_with(FORMER | HER_FOUND, COARSE if learner == "infogoal" else {})
-        )
-        for short, task in (("push", "fetch_push"), ("pick_and_place", PICK_AND_PLACE))
+        f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH, HER_SETTINGS)
+        for short, task in (("push", PUSH), ("pick_and_place", PICK_AND_PLACE))
         for learner in ("infogoal", "infobot", "gcb")
     },
     # GCB has as many goals with either in the end, and with HER's settings long before: where runs of Table I end, at
     # 4,000 to 9,000 updates, they would decide. And for the others, and for InfoGoal with its finer code?
     **{
-        f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH_AS_IN_TABLE_1, FORMER | HER_FOUND)
+        f"{short}_{learner}_her_settings": Trial(task, f"{learner}+her", FETCH_AS_IN_TABLE_1, HER_SETTINGS)
         for short, task, learners in (
-            ("push", "fetch_push", ("vae", "dgrl", "rad")),
+            ("push", PUSH, ("vae", "dgrl", "rad")),
             ("pick_and_place", PICK_AND_PLACE, ("cogoal", "vae", "dgrl", "rad")),
         )
         for learner in learners
     },
     **{
         f"{short}_infogoal_finer_her_settings": Trial(
-            task,
-            "infogoal+her",
-            FETCH_AS_IN_TABLE_1,
-            each_with(FORMER | HER_FOUND, {"learner.beta_threshold": threshold}),
+            task, "infogoal+her", FETCH_AS_IN_TABLE_1, each_with(HER_SETTINGS, {"learner.beta_threshold": threshold})
         )
-        for short, task, threshold in (("push", "fetch_push", 0.999), ("pick_and_place", PICK_AND_PLACE, 0.99))
+        for short, task, threshold in (("push", PUSH, 0.999), ("pick_and_place", PICK_AND_PLACE, 0.99))
     },
     # Is what the searches of the cube found for the start of training better in the end, too?
     **{
         f"cube_{method.replace('+', '_')}_found": Trial(
-            CUBE_TASK, method, CUBE | NORMALISED, {"preset": BEFORE_SEARCH.get(method, {}), "found": values}, seeds=5
+            CUBE_TASK, method, CUBE | NORMALISED, PRESET | {"found": values}, seeds=5
         )
         for method, values in FOUND_ON_CUBE.items()
     },
@@ -252,9 +256,13 @@ QUEUE = {
     },
     # With HER InfoGoal was the last of the learners on Push. Was its code too coarse there, as on PickAndPlace?
     **{
-        f"push_{short}": Trial("fetch_push", method, FETCH, THRESHOLDS)
+        f"push_{short}": Trial(PUSH, method, FETCH, THRESHOLDS)
         for short, method in (("infogoal", "infogoal"), ("infogoal_her", "infogoal+her"))
     },
+}
+QUEUE = {
+    name: trial._replace(lanes=each_with(trial.lanes, FORMER_PRESETS.get((trial.task, trial.method), {})))
+    for name, trial in TRIALS.items()
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are
 shown on others."""
