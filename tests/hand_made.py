@@ -129,9 +129,13 @@ def visited(desired: int, achieved, mask) -> Visited:
     return Visited(jnp.asarray([desired]), achieved, jnp.zeros(mask.shape, jnp.int32), mask)
 
 
-def learner_batch(encode, inputs=None, pairs=None, goals=None, desired=None, transitions=None) -> LearnerBatch:
-    """What a learner's loss may look at, of which a test needs only a part. inputs: [N, ...] of all goals."""
-    return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions)
+def learner_batch(
+    encode, inputs=None, pairs=None, goals=None, desired=None, transitions=None, features=None
+) -> LearnerBatch:
+    """What a learner's loss may look at, of which a test needs only a part. inputs: [N, ...] of all goals; features:
+    [N, F] of the observations that they are."""
+    features_of = None if features is None else lambda indices: features[indices]
+    return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions, features_of)
 
 
 SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}

@@ -54,6 +54,7 @@ HOUSE = {"num_epochs": 160, "epochs_per_evaluation": 20}
 """Object search in the house of the tuning, with its validation goals: 16,000 updates."""
 
 WINDOW_1, CORRUPTED = {"learner.window": 1}, {"training_corruption": 0.4}
+GROUNDED = {"learner.grounded": True}
 STANDARDISED = {"learner.standardise_images": True}
 THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.96, 0.99, 0.999)}
 FINER_THRESHOLDS = {f"threshold {value}": {"learner.beta_threshold": value} for value in (0.98, 0.99, 0.995, 0.998)}
@@ -252,6 +253,15 @@ TRIALS = {
             ("infogoal", "infogoal"),
             ("her", "her"),
             ("infogoal_her", "infogoal+her"),
+        )
+    },
+    # GCB's authors subtract phi(g, g), which exists where goals are observations. Does it help on the cube?
+    **{
+        f"cube_{words}": Trial(CUBE_TASK, method, CUBE | NORMALISED | settings, lanes, seeds=5)
+        for words, method, settings, lanes in (
+            ("gcb", "gcb", {}, PRESET),
+            ("gcb_grounded", "gcb", GROUNDED, PRESET),
+            ("gcb_her_grounded", "gcb+her", GROUNDED, {"found": FOUND_ON_CUBE["gcb+her"]}),
         )
     },
     # With HER InfoGoal was the last of the learners on Push. Was its code too coarse there, as on PickAndPlace?

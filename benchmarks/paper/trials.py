@@ -55,7 +55,11 @@ COMPARISONS = {
         ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
         for dataset in (0, 1, 2)
     ]
-    + [tuple((trial, lane) for lane in ("found", "preset")) for trial in trial_queue.QUEUE if trial.endswith("_found")],
+    + [tuple((trial, lane) for lane in ("found", "preset")) for trial in trial_queue.QUEUE if trial.endswith("_found")]
+    + [
+        (("cube_gcb_grounded", "preset"), ("cube_gcb", "preset")),
+        (("cube_gcb_her_grounded", "found"), ("cube_gcb_her_found", "found")),
+    ],
     "fetch_comparisons": [
         tuple((f"{short}_infogoal{relabelling}", f"threshold {threshold}") for threshold in (finer, 0.96))
         for short, finer in (("pick_and_place", 0.99), ("push", 0.999))

@@ -32,6 +32,8 @@ class Traits(NamedTuple):
     """Whether the agent learns from recorded trajectories alone."""
     target_states: bool = False
     """Whether a low level can be sent to target states."""
+    goals_are_observations: bool = False
+    """Whether a goal is shown as the state encoder sees a state that achieves it."""
 
 
 class Environment:
@@ -76,6 +78,8 @@ class Environment:
     """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False
     """Whether a low level can be sent to target states (HRAC); then `space` says which."""
+    goals_are_observations: bool = False
+    """Whether a goal is shown as the state encoder sees a state that achieves it, as an image of the same kind."""
     has_shortest_path = False
     """Whether `shortest_path` is known."""
 

@@ -92,6 +92,11 @@ class ObjectManipulation(GraphWalk):
     has_target_states = True
 
     @property
+    def goals_are_observations(self) -> bool:
+        """Whether both are images. Privileged, goals are without the joints."""
+        return self.goals.inputs.dtype == jnp.uint8
+
+    @property
     def space(self) -> JointSpace:
         """The target states of the arm, for a low level."""
         require(
@@ -118,8 +123,9 @@ class ObjectManipulation(GraphWalk):
         """What the network sees: images uint8 [..., H, W, C]; privileged, rotation matrices, and cosines and sines of
         the joints, float32 [..., 9 + 2 J]."""
         seen = self.goals.inputs[observation.frame]
-        is_image = seen.dtype == jnp.uint8
-        return seen if is_image else jnp.concatenate([seen, on_circles(observation.joints)], axis=-1)
+        if self.goals_are_observations:
+            return seen
+        return jnp.concatenate([seen, on_circles(observation.joints)], axis=-1)
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32
@@ -211,7 +217,8 @@ def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
 
 def traits(config: ObjectManipulationConfig) -> Traits:
     """What the task can be combined with follows from these."""
-    return Traits(image_goals=not config.privileged, target_states=True)
+    images = not config.privileged
+    return Traits(image_goals=images, target_states=True, goals_are_observations=images)
 
 
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:

@@ -141,6 +141,7 @@ class SubgoalEnv(Environment):
     goal_positions, near_goals = of_env("goal_positions"), of_env("near_goals")
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")
     has_shortest_path, unwrapped = of_env("has_shortest_path"), of_env("unwrapped")
+    goals_are_observations = of_env("goals_are_observations")
     render, reached, goals_of, cell_of = of_env("render"), of_env("reached"), of_env("goals_of"), of_env("cell_of")
 
     @property

@@ -14,8 +14,8 @@ Three things differ from the authors' code:
 - There the method has its own encoders. Here the state encoder belongs to the agent, and only the agent's loss trains
   it, as with every other method: gradients of the losses below stop at the state's features.
 - There phi(g, g) is subtracted from the target of psi, so that nothing is left to do at the goal. Here a goal may be a
-  text or an image of an object while a state is a view from the robot. A pair (g, g) does not exist, and the target of
-  psi is phi(s, g).
+  text or an image of an object while a state is a view from the robot. Then a pair (g, g) does not exist, and the
+  target of psi is phi(s, g). Where goals are observations, `grounded` subtracts it as there.
 """
 
 import dataclasses
@@ -44,6 +44,8 @@ class GCBConfig(GoalEncoderConfig):
     """Width of the reward decoder [authors' code]; 0: no decoder."""
     relabelled_share: float = 0.3
     """Share of the transitions that the losses see with a goal achieved later. The authors add 4 such to every 10."""
+    grounded: bool = False
+    """Subtract phi(g, g) from the target of psi, as in the authors' code; for tasks whose goals are observations."""
     policy_input: Literal["difference", "goal"] = "difference"
     """Input of the policy. `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
 
@@ -176,15 +178,16 @@ def make(config: GCBConfig) -> Learner:
         decoder."""
         transitions = batch.transitions
         features, following = jax.lax.stop_gradient((transitions.features, transitions.next_features))
-        codes, next_codes = paired.apply(
-            params["paired"], jnp.stack([features, following]), batch.inputs_of(batch.desired)
+        at_goal = [batch.features_of(batch.desired)] if config.grounded else []
+        codes, next_codes, *grounding = paired.apply(
+            params["paired"], jnp.stack([features, following, *at_goal]), batch.inputs_of(batch.desired)
         )
         partner = jax.random.permutation(key, len(codes))
         target = bisimulation_target(
             transitions.reward, next_codes, transitions.discount, partner, config.reward_weight
         )
         paired_error = paired_loss(codes, target, partner)
-        psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes)
+        psi_error = difference_loss(condition(params, batch.encode(batch.desired), features).mean, codes, *grounding)
         metrics = {
             "paired_loss": paired_error,
             "psi_loss": psi_error,
@@ -201,4 +204,11 @@ def make(config: GCBConfig) -> Learner:
     condition_on = condition if config.policy_input == "difference" else None
     share = config.relabelled_share
     relabelling = her.make(her.HERConfig(future_share=share)) if share else None
-    return Learner(init, encode, loss, SampleSpec(relabelling=relabelling), condition=condition_on)
+    return Learner(
+        init,
+        encode,
+        loss,
+        SampleSpec(relabelling=relabelling),
+        condition=condition_on,
+        needs_features_of_goals=config.grounded,
+    )

@@ -102,6 +102,9 @@ class LearnerBatch(NamedTuple):
     gave them."""
     transitions: Steps
     """The transitions of the agent's batch."""
+    features_of: Callable[[jax.Array], jax.Array] | None = None
+    """Goals int32 [...] to the features [..., F] of the observations that they are, without gradient; None unless
+    `Learner.needs_features_of_goals`."""
 
 
 @flax.struct.dataclass
@@ -177,6 +180,8 @@ class Learner(NamedTuple):
     """Use the mean of a code in evaluation instead of a sample."""
     by_index: bool = False
     """`encode` takes the numbers of goals, int32 [..., 1], in place of what they look like."""
+    needs_features_of_goals: bool = False
+    """The loss asks for `LearnerBatch.features_of`: goals have to be observations."""
 
 
 def conditioned(learner: Learner, params: Any, code: GoalCode, features: jax.Array) -> GoalCode:

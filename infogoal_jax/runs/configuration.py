@@ -13,6 +13,7 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
+from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
@@ -33,6 +34,7 @@ ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
     InfoGoalHyperparameters: {"beta_margin": 0.005},
+    GCBConfig: {"grounded": False},
     InfoBotConfig: {"reward": "rarity"},
     GHRLConfig: {"choice": "best"},
     AllGoalsConfig: {"desired_share": 0.0},

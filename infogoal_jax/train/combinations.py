@@ -32,6 +32,7 @@ def traits_seen(env) -> Traits:
         finite_observations=env.num_observations is not None,
         recorded=env.recorded is not None,
         target_states=env.has_target_states,
+        goals_are_observations=env.goals_are_observations,
     )
 
 
@@ -110,6 +111,13 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
             config.training_corruption,
             f"goals of {config.task} are not images, which alone can be corrupted",
             "give 0",
+        )
+    if make_learner(config).needs_features_of_goals and not traits.goals_are_observations:
+        yield Refusal(
+            "learner.grounded",
+            True,
+            f"a goal of {config.task} is not shown as the agent sees a state, so that there is no phi(g, g)",
+            "give False",
         )
     if config.stop_encoder_gradient and not has_own_loss(make_learner(config)):
         yield Refusal(

@@ -1,6 +1,7 @@
 """One gradient update (Algorithm 1, lines 16 to 22): encode a sample, add the losses, step, then beta and the
 targets."""
 
+from collections.abc import Callable
 from typing import Any
 
 import flax.struct
@@ -146,6 +147,11 @@ def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBa
     return relabelled.goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
 
 
+def features_of_goals(parts, params, env) -> Callable[[jax.Array], jax.Array]:
+    """Goals int32 [...] to the features [..., F] of the observations that they are, without gradient."""
+    return lambda goals: jax.lax.stop_gradient(parts.state_encoder.apply(params["state"], env.goals.inputs_of(goals)))
+
+
 def moves_of(parts, env, params, target_params, move: tuple) -> Moves:
     """Single steps (observation, action, next observation) [B] as an explorer sees them."""
     observation, action, following = move
@@ -215,6 +221,7 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
             pairs,
             drawn.goals,
             *steps_to_learn_from(parts, params, env, hyper, drawn, codes),
+            features_of_goals(parts, params, env) if learner.needs_features_of_goals else None,
         )
         learner_loss, learner_metrics, after = learner.loss(
             params["goal"], learner_state, seen, hyper.learner, loss_key

@@ -1,7 +1,10 @@
 """GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code
 (fixtures/README.md)."""
 
+import dataclasses
+
 import hand_made
+import hand_made_frames
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -104,6 +107,7 @@ def test_gradients_are_finite_where_codes_are_equal():
 
 INPUTS = jax.random.normal(jax.random.key(0), (2, 16))
 FEATURES = jax.nn.relu(jax.random.normal(jax.random.key(1), (6, 8)))
+GOAL_FEATURES = jax.nn.relu(jax.random.normal(jax.random.key(5), (2, 8)))
 FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END = range(6)
 DISCOUNT = 0.9
 STATES = np.array([FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END, FIRST, WORSE_END])
@@ -126,7 +130,9 @@ def learner_and_params(**changes):
     def loss(params, features, next_features, rewards, key):
         codes = learner.encode(params, INPUTS)
         seen = Steps(features, next_features, rewards, DISCOUNTS)
-        batch = hand_made.learner_batch(codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen)
+        batch = hand_made.learner_batch(
+            codes.__getitem__, INPUTS, desired=jnp.asarray(GOALS), transitions=seen, features=GOAL_FEATURES
+        )
         value, metrics, after = learner.loss(params, state, batch, NoHyperparameters(), key)
         assert after == state
         return value, metrics
@@ -189,6 +195,44 @@ def test_paired_codes_come_to_lie_as_far_apart_as_rewards_and_successors_do():
     assert np.square(difference - codes).mean() < 0.1 * np.square(codes).mean()
     assert metrics["paired_loss"][-1] < 0.01 * metrics["paired_loss"][0] and metrics["code_spread"][-1] > 0.05
     assert metrics["reward_error"][-1] < 1e-2 < metrics["reward_error"][0]  # The reward can be read out of the codes.
+
+
+def test_the_grounding_is_the_paired_code_of_a_goal_with_itself():
+    """It changes the loss of psi alone: psi(g) - psi(s) is to be phi(s, g) - phi(g, g)."""
+    arguments = (FEATURES[STATES], FEATURES[FOLLOWING], REWARDS, jax.random.key(3))
+    learner, params, loss = learner_and_params(grounded=True)
+    assert learner.needs_features_of_goals and not learner_and_params()[0].needs_features_of_goals
+    _, metrics = loss(params, *arguments)
+    _, without = learner_and_params()[2](params, *arguments)
+    paired = gcb.PairedEncoder((64, 64), (64, 64), 8, False)
+    codes, grounding = (
+        paired.apply(params["paired"], features, INPUTS[GOALS]) for features in (FEATURES[STATES], GOAL_FEATURES[GOALS])
+    )
+    difference = learner.condition(params, learner.encode(params, INPUTS[GOALS]), FEATURES[STATES]).mean
+    np.testing.assert_allclose(
+        metrics["psi_loss"], np.square(difference - (codes - grounding)).mean(), rtol=1e-5, atol=1e-7
+    )
+    np.testing.assert_allclose(without["psi_loss"], np.square(difference - codes).mean(), rtol=1e-5, atol=1e-7)
+    for name in ("paired_loss", "target"):
+        np.testing.assert_allclose(metrics[name], without[name], rtol=1e-5)
+
+
+def test_a_grounding_needs_goals_that_are_observations():
+    config = hand_made.config("gcb", learner=gcb.GCBConfig(grounded=True))
+    with pytest.raises(UserError, match="learner.grounded = True: a goal of object_search is not shown as"):
+        make_train(config, hand_made.environment())
+
+
+@pytest.mark.long
+def test_a_grounded_run_takes_the_features_of_goals_from_the_agent():
+    """On the cube goals are observations; poses without joints are not."""
+    config = hand_made_frames.manipulation_config("gcb", learner=gcb.GCBConfig(grounded=True))
+    train = make_train(config, hand_made_frames.manipulation())
+    result = jax.jit(train)(jax.random.key(0))
+    assert all(np.isfinite(value).all() for value in result.epochs.values())
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
+    with pytest.raises(UserError, match="learner.grounded = True: a goal of object_manipulation is not shown as"):
+        make_train(config)
 
 
 def test_without_a_decoder_nothing_of_it_is_left():
