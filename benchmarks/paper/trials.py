@@ -74,6 +74,9 @@ COMPARISONS = {
         ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))
         for dataset in (0, 1, 2)
         for threshold in (0.99, 0.999)
+    ]
+    + [
+        (("shelf_infogoal_gathered", f"threshold {value}"), ("shelf_cql_gathered", "preset")) for value in (0.96, 0.999)
     ],
 }
 """Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""

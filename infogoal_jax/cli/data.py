@@ -97,18 +97,24 @@ def cube(path: Positional[str], seed: int = 0, physical_limits: FlagCreatePairsO
     return write_frames(path, "drawing the cube", lambda bar: cube.build(seed, physical_limits, progress=bar))
 
 
-def shelf(path: Positional[str], seed: int = 0, hovering: FlagCreatePairsOff[bool] = False) -> int:
+def shelf(
+    path: Positional[str],
+    seed: int = 0,
+    hovering: FlagCreatePairsOff[bool] = False,
+    gathered: FlagCreatePairsOff[bool] = False,
+) -> int:
     """Draw the stand-in for the embodied question answering data: a drone flies along a shelf (docs/datasets.md).
 
     Args:
         path: File to write, an npz; must not exist yet.
         seed: Seed of the shelf and of the flights.
         hovering: The drone drifts where it hovers, so that a state has several images.
+        gathered: The objects of a region stand together, so that an image shows several.
     """
     check_seed(seed)
     from infogoal_jax.stand_ins import shelf
 
-    return write_frames(path, "drawing the shelf", lambda bar: shelf.build(seed, hovering, progress=bar))
+    return write_frames(path, "drawing the shelf", lambda bar: shelf.build(seed, hovering, gathered, progress=bar))
 
 
 def write_frames(path: str, words: str, build: Callable) -> int:

@@ -32,6 +32,8 @@ class EmbodiedQAConfig:
     """Seed of the generated dataset."""
     hovering: bool = False
     """Generate a drone that drifts and blurs its images, with several images for every position."""
+    gathered: bool = False
+    """Generate a shelf on which the objects of a region stand together, so that an image shows several."""
     questions: str = ""
     """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated
     shelf."""
@@ -107,8 +109,9 @@ def make(config: EmbodiedQAConfig) -> EmbodiedQA:
     else:
         from infogoal_jax.stand_ins import shelf
 
-        name = f"shelf-{config.generator_seed}{'-hovering' if config.hovering else ''}-{shelf.GENERATOR_VERSION}"
-        data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering))
+        kind = f"{'-hovering' if config.hovering else ''}{'-gathered' if config.gathered else ''}"
+        name = f"shelf-{config.generator_seed}{kind}-{shelf.GENERATOR_VERSION}"
+        data = frames.cached(name, lambda: shelf.build(config.generator_seed, config.hovering, config.gathered))
     asked = splits.load_questions(config.questions or splits.SHIPPED_QUESTIONS)
     embeddings = text.load(config.text_embeddings or splits.SHIPPED_EMBEDDINGS)
     return lay_out(data, asked, embeddings, config)

@@ -10,6 +10,7 @@ from infogoal_jax import presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
@@ -39,6 +40,7 @@ ADDED: dict[type, dict[str, Any]] = {
     GHRLConfig: {"choice": "best"},
     AllGoalsConfig: {"desired_share": 0.0},
     ObjectManipulationConfig: {"privileged": False},
+    EmbodiedQAConfig: {"gathered": False},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""

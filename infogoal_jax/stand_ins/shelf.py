@@ -31,6 +31,8 @@ BOARDS = (0.2, 0.7, 1.3, 1.8)
 """Heights of the boards, m; the lower two are the lower regions', the others the upper ones'."""
 SLOTS = 3
 """Objects on a board of a region."""
+APART, TOGETHER = SIZE[0] / 2 / SLOTS, 0.36
+"""Width of a slot, m: all of the region's half of the shelf, or so narrow that a view shows several objects of it."""
 FLIGHT_LENGTH, MIN_FLIGHTS = 50, 400
 """Moves in a recorded flight, and flights at least."""
 VIEWS, DRIFT, ROLL, BLUR = 4, 0.03, 0.03, 14.0
@@ -54,16 +56,17 @@ BOARD = 0.03
 def build(
     seed: int = 0,
     hovering: bool = False,
+    gathered: bool = False,
     size: tuple[int, int] = (48, 64),
     progress: Callable[[float], None] | None = None,
 ) -> FrameDataset:
     """The dataset of this seed: which object stands where, colours of walls and boards, and flights follow from it.
 
-    hovering: several images of each place, from a drone that drifts, rolls and blurs them. size: height and width of
-    the images.
+    hovering: several images of each place, from a drone that drifts, rolls and blurs them. gathered: the objects of a
+    region stand together. size: height and width of the images.
     """
     random = np.random.default_rng([seed, GENERATOR_VERSION])
-    wall, places = furnished_wall(random)
+    wall, places = furnished_wall(random, gathered)
     count = VIEWS if hovering else 1
     column, row = np.arange(COLUMNS * ROWS) % COLUMNS, np.arange(COLUMNS * ROWS) // COLUMNS
     state = np.repeat(np.arange(COLUMNS * ROWS), count)
@@ -89,10 +92,11 @@ def build(
         actions=ACTIONS,
         **as_frames(flights, images, random),
         about={
-            "name": f"a generated shelf of {SIZE[0]:g} x {SIZE[1]:g} "
-            f"m{', seen by a hovering drone' if hovering else ''}",
+            "name": f"a generated shelf of {SIZE[0]:g} x {SIZE[1]:g} m{', regions gathered' if gathered else ''}"
+            f"{', seen by a hovering drone' if hovering else ''}",
             "stand_in": True,
-            "made_by": f"infogoal data build shelf --seed {seed}{' --hovering' if hovering else ''}",
+            "made_by": f"infogoal data build shelf --seed {seed}{' --hovering' if hovering else ''}"
+            f"{' --gathered' if gathered else ''}",
             "seed": seed,
             "hovering": hovering,
             "generator": GENERATOR_VERSION,
@@ -105,24 +109,27 @@ def build(
     )
 
 
-def furnished_wall(random: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def furnished_wall(random: np.random.Generator, gathered: bool = False) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The picture of the wall with its shelf and objects, uint8 RGB [H, W, 3], and where each object stands."""
-    places = furnish(random)
+    places = furnish(random, gathered)
     uprights = np.concatenate([[0.0], np.sort(random.uniform(1.0, SIZE[0] - 1.0, 6)), [SIZE[0]]])
     return draw_wall(SIZE, list(BOARDS), uprights, places, random), places
 
 
-def furnish(random: np.random.Generator) -> dict[str, np.ndarray]:
+def furnish(random: np.random.Generator, gathered: bool = False) -> dict[str, np.ndarray]:
     """Where each object stands: its left end and its foot (m). Each stands in its own region, on a board and in a slot
-    drawn at random."""
+    drawn at random. gathered: the slots of a region lie side by side, somewhere in its half of the shelf."""
+    width, margin = (TOGETHER, 0.01) if gathered else (APART, 0.1)
     asked, places = splits.load_questions(splits.SHIPPED_QUESTIONS), {}
     for region, room in enumerate(asked.room_names):
         names = [name for name, its in zip(asked.objects, asked.rooms, strict=True) if its == region]
         boards = BOARDS[2:] if "upper" in room else BOARDS[:2]
-        start, width = (0.0 if "left" in room else SIZE[0] / 2), SIZE[0] / 2 / SLOTS
+        start = 0.0 if "left" in room else SIZE[0] / 2
+        if gathered:
+            start += random.uniform(0, SIZE[0] / 2 - SLOTS * width)
         for slot, name in enumerate(random.permutation(names)):
-            room_left = width - DRAWINGS[str(name)][0] / 100 - 0.2
-            left = start + (slot % SLOTS) * width + 0.1 + random.uniform(0, room_left)
+            room_left = width - DRAWINGS[str(name)][0] / 100 - 2 * margin
+            left = start + (slot % SLOTS) * width + margin + random.uniform(0, room_left)
             places[str(name)] = np.array([left, boards[slot // SLOTS]])
     return {name: places[name] for name in asked.objects}
 

@@ -1,6 +1,8 @@
 """The generated shelf: detections follow from boxes, flights cover it, the same seed gives the same shelf, and the task
 is not too easy."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -142,6 +144,33 @@ def test_the_same_seed_gives_the_same_dataset_and_another_seed_another(corner):
     assert first.about == again.about != other.about
     assert (first.frames != other.frames).any((1, 2, 3)).all()
     assert (first.detected != other.detected).any() or (first.frame != other.frame).any()
+
+
+def test_on_a_gathered_shelf_neighbours_of_a_region_are_seen_together():
+    """Each object with the next on its board of the region, from somewhere; elsewhere few are. Objects do not overlap,
+    and stay in their half."""
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS)
+    views = [shelf.camera(place, 0.0, shelf.SIZE) for place in centres()]
+    together = {}
+    for gathered in (False, True):
+        places = shelf.furnish(np.random.default_rng([0, shelf.GENERATOR_VERSION]), gathered)
+        room = dict(zip(places, asked.rooms, strict=True))
+        in_order = sorted(places, key=lambda name: (room[name], places[name][1], places[name][0]))
+        neighbours = [
+            (first, second)
+            for first, second in itertools.pairwise(in_order)
+            if room[first] == room[second] and places[first][1] == places[second][1]
+        ]
+        assert len(neighbours) == 4 * 2 * (shelf.SLOTS - 1)
+        boxes = dict(zip(places, shelf.boxes(places), strict=True))
+        seen = {name: np.array([shelf.in_view(view, box) for view in views]) for name, box in boxes.items()}
+        together[gathered] = np.mean([(seen[first] & seen[second]).any() for first, second in neighbours])
+        for first, second in neighbours:
+            assert places[first][0] + shelf.DRAWINGS[first][0] / 100 <= places[second][0]
+        for name, (left, _) in places.items():
+            half = 0.0 if "left" in asked.room_names[room[name]] else shelf.SIZE[0] / 2
+            assert half <= left and left + shelf.DRAWINGS[name][0] / 100 <= half + shelf.SIZE[0] / 2
+    assert together[True] == 1.0 and together[False] < 0.5
 
 
 @pytest.mark.long
