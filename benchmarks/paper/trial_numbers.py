@@ -6,6 +6,7 @@ the tables made of it, and the probe that says what a code still tells of its go
     KIND/success_rate                of each kind of goals
     learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them
     KIND/code_error, readout_error   `code_errors`, of the goal by its code: degrees on the cube, metres on Fetch
+    seconds                          since the trial began to compile, of all its lanes; empty in older rows
     machine                          device, versions and date
 
 A cell is empty where a trial has no such number.
@@ -124,6 +125,21 @@ def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
         trial: {lane: (len(seeds), min(seeds.values())) for lane, seeds in lanes.items()}
         for trial, lanes in found.items()
     }
+
+
+def cost_table(rows: list[Row], tasks: dict[str, str]) -> str:
+    """What the trials took, task by task. tasks: of each trial its task."""
+    took: dict[str, float] = {}
+    for row in rows:
+        if row.get("seconds"):
+            took[row["trial"]] = max(float(row["seconds"]), took.get(row["trial"], 0.0))
+    ran = {row["trial"] for row in rows} & set(tasks)
+    table = []
+    for task in dict.fromkeys(tasks.values()):
+        trials = [trial for trial in ran if tasks[trial] == task]
+        timed = [took[trial] for trial in trials if trial in took]
+        table.append([task, str(len(trials)), str(len(timed)), f"{sum(timed) / 60:.0f}" if timed else ""])
+    return markdown_lines(["task", "trials", "of which timed", "minutes of these"], table)
 
 
 def kinds_of(rows: list[Row]) -> dict[str, str]:

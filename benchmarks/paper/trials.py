@@ -50,6 +50,13 @@ TABLES = {
 """Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
 ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
 """Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+
+
+def first_occurrence(*tasks: str) -> list[tuple]:
+    """GHRL with goals at their first occurrence, and with the one that an episode demonstrates best, on these tasks."""
+    return [((f"{task}_ghrl_first_occurrence", "preset"), (f"{task}_ghrl", "preset")) for task in tasks]
+
+
 COMPARISONS = {
     "cube_comparisons": [
         ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
@@ -59,6 +66,7 @@ COMPARISONS = {
     + [
         (("cube_gcb_grounded", "preset"), ("cube_gcb", "preset")),
         (("cube_gcb_her_grounded", "found"), ("cube_gcb_her_found", "found")),
+        *first_occurrence("cube"),
     ],
     "fetch_comparisons": [
         tuple((f"{short}_infogoal{relabelling}", f"threshold {threshold}") for threshold in (finer, 0.96))
@@ -69,7 +77,8 @@ COMPARISONS = {
         tuple((trial, lane) for lane in ("HER's settings", "preset"))
         for trial in trial_queue.QUEUE
         if trial.endswith("_her_settings")
-    ],
+    ]
+    + first_occurrence("reach", "push", "pick_and_place"),
     "shelf_comparisons": [
         ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))
         for dataset in (0, 1, 2)
@@ -169,7 +178,8 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
                     "known_goals": config.known_goals,
                     "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch,
                 }
-                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()} | {"machine": machine}
+                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()}
+                row |= {"seconds": f"{time.time() - started:.0f}", "machine": machine}
                 table = table or csv.DictWriter(file, row)
                 if not file.tell():
                     table.writeheader()
@@ -207,6 +217,7 @@ def tables(rows: list[Row]) -> dict[str, str]:
     units = {trial: error for trials, error in grouped.values() for trial in trials if error and trial in probed}
     if units:
         shown["probe"] = trial_numbers.probe_table(rows, units)
+    shown["cost"] = trial_numbers.cost_table(rows, {trial: QUEUE[trial].task for trial in QUEUE})
     for name, pairs in COMPARISONS.items():
         if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
             shown[name] = trial_numbers.differences(rows, compared)
