@@ -17,8 +17,8 @@ class GoalSet:
     """N goals, their inputs and their uses. Only training goals are desired goals while training."""
 
     inputs: jax.Array
-    """[M, *input] what the goal encoder sees: float32 text embeddings [N, 384], or uint8 images [M, H, W, C].
-    `inputs_of` finds those of a goal."""
+    """[M, *input] what the goal encoder sees: vectors float32 [M, D], such as text embeddings, or images uint8
+    [M, H, W, C]. `inputs_of` finds those of a goal."""
     regions: jax.Array
     """int32 [N], part of the world that a goal lies in, for example a room. For reports, and for the share of positives
     within regions."""

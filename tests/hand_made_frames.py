@@ -158,9 +158,8 @@ def backgrounds() -> SimpleNamespace:
 
 def manipulation(**changes) -> object_manipulation.ObjectManipulation:
     """Object manipulation over the arm."""
-    return object_manipulation.lay_out(
-        arm(), backgrounds(), ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes))
-    )
+    config = ObjectManipulationConfig(**({"num_goals": (3, 1, 4), "episode_length": 12} | changes))
+    return object_manipulation.lay_out(arm(), None if config.privileged else backgrounds(), config)
 
 
 def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:

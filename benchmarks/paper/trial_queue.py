@@ -46,7 +46,7 @@ CUBE = {
 FETCH = {"num_epochs": 200, "epochs_per_evaluation": 20}
 """Fetch with 20,000 updates, on the goals that are shipped: settings are to be compared by their validation goals."""
 FETCH_AS_IN_TABLE_1 = FETCH | {"num_epochs": 80}
-"""Fetch with 8,000 updates, about as many as runs of Table I have."""
+"""Fetch with 8,000 updates, about the most that a run of Table I has."""
 
 SHELF = DATASETS[SHELF_TASK]
 
@@ -288,6 +288,7 @@ TRIALS = {
         for short, method in (("infogoal", "infogoal"), ("infogoal_her", "infogoal+her"))
     },
 }
+"""The trials, in which lanes have what they change of the presets of that time."""
 QUEUE = {
     name: trial._replace(lanes=each_with(trial.lanes, FORMER_PRESETS.get((trial.task, trial.method), {})))
     for name, trial in TRIALS.items()

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.angles import geodesic, on_circles, orientation_classes, quaternions, rotation_matrices
-from infogoal_jax.data import backgrounds, frames
+from infogoal_jax.data import backgrounds, frames, pictures
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.target_states import JointSpace
@@ -46,8 +46,8 @@ class ObjectManipulationConfig:
     backgrounds: str = ""
     """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/goal_inputs.md)."""
     privileged: bool = False
-    """Show poses in place of images, as rotation matrices of 9 numbers, and the joints beside the agent's own: what
-    perfect perception could reach (docs/trials.md). Such goals are not corrupted."""
+    """Show poses in place of images, which is what perfect perception could tell (docs/trials.md): a goal as its
+    rotation matrix, a state as that of the object and the cosines and sines of the joints."""
     episode_length: int = 30
     """Steps after which an episode is truncated."""
 
@@ -58,6 +58,12 @@ class ObjectManipulationConfig:
         )
         for name in ("generator_seed", "goal_seed"):
             require(getattr(self, name) >= 0, f"env.{name}", getattr(self, name), "give 0 or more")
+        require(
+            not (self.privileged and self.backgrounds),
+            "env.backgrounds",
+            self.backgrounds,
+            "goals are not images with env.privileged, and are not corrupted: leave one of them out",
+        )
         require(
             min(self.num_goals) >= 0 and self.num_goals[0] > 0,
             "env.num_goals",
@@ -78,7 +84,8 @@ class Posed:
 
 @flax.struct.dataclass
 class ObjectManipulation(GraphWalk):
-    """The environment: a walk on a graph of photographs, which are held once, in `goals.inputs`."""
+    """The environment: a walk on a graph of photographs, which are held once, in `goals.inputs`; privileged, their
+    rotation matrices are, float32 [K, 9]."""
 
     joints: jax.Array
     """float32 [K, J] angles of each image, in radians."""
@@ -208,11 +215,9 @@ def goal_names(rotation: np.ndarray, uses: np.ndarray) -> tuple[str, ...]:
 
 def like_frames(images: np.ndarray, data: frames.FrameDataset) -> np.ndarray:
     """Images [B, H, W, 3] at the size of the dataset's frames."""
-    import cv2  # Only now: it takes a tenth of a second.
-
     if images.shape[1:3] == data.frames.shape[1:3]:
         return images
-    return np.stack([cv2.resize(image, data.frames.shape[2:0:-1], interpolation=cv2.INTER_AREA) for image in images])
+    return np.stack([pictures.resized(image, *data.frames.shape[1:3]) for image in images])
 
 
 def traits(config: ObjectManipulationConfig) -> Traits:
@@ -231,14 +236,14 @@ def make(config: ObjectManipulationConfig) -> ObjectManipulation:
 
         name = f"cube-{config.generator_seed}{'-limits' if config.physical_limits else ''}-{cube.GENERATOR_VERSION}"
         data = frames.cached(name, lambda: cube.build(config.generator_seed, config.physical_limits))
-    return lay_out(data, backgrounds.load(config.backgrounds), config)
+    return lay_out(data, None if config.privileged else backgrounds.load(config.backgrounds), config)
 
 
 def lay_out(
-    data: frames.FrameDataset, behind: backgrounds.Backgrounds, config: ObjectManipulationConfig
+    data: frames.FrameDataset, behind: backgrounds.Backgrounds | None, config: ObjectManipulationConfig
 ) -> ObjectManipulation:
-    """Make the task from a dataset. Raises `UserError` for a dataset without poses, or in which no goals can be
-    chosen."""
+    """Make the task from a dataset. behind: what goal images are corrupted with; None: poses are shown in their place.
+    Raises `UserError` for a dataset without poses, or in which no goals can be chosen."""
     given = config.dataset or data.about["name"]
     require(
         data.rotation is not None,
@@ -275,16 +280,12 @@ def lay_out(
     training = np.flatnonzero(uses == 0)
     region = geodesic(rotation[:, None], rotation[training][None]).argmin(1)
     regions = tuple(f"near training pose {number}" for number in range(len(training)))
-    inputs = data.rotation.reshape(-1, 9).astype(np.float32) if config.privileged else data.frames
+    inputs = data.rotation.reshape(-1, 9).astype(np.float32) if behind is None else data.frames
     goals = GoalSet.of(inputs, region, uses, goal_names(rotation, uses), regions, rows=shown)
     joints = np.zeros((len(data.frames), 0), np.float32) if data.joints is None else data.joints
-    seen, behind_goals = "poses are seen in place of images", {}
-    if not config.privileged:
-        seen = f"backgrounds: {behind.source}"
-        behind_goals = {
-            "train_backgrounds": jax.device_put(like_frames(behind.train, data)),
-            "test_backgrounds": jax.device_put(like_frames(behind.test, data)),
-        }
+    seen = "poses are seen in place of images" if behind is None else f"backgrounds: {behind.source}"
+    kinds = () if behind is None else ("train", "test")
+    behind_goals = {f"{kind}_backgrounds": jax.device_put(like_frames(getattr(behind, kind), data)) for kind in kinds}
     return ObjectManipulation(
         joints=jax.device_put(joints),
         quaternion=jax.device_put(quaternions(data.rotation)),

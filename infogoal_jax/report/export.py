@@ -50,7 +50,7 @@ def export_params(
     config, env = train.parts.config, train.env
     function, examples = action_values(train, params) if env.discrete else driving(train, params)
     program, constants = trace(function, examples)
-    texts = env.goals.inputs.dtype == jnp.float32
+    vectors = env.goals.inputs.dtype == jnp.float32
     acted = env.env if isinstance(env, SubgoalEnv) else env
     about = about | {
         "format_version": FORMAT_VERSION,
@@ -65,13 +65,13 @@ def export_params(
         "moves": bool(acted.discrete),
         "interval": interval_of(env),
         "generator_seed": getattr(config.env, "generator_seed", 0),
-        "goal_names": list(env.goals.names) if texts else [],
-        "goal_objects": list(getattr(env, "goal_objects", ())) if texts else [],
+        "goal_names": list(env.goals.names) if vectors else [],
+        "goal_objects": list(getattr(env, "goal_objects", ())) if vectors else [],
     }
     members = {f"constant_{index}": value for index, value in enumerate(constants)}
     members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
-    if texts:
-        members["goals"] = np.asarray(env.goals.inputs)
+    if vectors:
+        members["goals"] = np.asarray(env.goals.inputs_of(jnp.arange(env.goals.num_goals)))
     disk.make_folder(out.parent)
     disk.write_atomically(out, lambda file: np.savez_compressed(file, **members))
     if stablehlo is not None:

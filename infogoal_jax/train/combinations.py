@@ -109,7 +109,7 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         yield Refusal(
             "training_corruption",
             config.training_corruption,
-            f"goals of {config.task} are not images, which alone can be corrupted",
+            f"goals of {config.task} are not images as it is configured, which alone can be corrupted",
             "give 0",
         )
     if make_learner(config).needs_features_of_goals and not traits.goals_are_observations:

@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from infogoal_jax import make_train, presets
 from infogoal_jax.angles import geodesic, wrapped
+from infogoal_jax.envs import object_manipulation
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
 from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.replay import Transitions
+from infogoal_jax.train.combinations import traits_seen
 from infogoal_jax.train.update import agent_batch
 
 
@@ -61,11 +63,16 @@ def test_a_privileged_agent_sees_poses(env, data):
     np.testing.assert_array_equal(privileged.starts, env.starts)
     assert privileged.train_backgrounds is None and privileged.test_backgrounds is None
     assert "poses are seen in place of images" in privileged.source and "backgrounds" not in privileged.source
+    config = ObjectManipulationConfig(num_goals=(3, 1, 4), privileged=True)
+    assert traits_seen(privileged) == object_manipulation.traits(config)
+    assert traits_seen(env) == object_manipulation.traits(dataclasses.replace(config, privileged=False))
+    with pytest.raises(UserError, match="env.backgrounds = 'cifar10': goals are not images with env.privileged"):
+        presets.load("object_manipulation", "her", env=ObjectManipulationConfig(privileged=True, backgrounds="cifar10"))
 
 
 @pytest.mark.long
-def test_a_privileged_agent_learns_from_poses():
-    """A run trains on them from the encoders on, and says nothing of corrupted goals."""
+def test_a_privileged_agent_trains_on_poses():
+    """Numbers are finite, and none is of corrupted goals."""
     config = hand_made_frames.manipulation_config(relabelling="her")
     config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
     train = make_train(config, hand_made_frames.manipulation(privileged=True))

@@ -116,6 +116,17 @@ def test_the_file_says_what_it_is_for(shelf, exported):
     assert set(about["goal_objects"]) <= set(hand_made_frames.OBJECTS)
 
 
+def test_the_file_has_a_row_for_each_goal_where_several_images_show_one(tmp_path):
+    """A privileged agent's goals are poses, of which an image each is held."""
+    config = hand_made_frames.manipulation_config("her", **SHORT)
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
+    case = case_of(config, hand_made_frames.manipulation(privileged=True))
+    policy = export.export_params(*case, tmp_path / "policy.npz", {"seed": 0})
+    goals = case.train.env.goals
+    assert len(policy.about["goal_names"]) == goals.num_goals < len(goals.inputs)
+    np.testing.assert_array_equal(policy.goals, goals.inputs_of(jnp.arange(goals.num_goals)))
+
+
 def test_the_reader_needs_numpy_alone(shelf, tmp_path):
     """Its file is copied away and runs where the package is not."""
     export.export_params(*shelf, tmp_path / "policy.npz", {})
