@@ -2,6 +2,7 @@
 with three joints that turn by 60 degrees; a shelf of 8 x 3 places with four objects. CIFAR-10 in its own format, with a
 few records of noise, and the sizes of a house that is built in a moment."""
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -178,6 +179,12 @@ def manipulation_config(method: str = "infogoal", **changes) -> TrainConfig:
         "state_encoder": StateEncoderConfig(features=32),
     }
     return presets.load("object_manipulation", method, **(small | changes))
+
+
+def privileged_config(method: str = "infogoal", **changes) -> TrainConfig:
+    """The same with poses in place of images, as `manipulation(privileged=True)` shows them."""
+    config = manipulation_config(method, **changes)
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
 
 
 def asked() -> Questions:

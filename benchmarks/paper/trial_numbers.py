@@ -133,10 +133,9 @@ def cost_table(rows: list[Row], tasks: dict[str, str]) -> str:
     for row in rows:
         if row.get("seconds"):
             took[row["trial"]] = max(float(row["seconds"]), took.get(row["trial"], 0.0))
-    ran = {row["trial"] for row in rows} & set(tasks)
-    table = []
+    ran, table = {row["trial"] for row in rows}, []
     for task in dict.fromkeys(tasks.values()):
-        trials = [trial for trial in ran if tasks[trial] == task]
+        trials = [trial for trial, its in tasks.items() if its == task and trial in ran]
         timed = [took[trial] for trial in trials if trial in took]
         table.append([task, str(len(trials)), str(len(timed)), f"{sum(timed) / 60:.0f}" if timed else ""])
     return markdown_lines(["task", "trials", "of which timed", "minutes of these"], table)

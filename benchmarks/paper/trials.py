@@ -217,7 +217,7 @@ def tables(rows: list[Row]) -> dict[str, str]:
     units = {trial: error for trials, error in grouped.values() for trial in trials if error and trial in probed}
     if units:
         shown["probe"] = trial_numbers.probe_table(rows, units)
-    shown["cost"] = trial_numbers.cost_table(rows, {trial: QUEUE[trial].task for trial in QUEUE})
+    shown["cost"] = trial_numbers.cost_table(rows, {name: trial.task for name, trial in QUEUE.items()})
     for name, pairs in COMPARISONS.items():
         if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
             shown[name] = trial_numbers.differences(rows, compared)

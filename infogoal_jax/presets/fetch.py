@@ -13,9 +13,8 @@ TRAINING = {
     "evaluation_starts": 5,
 }
 HYPER = {"discount": 0.99, "epsilon": 0.4, "intrinsic_weight": 0.0}  # [M]
-INFOGOAL = {"intrinsic_weight": 1.0}
-"""InfoGoal's floats [M]."""
-GCB = {"learner_weight": 0.1}  # [M]
+MEASURED = {"infogoal": {"intrinsic_weight": 1.0}, "infobot": INFOBOT, "gcb": {"learner_weight": 0.1}}
+"""Floats of learners, also where they stand with a relabelling [M]."""
 
 
 def preset(description: str, window: int, num_pairs: int, training: dict, found: dict[str, dict[str, float]]) -> Preset:
@@ -25,10 +24,9 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
     window, num_pairs: of similar goals [M]; the window's steps lead no farther than the 20 cm that lie at most between
     a test goal and the nearest training goal.
     found: floats of each method that a search [T] or a trial [M] found; those of a learner with a relabelling stand in
-      place of the learner's.
+      place of what was found for the learner.
     """
     similar = {"window": window, "num_pairs": num_pairs}
-    measured = {"infogoal": INFOGOAL, "infobot": INFOBOT, "gcb": GCB}
     learners = {"infogoal": similar, "cogoal": similar}
     return Preset(
         description=description,
@@ -41,8 +39,11 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         training=training,
         hyper=HYPER,
         methods={
-            method: Changes(learner=learners.get(method, {}), hyper=measured.get(method, {}) | found.get(method, {}))
-            for method in {**learners, **measured, **found}
+            method: Changes(
+                learner=learners.get(method, {}),
+                hyper=MEASURED.get(method.partition("+")[0], {}) | found.get(method, {}),
+            )
+            for method in {**learners, **MEASURED, **found}
         },
     )
 
@@ -76,37 +77,22 @@ FOUND_FOR_REACH = {
 HER = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
 """What searches found for HER on Push and on PickAndPlace [T]."""
 
-
-def learners_with_her(**own: dict[str, float]) -> dict[str, dict[str, float]]:
-    """Floats of learners with HER: their own, and those that the search found for HER. With them most learn faster on
-    PickAndPlace, and none is slower that could be told [M], docs/trials.md."""
-    return {f"{learner}+her": floats | HER for learner, floats in own.items()}
-
+WITH_HER = dict.fromkeys(("infobot+her", "gcb+her", "vae+her", "dgrl+her", "rad+her"), HER)
+"""Learners with HER: most learn faster with its settings on PickAndPlace, and none is slower that could be told [M],
+docs/trials.md."""
 
 FOUND_FOR_PUSH = {
-    **learners_with_her(
-        infogoal=INFOGOAL | {"learner.beta_threshold": 0.999},  # [M]
-        infobot=INFOBOT,
-        gcb=GCB,
-        vae={},
-        dgrl={},
-        rad={},
-    ),
+    **WITH_HER,
+    "infogoal+her": HER | {"learner.beta_threshold": 0.999},  # [M]
     "cogoal": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725, "learner_weight": 0.07715},
     "her": HER,
     "ghrl": {"learning_rate": 3.765e-4, "discount": 0.9508, "target_rate": 0.08725},
 }
 
 FOUND_FOR_PICK_AND_PLACE = {
-    **learners_with_her(
-        infogoal=INFOGOAL | {"learner.beta_threshold": 0.99},  # [M]
-        infobot=INFOBOT,
-        cogoal={},
-        gcb=GCB,
-        vae={},
-        dgrl={},
-        rad={},
-    ),
+    **WITH_HER,
+    "infogoal+her": HER | {"learner.beta_threshold": 0.99},  # [M]
+    "cogoal+her": HER,  # [M]
     "her": HER,
     "cher": HER,
     "ghrl": {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128},

@@ -73,9 +73,9 @@ def test_a_privileged_agent_sees_poses(env, data):
 @pytest.mark.long
 def test_a_privileged_agent_trains_on_poses():
     """Numbers are finite, and none is of corrupted goals."""
-    config = hand_made_frames.manipulation_config(relabelling="her")
-    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
-    train = make_train(config, hand_made_frames.manipulation(privileged=True))
+    train = make_train(
+        hand_made_frames.privileged_config(relabelling="her"), hand_made_frames.manipulation(privileged=True)
+    )
     result = jax.jit(train)(jax.random.key(0))
     assert all(np.isfinite(value).all() for value in jax.device_get(result.epochs).values())
     assert "test_goal/success_rate" in result.metrics

@@ -1,8 +1,6 @@
 """GCB's distances between pairs of state and goal are those of its paper, with the numbers of the authors' code
 (fixtures/README.md)."""
 
-import dataclasses
-
 import hand_made
 import hand_made_frames
 import jax
@@ -230,9 +228,9 @@ def test_a_grounded_run_takes_the_features_of_goals_from_the_agent():
     train = make_train(config, hand_made_frames.manipulation())
     result = jax.jit(train)(jax.random.key(0))
     assert all(np.isfinite(value).all() for value in result.epochs.values())
-    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
+    privileged = hand_made_frames.privileged_config("gcb", learner=gcb.GCBConfig(grounded=True))
     with pytest.raises(UserError, match="learner.grounded = True: a goal of object_manipulation is not shown as"):
-        make_train(config)
+        make_train(privileged)
 
 
 def test_without_a_decoder_nothing_of_it_is_left():

@@ -118,9 +118,7 @@ def test_the_file_says_what_it_is_for(shelf, exported):
 
 def test_the_file_has_a_row_for_each_goal_where_several_images_show_one(tmp_path):
     """A privileged agent's goals are poses, of which an image each is held."""
-    config = hand_made_frames.manipulation_config("her", **SHORT)
-    config = dataclasses.replace(config, env=dataclasses.replace(config.env, privileged=True))
-    case = case_of(config, hand_made_frames.manipulation(privileged=True))
+    case = case_of(hand_made_frames.privileged_config("her", **SHORT), hand_made_frames.manipulation(privileged=True))
     policy = export.export_params(*case, tmp_path / "policy.npz", {"seed": 0})
     goals = case.train.env.goals
     assert len(policy.about["goal_names"]) == goals.num_goals < len(goals.inputs)
