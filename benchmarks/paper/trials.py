@@ -87,6 +87,7 @@ COMPARISONS = {
     + [
         (("shelf_infogoal_gathered", f"threshold {value}"), ("shelf_cql_gathered", "preset")) for value in (0.96, 0.999)
     ],
+    "house_comparisons": first_occurrence("house"),
 }
 """Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
 

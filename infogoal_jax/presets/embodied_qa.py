@@ -1,6 +1,6 @@
 """Embodied question answering: a drone learns from recorded flights; goals are texts."""
 
-from infogoal_jax.presets.preset import GHRL, INFOBOT, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 0, "num_pairs": 128}
 """Which goals count as similar [M]: those that are seen at the same moment."""
@@ -13,7 +13,7 @@ PRESET = Preset(
     description="Offline: a drone learns from recorded flights to find what a question asks about.",
     agent="cql",  # [P]
     relabelling="her",  # [P]
-    relabellings={"her": SHARES, "cher": SHARES, "ghrl": GHRL | {"share": 0.6, "random_share": 0.2}},
+    relabellings={"her": SHARES, "cher": SHARES, "ghrl": {"share": 0.6, "random_share": 0.2}},
     state_encoder={"features": 128},
     training={
         "updates_per_epoch": 500,

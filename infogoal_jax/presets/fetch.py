@@ -1,7 +1,7 @@
 """The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats on validation goals of goal set
 0, by searches [T] (docs/tuning.md) and by trials [M] (docs/trials.md)."""
 
-from infogoal_jax.presets.preset import GHRL, INFOBOT, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 TRAINING = {
     "num_envs": 256,
@@ -34,7 +34,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         env={"goals": "images"},
         learner={"standardise_images": True},  # For corrupted goals (docs/fetch.md).
         # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
-        relabellings={"ghrl": GHRL | {"share": 0.8}, "all_goals": {"num_goals": 32}},
+        relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
         state_encoder={"features": 128},
         training=training,
         hyper=HYPER,

@@ -2,7 +2,7 @@
 
 import math
 
-from infogoal_jax.presets.preset import GHRL, INFOBOT, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 SIMILAR = {"window": 3, "num_pairs": 256}
 """Which goals count as similar [M]: those at most 3 steps apart, so 45 degrees; a test goal may lie 90 degrees from the
@@ -21,10 +21,7 @@ PRESET = Preset(
         "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6, "layer_norm": True},
         "dqn": {"layer_norm": True},
     },
-    relabellings={
-        "ghrl": GHRL,
-        "all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1},  # [M]
-    },
+    relabellings={"all_goals": {"num_goals": 512, "achieved_share": 0.9, "desired_share": 0.1}},  # [M]
     state_encoder={"features": 256},
     training={
         "num_envs": 128,

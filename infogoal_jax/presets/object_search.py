@@ -1,11 +1,10 @@
 """Object search, tuned on houses of other seeds than those that results are shown on."""
 
-from infogoal_jax.presets.preset import GHRL, INFOBOT, MEAN, Changes, Preset
+from infogoal_jax.presets.preset import INFOBOT, MEAN, Changes, Preset
 
 PRESET = Preset(
     description="A robot searches a house, image by image, until the object named by the goal is in view.",
     agent="dqn",  # [P]
-    relabellings={"ghrl": GHRL},
     # Without the intrinsic reward, success on training goals takes longer to level off [M].
     training={"num_epochs": 160},
     hyper={"learning_rate": 1e-3, "target_rate": 0.05, "discount": 0.98, "intrinsic_weight": 0.0},  # [M]

@@ -53,7 +53,5 @@ class Preset:
 
 INFOBOT = {"intrinsic_weight": 1.0, "learner.beta": 3e-5}
 """InfoBot's floats: the authors' beta of 0.01 stands beside rewards of 10, squared [M]."""
-GHRL = {"choice": "first_occurrence"}
-"""As InfoGoal's authors have it [A]; it serves test goals better than the original's choice [M], docs/trials.md."""
 MEAN = {"code": "mean"}
 """On object search the all-goals head learns less under the noise of InfoGoal's codes [M], docs/all_goals.md."""

@@ -1,8 +1,9 @@
 """GHRL, generalized hindsight (Li, Pinto, Abbeel 2020), by approximate inverse reinforcement learning.
 
-An episode gets the goal that it demonstrates best: not the goal that it reached first, but the goal that it reached
-sooner than most other episodes. The agent learns from the original goal and from this one. InfoGoal's authors compare
-with something simpler under this name, `choice = "first_occurrence"`.
+In the original, `choice = "best"`, an episode gets the goal that it demonstrates best: not the goal that it reached
+first, but the goal that it reached sooner than most other episodes. The agent learns from its own goal and from this
+one. InfoGoal's authors compare with something simpler under this name, which reaches more validation goals here
+(docs/trials.md): any goal of the episode, at its first occurrence.
 """
 
 import dataclasses
@@ -26,17 +27,17 @@ class GHRLConfig:
     """Shares of the transitions that get another goal, and which goals are accepted."""
 
     share: float = 0.5
-    """Share that gets the best goal of its episode. With 0.5, original and relabelled ones count equally, as in the
-    authors' code."""
+    """Share that gets a goal of its episode, if that comes later. With 0.5, original and relabelled ones count equally,
+    as in the code of GHRL's authors."""
     random_share: float = 0.0
     """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere
     else."""
-    choice: Literal["best", "first_occurrence"] = "best"
-    """`best`: the goal that the episode demonstrates best; `first_occurrence`: any goal that it achieved, each equally
-    likely, at its first occurrence [A]."""
+    choice: Literal["first_occurrence", "best"] = "first_occurrence"
+    """`first_occurrence`: any goal that the episode achieved, each equally likely, at its first occurrence [A]; `best`:
+    the goal that it demonstrates best, as in the original."""
     filter: Literal["none", "advantage"] = "none"
     """`advantage` accepts a goal only if the episode's return for it is no less than the policy's value at its
-    start."""
+    start; with choice `best` alone."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -54,7 +55,7 @@ class GHRLConfig:
             self.choice == "best" or self.filter == "none",
             "relabelling.filter",
             self.filter,
-            "goes with relabelling.choice = best alone: give none",
+            "goes with relabelling.choice = best alone: give that too, or relabelling.filter = none",
         )
 
 

@@ -169,12 +169,12 @@ def test_share_of_the_transitions_before_the_hit():
     """Half of them by default; what comes after the goal was reached, and an episode that reached nothing, keep their
     goals."""
     rows = achieved_at({4: A, 8: A}, {})
-    np.testing.assert_allclose((relabelled(ghrl.GHRLConfig(), rows, 0, 3) == A).mean(), 0.5, atol=0.06)
+    np.testing.assert_allclose((relabelled(ghrl.GHRLConfig(choice="best"), rows, 0, 3) == A).mean(), 0.5, atol=0.06)
     assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 0, 3) == A).all()
     assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 0, 4) == 0).all()
     assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 1, 0) == 0).all()
     known = jnp.zeros(GOALS, bool).at[8].set(True)
-    goals = relabelled(ghrl.GHRLConfig(share=0.5, random_share=0.2), rows, 0, 3, known=known)
+    goals = relabelled(ghrl.GHRLConfig(share=0.5, random_share=0.2, choice="best"), rows, 0, 3, known=known)
     np.testing.assert_allclose([(goals == goal).mean() for goal in (A, 8, 0)], [0.5, 0.2, 0.3], atol=0.06)
 
 
@@ -210,7 +210,7 @@ def test_filter_accepts_what_is_no_worse_than_the_policy(value, passes):
     def of_start(observation, goal):
         return jnp.where((observation == 0) & (goal == A), value, 7.0 * (-1.0 if passes is False else 1.0))
 
-    goals = relabelled(ghrl.GHRLConfig(share=1.0, filter="advantage"), rows, 0, 2, value=of_start)
+    goals = relabelled(ghrl.GHRLConfig(share=1.0, choice="best", filter="advantage"), rows, 0, 2, value=of_start)
     assert (goals == (A if passes else 0)).all()
 
 

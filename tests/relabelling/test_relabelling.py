@@ -28,6 +28,7 @@ ALWAYS = [
     ("her", HERConfig(future_share=1.0, strategy="prefix")),
     ("cher", CHERConfig(future_share=1.0)),
     ("ghrl", GHRLConfig(share=1.0)),
+    ("ghrl", GHRLConfig(share=1.0, choice="best")),
 ]
 
 
@@ -211,7 +212,12 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "changes"),
-    [("cher", {}), ("ghrl", {"relabelling": GHRLConfig(filter="advantage")}), ("infogoal", {"relabelling": "her"})],
+    [
+        ("cher", {}),
+        ("ghrl", {}),
+        ("ghrl", {"relabelling": GHRLConfig(choice="best", filter="advantage")}),
+        ("infogoal", {"relabelling": "her"}),
+    ],
 )
 def test_training_goes_through(method, changes):
     """One epoch under each relabelling, from names of the presets: everything stays finite, and relabelled goals are
