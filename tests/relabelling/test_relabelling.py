@@ -75,7 +75,7 @@ def test_shares(rows):
 
 
 @pytest.mark.parametrize(("name", "config"), ALWAYS)
-@pytest.mark.parametrize("several", [1, 3])
+@pytest.mark.parametrize("several", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
     """A relabelled transition ends, with reward 1, where its goal is first achieved; otherwise with its episode or
     after n steps."""

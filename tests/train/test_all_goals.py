@@ -178,7 +178,7 @@ def test_an_environment_with_goals_by_number_can_be_given_again():
         load_environment(presets.load("object_search", "leo"), env)
 
 
-@pytest.mark.parametrize("norm", [False, True])
+@pytest.mark.parametrize("norm", [pytest.param(False, marks=pytest.mark.long), True])
 @pytest.mark.parametrize("kind", ["product", "concatenated"])
 def test_settings_of_the_head_reach_its_network(kind, norm):
     """Of DQN and of HRAC: normalised layers have parameters, and bounded values begin in the middle, which HRAC has for

@@ -219,6 +219,7 @@ def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
         memory.at_once(train, 100_000, distributed.seed_mesh(1))
 
 
+@pytest.mark.long
 def test_figures_take_a_handful_of_programs(tmp_path):
     """What is not jitted is compiled operation by operation: hundreds of programs, and each takes its time on a GPU."""
     env = hand_made.environment_from_above()
