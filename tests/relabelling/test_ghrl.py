@@ -170,9 +170,9 @@ def test_share_of_the_transitions_before_the_hit():
     goals."""
     rows = achieved_at({4: A, 8: A}, {})
     np.testing.assert_allclose((relabelled(ghrl.GHRLConfig(choice="best"), rows, 0, 3) == A).mean(), 0.5, atol=0.06)
-    assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 0, 3) == A).all()
-    assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 0, 4) == 0).all()
-    assert (relabelled(ghrl.GHRLConfig(share=1.0), rows, 1, 0) == 0).all()
+    assert (relabelled(ghrl.GHRLConfig(share=1.0, choice="best"), rows, 0, 3) == A).all()
+    assert (relabelled(ghrl.GHRLConfig(share=1.0, choice="best"), rows, 0, 4) == 0).all()
+    assert (relabelled(ghrl.GHRLConfig(share=1.0, choice="best"), rows, 1, 0) == 0).all()
     known = jnp.zeros(GOALS, bool).at[8].set(True)
     goals = relabelled(ghrl.GHRLConfig(share=0.5, random_share=0.2, choice="best"), rows, 0, 3, known=known)
     np.testing.assert_allclose([(goals == goal).mean() for goal in (A, 8, 0)], [0.5, 0.2, 0.3], atol=0.06)
