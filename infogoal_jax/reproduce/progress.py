@@ -161,8 +161,8 @@ ORDER = ("running", "failed", "left", "done")
 
 
 def costs(results: Results) -> Table | None:
-    """Programs, and the time of compiling and of running, by task."""
-    body, machines, totals = [], {}, np.zeros(4)
+    """Programs, updates, and the time of compiling and of running, by task."""
+    body, machines, totals = [], {}, np.zeros(5)
     for task in TASKS:
         own = [result for run, result in results.items() if run.task == task]
         programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
@@ -174,14 +174,16 @@ def costs(results: Results) -> Table | None:
             for name in ("compile", "run")
         )
         measuring = math.fsum(result.about["measure_seconds"] for result in own)
-        numbers = np.array([len(own), len(programs), compiling + measuring, running])
+        updates = sum(result.evaluations["train_goal/success_rate"].size * result.about["updates"] for result in own)
+        numbers = np.array([len(own), len(programs), updates / 1e6, compiling + measuring, running])
         totals += numbers
         body.append([TITLES[task], *cost_cells(numbers, own)])
         machines |= dict.fromkeys(result.about["machine"] for result in own)
     if not body:
         return None
     body.append(["all", *cost_cells(totals, list(results.values()))])
-    head = ["task", "runs", "programs", "compiling and measuring (s)", "training (s)", "process-minutes"]
+    head = ["task", "runs", "programs", "updates (million)"]
+    head += ["compiling and measuring (s)", "training (s)", "process-minutes"]
     foot = (
         "Seconds and process-minutes are sums over processes. Several share a GPU and its host, each with a clock of "
         "its own, so that the sums are more than the time of the GPU."
@@ -189,8 +191,8 @@ def costs(results: Results) -> Table | None:
     if any("spans" in result.about["program"] for result in results.values()):
         head.append("wall clock (min)")
         foot += (
-            " Wall clock: the time in which at least one process was at work, of the runs that recorded it; empty "
-            "where none did."
+            " Wall clock: the time in which at least one process was at work, on one GPU or on several side by side, "
+            "of the runs that recorded it; empty where none did."
         )
     else:
         body = [row[:-1] for row in body]
@@ -202,7 +204,7 @@ def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
     timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
     clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
     clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
-    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[2:].sum() / 60:,.0f}", clock]
+    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[3:].sum() / 60:,.0f}", clock]
 
 
 def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:

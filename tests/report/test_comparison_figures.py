@@ -11,9 +11,9 @@ import pytest
 from matplotlib.image import imread
 from scipy import stats
 
-from infogoal_jax import envs, presets
+from infogoal_jax import UserError, envs, presets
 from infogoal_jax.cli.main import main
-from infogoal_jax.errors import UserError
+from infogoal_jax.envs.object_search import ObjectSearchConfig
 from infogoal_jax.report.comparison_figures import (
     check_metric,
     check_same_task,
@@ -259,9 +259,9 @@ def test_a_shipped_policy_is_called_by_its_name_and_not_by_its_place_in_the_cach
     assert titles_of([load_run(names[0]), load_run(names[0])])[0].endswith(" (shipped/fetch_reach)")
 
 
-def test_command_draws(tmp_path, capsys):
-    """Runs in the default house, whose environment is loaded by their configuration."""
-    config = presets.load("object_search")
+def test_command_draws(tiny_house, tmp_path, capsys):
+    """A run in a house on disk, which is loaded by its configuration."""
+    config = presets.load("object_search", env=ObjectSearchConfig(dataset=str(tiny_house)))
     folder = write_run(tmp_path / "run", envs.load("object_search", config.env), config, seeds=(0,))
     assert main(["compare", str(folder), "--out", str(tmp_path / "a.png")]) == 0
     assert str(tmp_path / "a.png") in capsys.readouterr().out and (tmp_path / "a.png").stat().st_size > 10_000

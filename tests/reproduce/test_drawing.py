@@ -12,7 +12,7 @@ from places import ROOT
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import all_goals, claims, drawing, numbers, table_formats, tables
+from infogoal_jax.reproduce import all_goals, claims, drawing, numbers, progress, table_formats, tables
 from infogoal_jax.reproduce.figures import FIGURES
 from infogoal_jax.reproduce.manifest import METHODS, STUDIES, Choice, runs_of
 
@@ -247,6 +247,15 @@ def test_the_paper_s_tables_have_no_number_of_the_study(results, study):
     both = {run: result for run, result in results.items() if run.method in ("her", "none")}
     beside = {run: result for run, result in study.items() if not run.of_paper}
     assert len(beside) == 72 and written(both | beside) == written(both) != {}
+
+
+def test_updates_are_counted_over_seeds_and_evaluations(results):
+    """In millions, of all seeds together."""
+    run, found = next((run, result) for run, result in results.items() if run.task == "object_search")
+    seeds, evaluations = found.evaluations["train_goal/success_rate"].shape
+    about = found.about | {"updates": 7_000_000}
+    table = progress.costs({run: dataclasses.replace(found, about=about)})
+    assert table.head[3] == "updates (million)" and table.rows[0][3] == f"{7 * seeds * evaluations}"
 
 
 @pytest.mark.long

@@ -132,7 +132,7 @@ def test_of_what_has_a_form_for_each_device_one_is_counted():
     [
         ("object_search", 3_300),
         pytest.param("fetch_reach", 10_000, marks=pytest.mark.long),
-        ("fetch_pick_and_place", 12_500),
+        pytest.param("fetch_pick_and_place", 12_500, marks=pytest.mark.long),
     ],
 )
 def test_training_programs_stay_small(task, most):

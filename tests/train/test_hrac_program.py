@@ -54,6 +54,7 @@ def plain(tree):
     )
 
 
+@pytest.mark.long
 def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
     for name, values in {**sweep.metrics, **sweep.epochs}.items():
         assert np.isfinite(values).all(), name
@@ -65,6 +66,7 @@ def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
     assert sweep.metrics["first_reached"].shape == (2, 2, 8, 2)
 
 
+@pytest.mark.long
 def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_may_be(program, sweep):
     train, _ = program
     assert set(sweep.params) == {"goal", "state", "agent"} and set(sweep.params["agent"]) == {
@@ -83,6 +85,7 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
     np.testing.assert_array_equal(desired, goals.training_goals)
 
 
+@pytest.mark.long
 def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_run_without_compiling(program, sweep):
     """The compiled programs take any; a seed with a learning rate of its own is in test_training.py."""
     train, run = program
