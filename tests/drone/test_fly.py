@@ -59,6 +59,7 @@ def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
     assert len(data.frame) == len(steps) and data.objects == ("alarm clock",) and data.detected[-1, 0]
 
 
+@pytest.mark.long
 def test_ctrl_c_lands(drone, tmp_path):
     """While it flies, from a terminal."""
     policy = faults.write_policy(tmp_path / "policy.npz")

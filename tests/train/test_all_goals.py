@@ -190,9 +190,9 @@ def test_settings_of_the_head_reach_its_network(kind, norm):
         agent = dataclasses.replace(config.agent, **{field: kind}, bounded=True, layer_norm=norm)
         parts = make_train(dataclasses.replace(config, agent=agent), env).parts
         features, code = jnp.ones((1, config.state_encoder.features)), jnp.ones((1, config.learner.latent_size))
-        params, _ = parts.agent.init(jax.random.key(0), features[0], code[0])
+        params, _ = jax.jit(parts.agent.init)(jax.random.key(0), features[0], code[0])
         assert ("LayerNorm_0" in str(jax.tree.structure(params))) == norm
-        value = parts.agent.value(params, features, code, jnp.ones((1, 6), bool))
+        value = jax.jit(parts.agent.value)(params, features, code, jnp.ones((1, 6), bool))
         assert (field, kind) == ("critic", "concatenated") or 0.1 < value.min() <= value.max() < 0.9
 
 

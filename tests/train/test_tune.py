@@ -59,6 +59,7 @@ def test_each_lane_is_the_run_of_its_values_alone(result, env):
     assert len(np.unique(alone[..., 0])) == 4
 
 
+@pytest.mark.long
 def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
     found, _ = result
     assert found.config_of(found.trials[0]) == found.config
@@ -69,6 +70,7 @@ def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
     assert values != found.trials[0].values
 
 
+@pytest.mark.long
 def test_what_is_left_on_disk_says_nothing_of_test_goals(result, env):
     found, left = result
     assert found.group == "validation" and [len(files) for files in left] == [3, 3]
