@@ -185,8 +185,8 @@ def costs(results: Results) -> Table | None:
     head = ["task", "runs", "programs", "updates (million)"]
     head += ["compiling and measuring (s)", "training (s)", "process-minutes"]
     foot = (
-        "Seconds and process-minutes are sums over processes. Several share a GPU and its host, each with a clock of "
-        "its own, so that the sums are more than the time of the GPU."
+        "Updates are counted over all seeds. Seconds and process-minutes are sums over processes. Several share a GPU "
+        "and its host, each with a clock of its own, so that the sums are more than the time of the GPU."
     )
     if any("spans" in result.about["program"] for result in results.values()):
         head.append("wall clock (min)")
@@ -200,11 +200,12 @@ def costs(results: Results) -> Table | None:
 
 
 def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
-    """The cells of a line of the costs: of these numbers, and of the wall clock of the runs."""
+    """The cells of a line of the costs: of these numbers, of which the last two are seconds, and of the wall clock of
+    the runs."""
     timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
     clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
     clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
-    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[3:].sum() / 60:,.0f}", clock]
+    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[-2:].sum() / 60:,.0f}", clock]
 
 
 def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:

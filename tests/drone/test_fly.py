@@ -59,13 +59,6 @@ def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
     assert len(data.frame) == len(steps) and data.objects == ("alarm clock",) and data.detected[-1, 0]
 
 
-@pytest.mark.long
-def test_ctrl_c_lands(drone, tmp_path):
-    """While it flies, from a terminal."""
-    policy = faults.write_policy(tmp_path / "policy.npz")
-    assert faults.broken(faults.fly_with(NAMES["Ctrl-C"], tmp_path, policy, drone, 0)) == []
-
-
 def infogoal(*words) -> int:
     """The exit status of a command."""
     return subprocess.run([sys.executable, "-m", "infogoal_jax", *map(str, words)], check=False).returncode

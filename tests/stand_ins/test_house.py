@@ -238,7 +238,6 @@ def steps_to(next_state, targets):
     return distance
 
 
-@pytest.mark.long
 def test_the_default_house_is_the_one_that_results_were_made_in():
     """Its content is in every table of docs/results."""
     name = "synthetic house, seed 0 (a stand-in for the Active Vision Dataset), 1 scene, 1872 images"

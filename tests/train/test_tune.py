@@ -14,7 +14,7 @@ from made_up_results import environment, made, save, small
 from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_jax.hyperparameters import check, search_space, with_values
+from infogoal_jax.hyperparameters import check, search_space, values_of, with_values
 from infogoal_jax.report import tuning
 from infogoal_jax.runs.search import write_plan
 from infogoal_jax.train import host
@@ -64,8 +64,7 @@ def test_trial_0_is_the_preset_and_others_are_of_the_space(result):
     found, _ = result
     assert found.config_of(found.trials[0]) == found.config
     assert found.fields == ("learning_rate", "discount", "target_rate")  # The bare agent has no other weight.
-    values = found.trials[1].values
-    space = search_space(found.config.hyper)
+    values, space = found.trials[1].values, search_space(found.config.hyper)
     assert all(space[field].low <= values[field] <= space[field].high for field in found.fields)
     assert values != found.trials[0].values
 
@@ -116,6 +115,12 @@ def test_draws_fill_the_range_evenly_on_its_scale(field):
     assert low <= values.min() and values.max() <= high
     assert 0.4 < (values < middle).mean() < 0.6
     assert 0.15 < (values < space.at(0.25)).mean() < 0.35
+
+
+def test_the_first_draw_is_the_preset():
+    hyper = presets.load("fetch_reach", "infogoal").hyper
+    first, other = search.draw(jax.random.key(0), hyper, ["discount"], 2)
+    assert first == {"discount": values_of(hyper)["discount"]} != other
 
 
 def test_methods_try_the_same_values_of_the_fields_that_they_share():
@@ -282,6 +287,7 @@ def test_the_score_shown_is_that_of_the_trial_that_is_best_now(tmp_path, capsys)
             watch.evaluated(made(small(), successes))
     printed = capsys.readouterr().out
     assert "best now 0.50 (trial 1), preset 0.25" in printed and "best now 0.35 (trial 0), preset 0.35" in printed
+    assert not any("test" in (tmp_path / name).read_text() for name in ("trials.jsonl", "best.json"))
 
 
 @pytest.mark.parametrize(("weight", "floored"), [(0.012, True), (0.0015, True), (0.1, False)])
