@@ -161,13 +161,14 @@ def inputs_of(kind: str):
     keys = jax.random.split(jax.random.key(0), 4)
     features = jax.random.normal(keys[0], (B, F))
     codes = jnp.arange(G, dtype=jnp.float32)[:, None] if kind == "index" else jax.random.normal(keys[1], (G, D))
-    return head, head.init(keys[2], features[0], codes[0]), features, codes
+    return head, jax.jit(head.init)(keys[2], features[0], codes[0]), features, codes
 
 
 @pytest.mark.parametrize("kind", [pytest.param("concatenated", marks=pytest.mark.long), "product", "index"])
 def test_all_goals_at_once_have_the_values_of_each_alone(kind):
     head, params, features, codes = inputs_of(kind)
-    alone = jnp.stack([head.values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
+    values = jax.jit(head.values)
+    alone = jnp.stack([values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
     np.testing.assert_allclose(head.values_of_all(params, features, codes), alone, atol=1e-6)
     some = jnp.array([4, 1, 1])
     np.testing.assert_allclose(head.values_of_all(params, features, codes[some]), alone[..., some], atol=1e-6)
