@@ -17,7 +17,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.reproduce import measure
 from infogoal_jax.reproduce.manifest import PRESET, Lane, Run
-from infogoal_jax.reproduce.plan import build_data, config_of, with_one_shape
+from infogoal_jax.reproduce.plan import ONE_SET_AT_A_TIME, build_data, config_of, with_one_shape
 from infogoal_jax.train import host, memory
 from infogoal_jax.train.compilation import chunk_of, jit
 from infogoal_jax.train.parts import load_environment
@@ -109,7 +109,7 @@ def shape_of(env: Any) -> tuple:
 
 def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> list[Batch]:
     """The runs of one program as batches: goal sets whose arrays have the same shapes and which need the same lanes go
-    together, as many lanes at once as fit into the device's memory."""
+    together, but for `ONE_SET_AT_A_TIME`, as many lanes at once as fit into the device's memory."""
     sets = sorted({run.goal_set for run in runs})
     lanes = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
     configs, envs = {}, {}
@@ -122,9 +122,10 @@ def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> li
     together: dict[Any, list[int]] = {}
     for number in sets:
         needed = tuple((run.lane, run.seeds) for run in lanes[number])
-        together.setdefault((needed, shape_of(envs[number])), []).append(number)
+        apart = number if lanes[number][0].task in ONE_SET_AT_A_TIME else None
+        together.setdefault((needed, shape_of(envs[number]), apart), []).append(number)
     found = []
-    for (needed, _), numbers in together.items():
+    for (needed, *_), numbers in together.items():
         config = configs[numbers[0]]
         most = min(most_lanes, fitting(config, envs[numbers[0]], sum(len(seeds) for _, seeds in needed) * len(numbers)))
         for part in parts_of(needed, max(1, most // len(numbers))):

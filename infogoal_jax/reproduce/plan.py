@@ -39,6 +39,9 @@ TOY = {"num_envs": 8, "rollout_steps": 12, "updates_per_epoch": 2, "batch_size":
 """A size at which nothing is learned."""
 TOY_STEPS = 6
 """Of an episode of an arm: two subgoals of HRAC."""
+ONE_SET_AT_A_TIME = ("fetch_push",)
+"""Tasks whose goal sets are trained one after another. On GPUs XLA does not compile InfoGoal, InfoBot, COGOAL and GCB
+on several of Push's side by side (`dims not physically sequential`, jax 0.11.2)."""
 EVALUATIONS = 10
 """Within the budget of a task."""
 FIRST, MOST = 6, 30

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from killed_reproduction import config_of, reproduce, runs
 
+from infogoal_jax.data import goal_images
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.reproduce import files, lanes, measure, plan, progress, work
 from infogoal_jax.reproduce.finishing import Extras
@@ -85,6 +86,17 @@ def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path)
         run = both[0] if lane.name == PRESET[0] else both[1]
         assert found == values_of(plan.config_of(run).hyper), lane.name
     assert len(floats) == len(order) * len(SEEDS)
+
+
+@pytest.mark.parametrize(("task", "sizes"), [("fetch_reach", [2]), ("fetch_push", [1, 1])])
+def test_goal_sets_are_trained_side_by_side_but_for_push(task, sizes, tmp_path):
+    """A GPU's compiler fails on some programs of several goal sets of Push."""
+    (tmp_path / "1").mkdir()
+    shutil.copy(goal_images.shipped(task), tmp_path / "1" / f"{task}.npz")
+    both = [Run(task, "none", None, None, goal_set, Lane(*PRESET), SEEDS) for goal_set in (0, 1)]
+    batches = lanes.batches_of(both, tmp_path, 64)
+    assert [len(batch.envs) for batch in batches] == sizes
+    assert [run.goal_set for batch in batches for run in batch.runs.values()] == [0, 1]
 
 
 def trained(envs) -> lanes.Training:
