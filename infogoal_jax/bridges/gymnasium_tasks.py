@@ -26,11 +26,16 @@ METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
 
 
 def load(task: str | Environment, config: Any) -> Environment:
-    """The task of this name, or the environment itself. Raises `UserError` for one whose goals are no finite set, or
-    whose actions are vectors."""
+    """The task of this name, or the environment itself. Raises `UserError` for one whose goals do not form a finite
+    set, or whose actions are vectors."""
     env = envs.load(task, config) if isinstance(task, str) else task
     fits = env.goals is not None and env.discrete
-    require(fits, "task", task, "its goals are no finite set, or its actions no moves; give object_search, for example")
+    require(
+        fits,
+        "task",
+        task,
+        "its goals do not form a finite set, or its actions are vectors; give object_search, for example",
+    )
     return env
 
 

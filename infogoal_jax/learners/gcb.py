@@ -41,7 +41,7 @@ class GCBConfig(GoalEncoderConfig):
     reward_weight: float = 1.0
     """Weight c_r of the difference of rewards in the target distance; 1 or 10 in the authors' code."""
     reward_hidden: int = 512
-    """Width of the reward decoder [authors' code]; 0: no decoder."""
+    """Width of the reward decoder [A]; 0: no decoder."""
     relabelled_share: float = 0.3
     """Share of the transitions that the losses see with a goal achieved later. The authors add 4 such to every 10."""
     grounded: bool = False

@@ -101,7 +101,7 @@ class LearnerBatch(NamedTuple):
     """int32 [B], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
     gave them."""
     transitions: Steps
-    """The transitions of the agent's batch."""
+    """The transitions of the agent's batch, or the same steps under the goals that `SampleSpec.relabelling` gave."""
     features_of: Callable[[jax.Array], jax.Array] | None = None
     """Goals int32 [...] to the features [..., F] of the observations that they are, without gradient; None unless
     `Learner.needs_features_of_goals`."""

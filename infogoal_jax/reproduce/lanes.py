@@ -109,7 +109,8 @@ def shape_of(env: Any) -> tuple:
 
 def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> list[Batch]:
     """The runs of one program as batches: goal sets whose arrays have the same shapes and which need the same lanes go
-    together, but for `ONE_SET_AT_A_TIME`, as many lanes at once as fit into the device's memory."""
+    together, but for `ONE_SET_AT_A_TIME`. As many lanes at once as fit into the device's memory, `most_lanes` at most;
+    the seeds of a run are never cut."""
     sets = sorted({run.goal_set for run in runs})
     lanes = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
     configs, envs = {}, {}
@@ -122,13 +123,14 @@ def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> li
     together: dict[Any, list[int]] = {}
     for number in sets:
         needed = tuple((run.lane, run.seeds) for run in lanes[number])
-        apart = number if lanes[number][0].task in ONE_SET_AT_A_TIME else None
-        together.setdefault((needed, shape_of(envs[number]), apart), []).append(number)
+        together.setdefault((needed, shape_of(envs[number])), []).append(number)
     found = []
-    for (needed, *_), numbers in together.items():
-        config = configs[numbers[0]]
-        most = min(most_lanes, fitting(config, envs[numbers[0]], sum(len(seeds) for _, seeds in needed) * len(numbers)))
-        for part in parts_of(needed, max(1, most // len(numbers))):
+    for (needed, _), alike in together.items():
+        config, seeds = configs[alike[0]], [len(each) for _, each in needed]
+        most = min(most_lanes, fitting(config, envs[alike[0]], sum(seeds) * len(alike)))
+        at_once = 1 if config.task in ONE_SET_AT_A_TIME else max(1, most // max(seeds))
+        beside = [alike[first : first + at_once] for first in range(0, len(alike), at_once)]
+        for numbers, part in ((each, part) for each in beside for part in parts_of(needed, max(1, most // len(each)))):
             members = {
                 (place, run.lane): run
                 for place, number in enumerate(numbers)

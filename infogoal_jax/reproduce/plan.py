@@ -6,7 +6,8 @@ A run is trained until success on training goals has levelled off, by one rule f
 the largest that its preset gives to a row of Table I. A run is evaluated ten times within it. It has levelled off at
 the first evaluation, from the sixth on, by which the mean success on training goals over the last three evaluations is
 less than 0.02 above that over the three before them; the mean is over its seeds. Where it is below 0.1, the run is on
-the floor, from which some rise late: it is not taken to be level before its budget is spent. Its numbers are means over
+the floor, from which some rise late: it is not taken to be level before its budget is spent, nor while it is 0.02 above
+the mean over the first three evaluations. Its numbers are means over
 these last three evaluations. A run that has not levelled off by three times the budget is stopped there, and marked.
 Validation and test goals have no say in it.
 """
@@ -45,7 +46,7 @@ on several of Push's side by side (`dims not physically sequential`, jax 0.11.2)
 EVALUATIONS = 10
 """Within the budget of a task."""
 FIRST, MOST = 6, 30
-"""The evaluations at which training may stop first, and at which it does."""
+"""The earliest evaluation at which training may stop, and the last one."""
 WINDOW, RISE, FLOOR = 3, 0.02, 0.1
 """Evaluations whose mean is compared, and shown; what it may still rise; and below which it is on the floor."""
 

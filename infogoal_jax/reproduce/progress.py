@@ -93,7 +93,10 @@ def state_of(folder: Path, run: Run) -> State:
         return State("failed", files.why_failed(folder, run))
     if files.path_of(folder, run).exists():
         return State("done")
-    return State("left", "was stopped, goes on from its checkpoint" if noted.exists() else "")
+    if not noted.exists():
+        return State("left")
+    kept = checkpoints.has(folder, run)
+    return State("left", "was stopped, goes on from its checkpoint" if kept else "was stopped without a checkpoint")
 
 
 def sound_state_of(folder: Path, run: Run, config_of: Callable[[Run], TrainConfig]) -> State:

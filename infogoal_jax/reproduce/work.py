@@ -29,7 +29,8 @@ BEGINNING, MEASURING = 45.0, 60.0
 @dataclasses.dataclass
 class Work:
     """What a process does. folder: of the reproduction; deadline: seconds of `time.time()` at which it has to have
-    stopped; retry: whether runs that failed are run again; most_lanes: side by side in one program."""
+    stopped; retry: whether runs that failed, or could not be measured, are run again; goal_images: folder of further
+    goal sets of Fetch; most_lanes: side by side in one program; say: what prints a line."""
 
     folder: Path
     deadline: float = float("inf")
@@ -163,7 +164,8 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
             if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing:
                 if training.evaluations > kept_at:
                     checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
-                work.say(f"{name}: stopped after evaluation {training.evaluations}; a checkpoint is kept")
+                kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
+                work.say(f"{name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
                 outcome.stopped = True
                 break
             lanes.go_on(training)

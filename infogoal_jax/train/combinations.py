@@ -160,7 +160,7 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
         yield Refusal(
             "explorer",
             exploration.registry.name_of(config.explorer),
-            "its bonus is no reward for reaching one goal rather than another",
+            "its bonus does not reward reaching one goal rather than another",
             "give none, or relabelling her",
         )
 
@@ -172,7 +172,9 @@ def refusals_of_explorer(explorer: str, agent: Any, traits: Traits) -> Iterator[
     elif actions_of(agent) != "moves":
         yield Refusal("explorer", explorer, "actions are continuous", "its bonus is kept for each move; give none")
     if not traits.finite_observations:
-        yield Refusal("explorer", explorer, "observations are no finite set", "its bonus is kept for each; give none")
+        yield Refusal(
+            "explorer", explorer, "observations do not form a finite set", "its bonus is kept for each; give none"
+        )
 
 
 def reasons_against(config: TrainConfig, env: Any = None) -> list[Refusal]:

@@ -6,8 +6,8 @@
 
 Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
-The command line runs the same chunk between checkpoints. Nothing here calls back to Python, reads a file or keeps
-state.
+The command line runs the same chunk between checkpoints. Where no environment is given, `make_train` loads that of the
+configuration; the function that it returns reads no file, calls nothing in Python and keeps no state.
 """
 
 import dataclasses
@@ -64,6 +64,7 @@ class Train:
     evaluate: Callable[..., dict[str, jax.Array]]
     """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `evaluation.evaluate_settings`."""
     experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
+    """(state, key, hyper, env) -> what the updates of an epoch learn from, and the state with it."""
     parts: Parts
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:

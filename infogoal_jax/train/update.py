@@ -1,5 +1,4 @@
-"""One gradient update (Algorithm 1, lines 16 to 22): encode a sample, add the losses, step, then beta and the
-targets."""
+"""One gradient update (Algorithm 1, lines 21 and 22): encode a sample, add the losses, step, then the targets."""
 
 from collections.abc import Callable
 from typing import Any

@@ -107,7 +107,7 @@ def test_wrong_calls_are_explained(rooms):
     for count in (0, 2.0, True):
         with pytest.raises(UserError, match="num_envs = .*whole number from 1 on"):
             TaskVector(hand_made.environment(), count)
-    with pytest.raises(UserError, match="actions no moves"):
+    with pytest.raises(UserError, match="actions are vectors"):
         TaskGymnasium(hand_made_points.points())
     with pytest.raises(UserError, match="one shape"):
         rooms.compute_reward(np.zeros((2, 8)), np.zeros(8), {})

@@ -121,7 +121,7 @@ def test_a_bonus_goes_together_with_lists_of_observations_and_moves(explorer):
         and "continuous" in reasons["fetch_push"]
     )
     by_moves = presets.load("object_manipulation", "none", agent="dqn", explorer=explorer)
-    assert "no finite set" in reasons_against(by_moves)[0].reason
+    assert "do not form a finite set" in reasons_against(by_moves)[0].reason
 
 
 @pytest.mark.parametrize("name", list(presets.METHODS))

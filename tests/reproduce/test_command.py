@@ -135,6 +135,11 @@ def test_processes_are_spread_over_gpus(monkeypatch):
     assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in workers.environment(0, 2, 0)
 
 
+def test_gpus_go_with_processes(capsys, tmp_path):
+    assert main(["reproduce", "table1", "--gpus", "2", "--out", str(tmp_path)]) == 2
+    assert "gpus = 2" in (refusal := capsys.readouterr().err) and "--processes" in refusal
+
+
 def test_a_process_is_asked_for_the_same(capsys, tmp_path):
     """The arguments are those of the command line: the same runs are listed."""
     asked = Asked("fig15", ("fetch_push",), ("infogoal",), ("paper",), (0,), 3, tmp_path, quick=True, retry=True)
