@@ -77,19 +77,19 @@ class Asked:
 
 def reproduce(asked: Asked) -> int:
     """Train what is left, and draw. Returns the exit status."""
-    by_ray = asked.engine == "ray"
     require(asked.minutes >= 0, "minutes", asked.minutes, "give 0 for no limit, or more")
     require(asked.vmap_size > 0, "vmap_size", asked.vmap_size, "give at least 1")
     require(0 <= asked.processes <= 1000, "processes", asked.processes, "give 0 to 1000")
     require(asked.gpus >= 0, "gpus", asked.gpus, "give 0 or more")
-    spread = by_ray or asked.processes > 0 or not asked.gpus
-    require(spread, "gpus", asked.gpus, "goes with --processes, which says how many are spread over them")
     paper = "the paper's runs let goals enter that are achieved; leave it out, or reproduce all_goals"
     require(asked.name in BESIDE or not asked.known_goals, "known_goals", asked.known_goals, paper)
     verdicts = "is that of the verdicts on the paper; leave it out: OUT/all_goals.md has tables and figure"
     require(asked.name not in BESIDE or asked.page is None, "page", str(asked.page), verdicts)
+    by_ray = asked.engine == "ray"
     require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
     require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")
+    spread = "goes with --processes, which says how many are spread over them"
+    require(asked.processes or not asked.gpus, "gpus", asked.gpus, spread)
     deadline = time.time() + 60 * asked.minutes if asked.minutes else float("inf")
     if asked.numbers is not None:
         draw(asked, numbers.load(asked.numbers))

@@ -7,9 +7,8 @@ the largest that its preset gives to a row of Table I. A run is evaluated ten ti
 the first evaluation, from the sixth on, by which the mean success on training goals over the last three evaluations is
 less than 0.02 above that over the three before them; the mean is over its seeds. Where it is below 0.1, the run is on
 the floor, from which some rise late: it is not taken to be level before its budget is spent, nor while it is 0.02 above
-the mean over the first three evaluations. Its numbers are means over
-these last three evaluations. A run that has not levelled off by three times the budget is stopped there, and marked.
-Validation and test goals have no say in it.
+the mean over the first three evaluations. Its numbers are means over these last three evaluations. A run that has not
+levelled off by three times the budget is stopped there, and marked. Validation and test goals have no say in it.
 """
 
 import dataclasses

@@ -257,8 +257,9 @@ def test_updates_are_counted_over_runs_seeds_and_evaluations(results):
     }
     sizes = [result.evaluations["train_goal/success_rate"].size for result in found.values()]
     assert len(sizes) > 1
-    for row in progress.costs(found).rows:
-        cells = dict(zip(progress.costs(found).head, row, strict=True))
+    table = progress.costs(found)
+    for row in table.rows:
+        cells = dict(zip(table.head, row, strict=True))
         seconds = [float(cells[name].replace(",", "")) for name in ("compiling and measuring (s)", "training (s)")]
         assert cells["updates (million)"] == f"{7 * sum(sizes):,}"
         assert float(cells["process-minutes"].replace(",", "")) == pytest.approx(sum(seconds) / 60, abs=0.6)

@@ -11,6 +11,8 @@ from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.runs import tables
 from infogoal_jax.train import TrainResult, host
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def program():
@@ -54,7 +56,6 @@ def plain(tree):
     )
 
 
-@pytest.mark.long
 def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
     for name, values in {**sweep.metrics, **sweep.epochs}.items():
         assert np.isfinite(values).all(), name
@@ -66,7 +67,6 @@ def test_every_metric_is_finite_and_every_kind_of_evaluation_is_there(sweep):
     assert sweep.metrics["first_reached"].shape == (2, 2, 8, 2)
 
 
-@pytest.mark.long
 def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_may_be(program, sweep):
     train, _ = program
     assert set(sweep.params) == {"goal", "state", "agent"} and set(sweep.params["agent"]) == {
@@ -85,7 +85,6 @@ def test_training_leaves_the_low_level_and_the_dissimilarity_of_goals_as_they_ma
     np.testing.assert_array_equal(desired, goals.training_goals)
 
 
-@pytest.mark.long
 def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_run_without_compiling(program, sweep):
     """The compiled programs take any; a seed with a learning rate of its own is in test_training.py."""
     train, run = program
@@ -95,7 +94,6 @@ def test_the_same_key_gives_the_same_bits_and_hyperparameters_change_a_run_witho
     assert len({row.tobytes() for row in np.asarray(sweep.epochs["agent/loss"])}) == 2
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("method", ["infogoal", "none"])
 def test_first_updates_of_vmapped_seeds_equal_single_runs(method):
     short = hand_made_points.config(method, num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=5)
@@ -136,7 +134,6 @@ def trained():
     return train
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("weight", [0.0, 0.4])
 def test_the_whole_program_learns_its_training_goals(trained, weight):
     result = trained(weight)
@@ -147,7 +144,6 @@ def test_the_whole_program_learns_its_training_goals(trained, weight):
     assert (error[:, -1] < 0.6 * error[:, 0]).all()
 
 
-@pytest.mark.long
 def test_training_looks_at_training_backgrounds_alone_and_only_when_it_corrupts(trained):
     def other_test(env):
         return env.replace(test_backgrounds=255 - env.test_backgrounds)
@@ -166,7 +162,6 @@ def test_training_looks_at_training_backgrounds_alone_and_only_when_it_corrupts(
     assert not np.array_equal(trained(0.0).epochs["agent/loss"], trained(0.4).epochs["agent/loss"])
 
 
-@pytest.mark.long
 def test_fetch_reach_trains_with_its_own_physics(reach_run):
     """The preset, made small: two seeds of the real task, with its low level and images."""
     config = reach_run.train.config
@@ -183,7 +178,6 @@ def test_fetch_reach_trains_with_its_own_physics(reach_run):
     assert one != other  # Two seeds.
 
 
-@pytest.mark.long
 def test_fetch_push_trains_with_its_own_physics():
     """Grip and object: a subgoal of six numbers, two adjacency networks."""
     config = presets.load(
