@@ -24,6 +24,8 @@ BYTES_A_SECOND = 2e8
 """At which a checkpoint is written, roughly, so that the clock can be kept."""
 BEGINNING, MEASURING = 45.0, 60.0
 """Seconds that have to be left for a new program to be compiled, and for a run to be measured."""
+KEEPING = 600.0
+"""Seconds after which a checkpoint is written, for a process that is killed outright; more where writing takes long."""
 
 
 @dataclasses.dataclass
@@ -145,13 +147,13 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     name = f"{batch.config.task} {next(iter(batch.runs.values())).label}"
     if checkpoints.resume(work.folder, training):
         work.say(f"{name}: goes on after evaluation {training.evaluations}")
-    kept_at = training.evaluations
+    kept_at, kept_when = training.evaluations, time.time()
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while True:
             now = [run for run in finishing.ended(training) if run not in ended]
             if now and end(now, training, work, stop, outcome):
-                kept_at = training.evaluations
+                kept_at, kept_when = training.evaluations, time.time()
             ended.update(now)
             if ended.issuperset(batch.runs.values()) or outcome.stopped:
                 break
@@ -169,6 +171,9 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
                 outcome.stopped = True
                 break
             lanes.go_on(training)
+            if time.time() - kept_when > max(KEEPING, 20 * writing):
+                checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
+                kept_at, kept_when = training.evaluations, time.time()
             say_how_far(name, training, work)
             for run in set(batch.runs.values()) - ended:
                 progress.note(work.folder, run, training.evaluations, training.last_seconds)
