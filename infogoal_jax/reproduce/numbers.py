@@ -166,11 +166,12 @@ def save(results: Results, folder: Path) -> list[Path]:
 
 
 def is_superseded(before: Result, after: Result) -> bool:
-    """Whether a run takes the place of one that was made before it with the settings of today: not if that one still
-    rose, and was trained for longer."""
+    """Whether a run takes the place of one that was made before it with the settings of today: not if it ended on the
+    floor, and that one still rose and was trained for longer. What looks level on the floor may rise late."""
     earlier, later = (result.evaluations["train_goal/success_rate"] for result in (before, after))
     longer = plan.still_rises(earlier) and earlier.shape[1] > later.shape[1]
-    return not longer or before.has_former_settings
+    on_floor = later[:, plan.shown(later)].mean() < plan.FLOOR
+    return not (longer and on_floor) or before.has_former_settings
 
 
 def merged(before: Results, folders: list[Path]) -> Results:

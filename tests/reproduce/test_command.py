@@ -90,15 +90,22 @@ def test_known_runs_of_a_lower_ceiling_are_made_again(tmp_path):
     assert run in asked(tmp_path, known=tmp_path / "known").runs()
 
 
-@pytest.mark.parametrize(("success", "kept"), [(np.linspace(0, 1, 26), True), (np.ones(26), False)])
-def test_a_run_that_still_rose_is_not_replaced_by_a_shorter_one(tmp_path, success, kept):
+RISING = np.linspace(0, 1, 26)
+
+
+@pytest.mark.parametrize(
+    ("earlier", "later", "kept"),
+    [(RISING, 0.0, True), (np.ones(26), 0.0, False), (RISING, 1.0, False)],
+    ids=["rose", "was level", "later one learned"],
+)
+def test_a_run_that_still_rose_is_not_replaced_by_a_shorter_one_on_the_floor(tmp_path, earlier, later, kept):
     """A short run on the floor looks level where a long one was seen to rise."""
     run = asked(tmp_path).runs()[0]
     made = made_up_results.result_of(run)
     size = len(run.seeds), 1
     before, after = (
         dataclasses.replace(made, evaluations={"train_goal/success_rate": np.tile(curve, size)}, arrays={})
-        for curve in (success, np.zeros(10))
+        for curve in (earlier, np.full(10, later))
     )
     files.save(tmp_path, after)
     found = numbers.merged({run: before}, [tmp_path])[run]
