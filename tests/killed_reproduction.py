@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import multiprocessing
 import os
 import time
@@ -49,9 +50,10 @@ def counted_train(config, env=None):
 
 
 @contextlib.contextmanager
-def small_programs(folder: Path, judge=None):
+def small_programs(folder: Path, judge=None, keeping: float = 600.0):
     """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished. judge: what is
-    measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted."""
+    measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted; keeping: seconds from one
+    checkpoint to the next, 0: one after each evaluation."""
 
     def logged(words: str) -> None:
         with open(folder / LOG, "a") as file:
@@ -88,15 +90,18 @@ def small_programs(folder: Path, judge=None):
             (plan, "is_pictured", lambda run: False),
             (plan, "is_judged", lambda run: judge is not None),
             (finishing, "MEASURES", {"codes": judge}),
+            (work, "KEEPING", keeping),
+            (work, "BYTES_A_SECOND", work.BYTES_A_SECOND if keeping else math.inf),
         ):
             patches.enter_context(mock.patch.object(module, name, value))
         yield
 
 
-def reproduce(folder: Path, wanted: int | list[Run] = 3, judge=None, **settings) -> Outcome:
-    """Train what is left of these runs, in this process. wanted: the runs, or how many programs of them."""
+def reproduce(folder: Path, wanted: int | list[Run] = 3, judge=None, keeping: float = 600.0, **settings) -> Outcome:
+    """Train what is left of these runs, in this process. wanted: the runs, or how many programs of them; judge,
+    keeping: see `small_programs`."""
     folder.mkdir(parents=True, exist_ok=True)
-    with small_programs(folder, judge):
+    with small_programs(folder, judge, keeping):
         wanted = runs(wanted) if isinstance(wanted, int) else wanted
         return work_on(wanted, Work(folder, **({"say": lambda words: None} | settings)))
 
@@ -118,7 +123,7 @@ def log_of(folder: Path, what: str) -> list[str]:
 def child(folder: str, count: int) -> None:
     """What a process does: exit status 0 when nothing is left for it."""
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-        outcome = reproduce(Path(folder), count)
+        outcome = reproduce(Path(folder), count, keeping=0.0)
         os._exit(3 if outcome.stopped else 1 if outcome.failed else 0)
 
 

@@ -1,4 +1,4 @@
-"""Checkpoints of batches, in FOLDER/unfinished: of what was stopped, and of what is trained and not yet measured.
+"""Checkpoints of batches, in FOLDER/unfinished: of what is not finished, and of what is trained and not yet measured.
 
 A checkpoint names its runs, and a batch goes on from any one that has all of its own: which other runs a process was
 asked for makes no difference. A checkpoint is deleted when each of its runs is finished and measured.

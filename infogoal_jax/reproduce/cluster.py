@@ -1,8 +1,8 @@
 """The work on a folder by a Ray cluster: a worker on each device takes one program after another.
 
 This process keeps the folder. It takes the lock of the runs that it hands out and writes what workers send, so that
-they need not see the folder, and other processes may work on it as before. What a lost worker had is begun again by
-another one.
+they need not see the folder, and other processes may work on it as before. Another worker goes on with what a lost one
+had, from its last checkpoint.
 """
 
 import contextlib

@@ -3,7 +3,7 @@
 FOLDER/runs/RUN.npz           a finished run
 FOLDER/runs/RUN.failed.json   why a run failed
 FOLDER/runs/RUN.lock          the run is being trained, by the process that holds the lock of this file
-FOLDER/unfinished/            checkpoints of what was stopped, and of what is not yet measured
+FOLDER/unfinished/            checkpoints of what is not finished or not yet measured
 """
 
 import dataclasses

@@ -11,12 +11,13 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
+from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import checkpoints, files, finishing, lanes, plan, progress
 from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, config_of, programs_of
 from infogoal_jax.runs import disk
-from infogoal_jax.runs.folder import BeingWrittenError, locked
+from infogoal_jax.runs.folder import BeingWrittenError, locked, remove_abandoned
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.memory import bytes_of
 
@@ -25,7 +26,8 @@ BYTES_A_SECOND = 2e8
 BEGINNING, MEASURING = 45.0, 60.0
 """Seconds that have to be left for a new program to be compiled, and for a run to be measured."""
 KEEPING = 600.0
-"""Seconds after which a checkpoint is written, for a process that is killed outright; more where writing takes long."""
+"""Seconds after which an evaluation is followed by a checkpoint, for a process that is killed outright; more where
+writing takes long."""
 
 
 @dataclasses.dataclass
@@ -59,6 +61,7 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
     """Train what is not done of these runs, program by program, until all are done or taken by others, the clock says
     stop, or a signal does. Raises `UserError` where the disk refuses."""
     outcome, tried = Outcome(), set[Run]()
+    remove_abandoned(work.folder / checkpoints.UNFINISHED)
     programs = programs_of(runs, work.goal_images)
     with stop_on_signal() as stop:
         # First whole programs that nobody has begun, then what others left of those that they have.
@@ -73,6 +76,7 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
                     tried.update(mine)  # What fails here is not begun again before the next start.
                     if mine:
                         train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
+    checkpoints.delete_measured(work.folder, runs)  # Whoever was killed before it could has left them.
     progress.write(work.folder, runs, at_once=True)
     return outcome
 
@@ -163,6 +167,10 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
                 seconds = training.prepare_seconds
                 work.say(f"{name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
             writing = bytes_of(training.states) / BYTES_A_SECOND
+            if training.evaluations > kept_at and time.time() - kept_when > max(KEEPING, 20 * writing):
+                if keep_for_later(training, work):
+                    kept_at = training.evaluations
+                kept_when = time.time()
             if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing:
                 if training.evaluations > kept_at:
                     checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
@@ -171,9 +179,6 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
                 outcome.stopped = True
                 break
             lanes.go_on(training)
-            if time.time() - kept_when > max(KEEPING, 20 * writing):
-                checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
-                kept_at, kept_when = training.evaluations, time.time()
             say_how_far(name, training, work)
             for run in set(batch.runs.values()) - ended:
                 progress.note(work.folder, run, training.evaluations, training.last_seconds)
@@ -195,6 +200,17 @@ def end(runs: list[Run], training: lanes.Training, work: Work, stop: StopRequest
         checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
     finish(runs, training, work, stop, outcome)
     return is_kept
+
+
+def keep_for_later(training: lanes.Training, work: Work) -> bool:
+    """Write a checkpoint that training can do without: where the disk refuses it, that is said, and training goes on.
+    Returns whether it is written."""
+    try:
+        checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
+    except UserError as error:
+        work.say(f"no checkpoint is written for now: {error}")
+        return False
+    return True
 
 
 def say_how_far(name: str, training: lanes.Training, work: Work) -> None:

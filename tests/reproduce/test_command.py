@@ -1,6 +1,6 @@
 """What `infogoal reproduce` does with a folder: it draws when all is done, and mixes no sizes; and several processes on
 one folder, of which each has its GPU, its share of the memory, and what was asked for. And the compact numbers that it
-refuses."""
+refuses, and what runs have cost."""
 
 import dataclasses
 import errno
@@ -15,7 +15,7 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import command, files, numbers, workers
+from infogoal_jax.reproduce import command, files, numbers, progress, workers
 from infogoal_jax.reproduce.command import DONE, MORE, Asked
 from infogoal_jax.reproduce.figures import FIGURES
 
@@ -243,3 +243,21 @@ def test_a_disk_that_refuses_compact_numbers_is_one_sentence(results, tmp_path, 
     monkeypatch.setattr(archives, "replace_file", full)
     with pytest.raises(UserError, match="paper.npz: could not be written .No space left"):
         numbers.save(results, tmp_path)
+
+
+def test_the_wall_clock_counts_time_once(results):
+    """Two processes side by side, a pause, and a third."""
+    runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
+    spans = [[[0, 600]], [[300, 900]], [[3000, 3300]]]
+    made = {
+        run: dataclasses.replace(
+            results[run], about=results[run].about | {"program": results[run].about["program"] | {"spans": own}}
+        )
+        for run, own in zip(runs, spans, strict=True)
+    }
+    assert progress.costs(made).rows[-1][-1] == "20"
+    program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
+    made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
+    assert progress.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
+    only = progress.costs({runs[0]: made[runs[0]]})
+    assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from killed_reproduction import SEEDS, log_of, reproduce, runs
 
-from infogoal_jax.reproduce import files, lanes, plan, progress, work
+from infogoal_jax.errors import UserError
+from infogoal_jax.reproduce import checkpoints, files, lanes, plan, progress
 from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.runs.folder import locked
 
@@ -156,16 +157,17 @@ def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
 @pytest.mark.parametrize("end", ["clock", "killed"])
 def test_it_goes_on_from_the_checkpoint(end, whole, tmp_path, evaluations, monkeypatch):
     """The same numbers as those of a run that was left alone, and no evaluation twice."""
+    go_on = lanes.go_on
 
-    def killed(name, training, work):
+    def killed(training):
         if training.evaluations == 3:
             raise KeyboardInterrupt
+        go_on(training)
 
     if end == "killed":
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            for name, value in (("KEEPING", 0.0), ("BYTES_A_SECOND", np.inf), ("say_how_far", killed)):
-                patch.setattr(work, name, value)
-            reproduce(tmp_path, 1)
+            patch.setattr(lanes, "go_on", killed)
+            reproduce(tmp_path, 1, keeping=0.0)
     else:
         assert reproduce(tmp_path, 1, deadline=time.time() + 3600).stopped
     assert not log_of(tmp_path, "finished") and len(list((tmp_path / "unfinished").iterdir())) == 1
@@ -173,6 +175,16 @@ def test_it_goes_on_from_the_checkpoint(end, whole, tmp_path, evaluations, monke
     assert not list((tmp_path / "unfinished").iterdir())
     for run in runs(1):
         are_same(tmp_path, whole, run, 6)
+
+
+def test_training_goes_on_where_no_checkpoint_can_be_written(tmp_path, monkeypatch):
+    def refused(path, training):
+        raise UserError("the disk is full")
+
+    said = []
+    monkeypatch.setattr(checkpoints, "save", refused)
+    assert reproduce(tmp_path, 1, keeping=0.0, say=said.append).finished == runs(1)
+    assert any("the disk is full" in words for words in said)
 
 
 FIRST, SECOND = runs(1)
@@ -243,24 +255,6 @@ def repeated(folder) -> list[str]:
     return again
 
 
-def test_the_wall_clock_counts_time_once(results):
-    """Two processes side by side, a pause, and a third."""
-    runs = [run for run in results if (run.task, run.method) == ("object_search", "rad") and not run.relabelling]
-    spans = [[[0, 600]], [[300, 900]], [[3000, 3300]]]
-    made = {
-        run: dataclasses.replace(
-            results[run], about=results[run].about | {"program": results[run].about["program"] | {"spans": own}}
-        )
-        for run, own in zip(runs, spans, strict=True)
-    }
-    assert progress.costs(made).rows[-1][-1] == "20"
-    program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
-    made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
-    assert progress.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
-    only = progress.costs({runs[0]: made[runs[0]]})
-    assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}
-
-
 @pytest.mark.long
 def test_killed_at_any_point_it_loses_and_repeats_nothing(tmp_path):
     """Processes that are killed at 20 random moments, then one that is left alone."""
@@ -283,6 +277,7 @@ def test_killed_at_any_point_it_loses_and_repeats_nothing(tmp_path):
         assert repeated(folder) == [], "a finished run was repeated"
         assert all(files.path_of(folder, run).exists() for run in runs())
         assert not list(folder.rglob("*.lock")) and not list(folder.rglob(".*.partial"))
+        assert not list((folder / "unfinished").iterdir())
         kills += 1
 
 
