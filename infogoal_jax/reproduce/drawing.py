@@ -170,7 +170,7 @@ def kept_by_hand(path: Path) -> str:
 
 STYLE = """
 :root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;padding:1rem;max-width:80rem}
-h1{font-size:1.6rem}h2{font-size:1.25rem;margin-top:2.2rem}nav a{margin-right:.9rem;white-space:nowrap}
+h1{font-size:1.6rem}h2{font-size:1.25rem;margin-top:2.2rem}nav a{margin-right:.9rem;display:inline-block}
 .wide{overflow-x:auto;border:1px solid #8884}table{border-collapse:collapse;font-size:.86rem;width:100%}
 th,td{padding:.3rem .55rem;border-bottom:1px solid #8883;text-align:left;vertical-align:top}
 th{cursor:pointer;user-select:none;position:sticky;top:0;background:Canvas}th:hover{text-decoration:underline}
@@ -180,7 +180,7 @@ tbody td:first-child,thead th:first-child{position:sticky;left:0;background:Canv
 .holds{color:#1a7f37;font-weight:700}.fails{color:#cf222e;font-weight:700}
 .told{color:#9a6700;font-weight:700}img{max-width:100%;height:auto;background:white}figure{margin:1.2rem 0}
 figcaption,.foot{font-size:.86rem;color:#777}code{font-size:.82rem;overflow-wrap:anywhere}
-[id^=over_tasks] td{white-space:nowrap}
+[id^=over_tasks] td,#costs td{white-space:nowrap}
 @media(max-width:45rem){:is(#verdicts,#runs) thead{display:none}
 :is(#verdicts,#runs) tr{display:block;padding:.5rem 0}:is(#verdicts,#runs) tr+tr{border-top:1px solid #8884}
 :is(#verdicts,#runs) td{display:block;position:static;border:0;padding:.1rem .55rem;overflow-wrap:anywhere}
