@@ -10,6 +10,7 @@ import dataclasses
 import math
 import time
 from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -208,16 +209,20 @@ class Keeper:
             self.keep(hired, self.ray.get(hired.job))
         except self.ray.exceptions.RayTaskError as error:
             self.give_up(hired.program, error)
-        for run in hired.program.runs:
+        self.count_ended(hired, hired.program.runs)
+        self.ended.update(hired.program.runs)
+        checkpoints.delete_measured(self.work.folder, hired.program.runs)
+        self.release(hired)
+
+    def count_ended(self, hired: Hired, ended: Iterable[Run]) -> None:
+        """Count these runs of a worker, which have ended, by what it sent."""
+        for run in ended:
             failure = files.path_of(self.work.folder, run, "failed.json")
             if self.sent_as(files.path_of(self.work.folder, run)) in hired.received:
                 failure.unlink(missing_ok=True)
                 self.outcome.finished.append(run)
             elif self.sent_as(failure) in hired.received:
                 self.outcome.failed.append(run)
-        self.ended.update(hired.program.runs)
-        checkpoints.delete_measured(self.work.folder, hired.program.runs)
-        self.release(hired)
 
     def give_up(self, program: Program, error: Exception) -> None:
         """Write of what is left of a program that it failed."""
@@ -242,6 +247,7 @@ class Keeper:
         if hired.program is None:
             return
         program, name = hired.program, hired.program.runs[0].name
+        self.count_ended(hired, [run for run in program.runs if not to_do(run, self.work)])  # No other one gets them.
         self.release(hired)
         self.losses[name] = self.losses.get(name, 0) + 1
         if self.losses[name] < LOSSES:

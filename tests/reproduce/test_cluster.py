@@ -159,9 +159,8 @@ def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path, lost):
     assert not outcome.failed and not outcome.stopped and len(runs(PROGRAMS)) == 48
     begun = collections.Counter(log_of(tmp_path, "begun"))
     again = [name for name, times in begun.items() if times > 1]
-    assert (
-        len(again) in (0, 2) and max(begun.values()) <= 2
-    )  # The program that was lost, if it had not come to its end.
+    # What was lost of one program, if that had not come to its end.
+    assert len({name.split("/")[3] for name in again}) <= 1 and max(begun.values()) <= 2
     assert len(set(processes_of(tmp_path, "begun").values())) >= 2
     reproduce(alone, PROGRAMS)
     assert_same_numbers(folder, alone, runs(PROGRAMS))

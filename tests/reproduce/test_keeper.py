@@ -172,6 +172,19 @@ def test_an_error_in_the_news_is_the_loss_of_that_worker(tmp_path, monkeypatch):
     assert outcome.finished == runs(1) and any("0: is lost: disk is full there" in words for words in said)
 
 
+def test_what_a_lost_worker_had_finished_counts(tmp_path, monkeypatch):
+    """One of its two runs had come; another worker gets the other one alone."""
+    killed_reproduction.reproduce(tmp_path / "before", 1)
+    first, second = runs(1)
+    path = files.path_of(tmp_path / "before", first)
+    lost, sent = Scripted(after=None), News([], {f"runs/{first.name}.npz": path.read_bytes()})
+    answers = iter([sent, RayError("killed")])
+    lost.news = lambda: Answer(next(answers))
+    ray = FakeRay(1, [lost, Scripted(files=finishing)])
+    outcome, _ = work_with(ray, monkeypatch, tmp_path / "folder", runs(1))
+    assert outcome.finished == [first, second] and [job.runs for job in ray.workers[1].jobs] == [(second,)]
+
+
 def test_after_an_error_busy_workers_bring_their_checkpoints(tmp_path, monkeypatch):
     """The folder refuses what one sends: the other one stops after its evaluation, and its checkpoint is kept."""
     refused, slow = Scripted(files=finishing), Scripted(after=None, files=lambda job: {"unfinished/abc": b"states"})
