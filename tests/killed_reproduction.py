@@ -50,7 +50,7 @@ def counted_train(config, env=None):
 
 
 @contextlib.contextmanager
-def small_programs(folder: Path, judge=None, keeping: float = 600.0):
+def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
     """Inside, runs are small, and FOLDER/log names every run that was begun, and that was finished. judge: what is
     measured of the codes of a run, as `finishing.codes_of`; None: nothing is wanted; keeping: seconds from one
     checkpoint to the next, 0: one after each evaluation."""
@@ -97,7 +97,9 @@ def small_programs(folder: Path, judge=None, keeping: float = 600.0):
         yield
 
 
-def reproduce(folder: Path, wanted: int | list[Run] = 3, judge=None, keeping: float = 600.0, **settings) -> Outcome:
+def reproduce(
+    folder: Path, wanted: int | list[Run] = 3, judge=None, keeping: float = work.KEEPING, **settings
+) -> Outcome:
     """Train what is left of these runs, in this process. wanted: the runs, or how many programs of them; judge,
     keeping: see `small_programs`."""
     folder.mkdir(parents=True, exist_ok=True)

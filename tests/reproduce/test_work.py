@@ -1,6 +1,7 @@
 """The work on a folder: nothing that is finished is lost or repeated, and no two processes train the same run."""
 
 import dataclasses
+import json
 import random
 import shutil
 import time
@@ -96,9 +97,11 @@ def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
         patch.setattr(lanes, "go_on", out_of_luck)
         outcome = reproduce(tmp_path, 2)
     assert outcome.failed == runs(2) and not outcome.finished
-    assert "out of luck" in progress.state_of(tmp_path, runs(1)[0]).words
+    state = progress.state_of(tmp_path, runs(1)[0])
+    assert state.kind == "failed" and "out of luck" in state.words
     assert "out of luck" in (tmp_path / progress.PAGE).read_text()
-    assert "raise ValueError" in files.path_of(tmp_path, runs(1)[0], "failed.json").read_text()
+    failure = json.loads(files.path_of(tmp_path, runs(1)[0], "failed.json").read_text())
+    assert "raise ValueError" in failure["trace"]
     assert not reproduce(tmp_path, 2).finished
     assert reproduce(tmp_path, 1, retry=True).finished == runs(1)
     assert progress.state_of(tmp_path, runs(1)[0]).kind == "done"
@@ -121,8 +124,9 @@ def test_a_remake_that_fails_over_a_damaged_file_has_failed(whole, tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr(lanes, "go_on", out_of_luck)
         assert reproduce(tmp_path, 1).failed == [run]
-    state = progress.sound_state_of(tmp_path, run, killed_reproduction.config_of)
-    assert state.kind == "failed" and "out of luck" in state.words
+    sound = progress.sound_state_of(tmp_path, run, killed_reproduction.config_of)
+    for state in (progress.state_of(tmp_path, run), sound):
+        assert state.kind == "failed" and "out of luck" in state.words
     assert not reproduce(tmp_path, 1).finished
     assert reproduce(tmp_path, 1, retry=True).finished == [run]
     assert progress.state_of(tmp_path, run).kind == "done"
