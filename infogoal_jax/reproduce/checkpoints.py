@@ -22,6 +22,7 @@ from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import is_trained, program_key
 from infogoal_jax.runs import checkpoint, disk
 from infogoal_jax.runs.configuration import from_dict
+from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.train import host
 
 UNFINISHED = "unfinished"
@@ -162,6 +163,12 @@ def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[
         places[place] = there["place"]
         which |= zip(range(own.start, own.stop), range(*there["lanes"]), strict=True)
     return [places[place] for place in sorted(places)], [which[lane] for lane in sorted(which)]
+
+
+def tidy(folder: Path, runs: Iterable[Run]) -> None:
+    """Delete what killed processes left there: files that they were writing, and checkpoints of measured runs."""
+    remove_abandoned(folder / UNFINISHED)
+    delete_measured(folder, runs)
 
 
 def delete_measured(folder: Path, runs: Iterable[Run]) -> None:

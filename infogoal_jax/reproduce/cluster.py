@@ -41,6 +41,7 @@ def work_on_cluster(runs: list[Run], work: Work, workers: int = 0, address: str 
     it; empty: one of this machine, which ends with the work. A cluster that this process is connected to already is
     used as it is. Raises `UserError` where there is no Ray, no cluster, or none of its workers can be used.
     """
+    checkpoints.tidy(work.folder, runs)
     with connected(address) as ray, stop_on_signal() as stop:
         keeper = Keeper(ray, runs, work, workers, stop)
         stop.finishing = "the evaluations of its workers"
@@ -289,10 +290,7 @@ class Keeper:
 
 def another_version(version: str) -> str:
     """What is wrong with a worker whose package is of this version."""
-    return (
-        f"a worker has infogoal-jax {version}, and this machine {infogoal_jax.__version__}; install the same one "
-        "everywhere"
-    )
+    return f"a worker has infogoal-jax {version}, this machine {infogoal_jax.__version__}; install the same everywhere"
 
 
 def first_line(error: Exception) -> str:

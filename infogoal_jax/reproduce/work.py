@@ -17,7 +17,7 @@ from infogoal_jax.reproduce.finishing import Extras
 from infogoal_jax.reproduce.manifest import Run
 from infogoal_jax.reproduce.plan import Program, config_of, programs_of
 from infogoal_jax.runs import disk
-from infogoal_jax.runs.folder import BeingWrittenError, locked, remove_abandoned
+from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_jax.train.memory import bytes_of
 
@@ -49,6 +49,38 @@ class Work:
 
 
 @dataclasses.dataclass
+class Keeping:
+    """The checkpoint of a batch while it is trained. evaluations: after how many it was written; when: seconds of
+    `time.time()` since which training goes on without one."""
+
+    work: Work
+    evaluations: int
+    when: float = dataclasses.field(default_factory=time.time)
+
+    def keep(self, training: lanes.Training) -> None:
+        """Write it, unless it is there. Raises `UserError` if the disk refuses."""
+        if training.evaluations > self.evaluations:
+            checkpoints.save(checkpoints.path_of(self.work.folder, training.batch), training)
+            self.evaluations, self.when = training.evaluations, time.time()
+
+    def keep_now_and_then(self, training: lanes.Training) -> None:
+        """Write it, if the last one is long ago. Training can do without: where the disk refuses, that is said."""
+        passed = time.time() - self.when
+        if training.evaluations == self.evaluations or passed <= max(KEEPING, 20 * writing_seconds(training)):
+            return
+        self.when = time.time()
+        try:
+            self.keep(training)
+        except UserError as error:
+            self.work.say(f"no checkpoint is written for now: {error}")
+
+
+def writing_seconds(training: lanes.Training) -> float:
+    """Roughly how long a checkpoint of a batch takes."""
+    return bytes_of(training.states) / BYTES_A_SECOND
+
+
+@dataclasses.dataclass
 class Outcome:
     """What a process did: runs finished and failed, and whether it stopped before the end."""
 
@@ -61,7 +93,7 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
     """Train what is not done of these runs, program by program, until all are done or taken by others, the clock says
     stop, or a signal does. Raises `UserError` where the disk refuses."""
     outcome, tried = Outcome(), set[Run]()
-    remove_abandoned(work.folder / checkpoints.UNFINISHED)
+    checkpoints.tidy(work.folder, runs)
     programs = programs_of(runs, work.goal_images)
     with stop_on_signal() as stop:
         # First whole programs that nobody has begun, then what others left of those that they have.
@@ -76,7 +108,6 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
                     tried.update(mine)  # What fails here is not begun again before the next start.
                     if mine:
                         train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
-    checkpoints.delete_measured(work.folder, runs)  # Whoever was killed before it could has left them.
     progress.write(work.folder, runs, at_once=True)
     return outcome
 
@@ -151,13 +182,12 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     name = f"{batch.config.task} {next(iter(batch.runs.values())).label}"
     if checkpoints.resume(work.folder, training):
         work.say(f"{name}: goes on after evaluation {training.evaluations}")
-    kept_at, kept_when = training.evaluations, time.time()
+    keeping = Keeping(work, training.evaluations)
     stop.finishing = "this chunk of epochs, with a checkpoint"
     try:
         while True:
             now = [run for run in finishing.ended(training) if run not in ended]
-            if now and end(now, training, work, stop, outcome):
-                kept_at, kept_when = training.evaluations, time.time()
+            end(now, training, keeping, work, stop, outcome)
             ended.update(now)
             if ended.issuperset(batch.runs.values()) or outcome.stopped:
                 break
@@ -166,14 +196,9 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
                 lanes.prepare(training)
                 seconds = training.prepare_seconds
                 work.say(f"{name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
-            writing = bytes_of(training.states) / BYTES_A_SECOND
-            if training.evaluations > kept_at and time.time() - kept_when > max(KEEPING, 20 * writing):
-                if keep_for_later(training, work):
-                    kept_at = training.evaluations
-                kept_when = time.time()
-            if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing:
-                if training.evaluations > kept_at:
-                    checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
+            keeping.keep_now_and_then(training)
+            if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing_seconds(training):
+                keeping.keep(training)
                 kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
                 work.say(f"{name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
                 outcome.stopped = True
@@ -189,28 +214,17 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     progress.write(work.folder, all_runs)
 
 
-def end(runs: list[Run], training: lanes.Training, work: Work, stop: StopRequest, outcome: Outcome) -> bool:
-    """Write and measure the runs of a batch that are trained to their end. Returns whether a checkpoint was written."""
+def end(
+    runs: list[Run], training: lanes.Training, keeping: Keeping, work: Work, stop: StopRequest, outcome: Outcome
+) -> None:
+    """Write and measure the runs of a batch that are trained to their end."""
     new = [run for run in runs if run.name not in training.costs]
-    is_kept = any(Extras().missing(run) for run in new)
     if new:
         seconds = finishing.share_out(training, new)
         progress.keep_times(work.folder, training.batch.config.task, len(new), seconds)
-    if is_kept:  # Until all is measured, however this process ends.
-        checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
+    if any(Extras().missing(run) for run in new):  # Until all is measured, however this process ends.
+        keeping.keep(training)
     finish(runs, training, work, stop, outcome)
-    return is_kept
-
-
-def keep_for_later(training: lanes.Training, work: Work) -> bool:
-    """Write a checkpoint that training can do without: where the disk refuses it, that is said, and training goes on.
-    Returns whether it is written."""
-    try:
-        checkpoints.save(checkpoints.path_of(work.folder, training.batch), training)
-    except UserError as error:
-        work.say(f"no checkpoint is written for now: {error}")
-        return False
-    return True
 
 
 def say_how_far(name: str, training: lanes.Training, work: Work) -> None:
