@@ -27,6 +27,7 @@ from infogoal_jax.report.image_goals import WEIGHTS, is_fetch, seen_images, test
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.report.trajectory_figures import angles_to_goals
 from infogoal_jax.train.combinations import has_own_loss, has_reward
+from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.program import Train
@@ -104,7 +105,7 @@ def codes_of(train: Train, params: Any) -> dict[str, np.ndarray]:
     backgrounds. code_mean, code_std (of a random code): float16 [seeds, 1 + weights, M, d]; code_region int [M];
     code_use int [M]: 0 training, 1 validation, 2 test, 3 other."""
     env, which = train.env, shown_goals(train.env)
-    encode = jax.jit(jax.vmap(train.parts.learner.encode, in_axes=(0, None)))
+    encode = jit(jax.vmap(train.parts.learner.encode, in_axes=(0, None)))
     if has_image_goals(env):
         images = [seen_images(env, which, weight, EVALUATION_SEED) for weight in (0.0, *WEIGHTS)]
     else:

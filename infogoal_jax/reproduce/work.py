@@ -19,6 +19,7 @@ from infogoal_jax.reproduce.plan import Program, config_of, programs_of
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
+from infogoal_jax.train.compilation import compiling_quickly
 from infogoal_jax.train.memory import bytes_of
 
 BYTES_A_SECOND = 2e8
@@ -107,7 +108,8 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
                     mine = claim(untried, work, claims, whole)
                     tried.update(mine)  # What fails here is not begun again before the next start.
                     if mine:
-                        train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
+                        with compiling_quickly(mine[0].toy):
+                            train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
     progress.write(work.folder, runs, at_once=True)
     return outcome
 

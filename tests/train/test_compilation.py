@@ -20,7 +20,7 @@ from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.train import compilation, distributed, memory, tune
-from infogoal_jax.train.compilation import OPTIONS, chunk_of, compiler_options, operations
+from infogoal_jax.train.compilation import OPTIONS, chunk_of, compiler_options, compiling_quickly, operations
 from infogoal_jax.train.host import run
 from infogoal_jax.train.low_level import host
 from infogoal_jax.train.low_level.host import preset
@@ -71,6 +71,17 @@ def test_options_that_the_user_has_set_are_left_alone(monkeypatch):
     assert compiler_options() == {"xla_backend_optimization_level": 1}
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=3")
     assert compiler_options() == {}
+
+
+def test_what_runs_for_seconds_is_compiled_quickly(monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr(compilation, "is_known", lambda option, value: True)
+    usual = compiler_options()
+    with compiling_quickly():
+        assert compiler_options() == usual | {"xla_cpu_use_fusion_emitters": False}
+        with compiling_quickly(False):
+            assert compiler_options() == usual
+    assert compiler_options() == usual
 
 
 def test_each_kind_of_device_has_options_of_its_own(monkeypatch):
