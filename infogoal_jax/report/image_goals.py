@@ -85,7 +85,7 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
     Starts, noise and backgrounds follow from the seed and are the same for every weight.
     """
 
-    @jax.jit
+    @jit
     def run(params, env):
         goals, policy = jnp.asarray(which, jnp.int32), subject.train.policy(params, subject.run.config.hyper, env)
         views = [corrupted_view(subject.train.parts, params, env, goals, 1, weight, seed) for weight in weights]

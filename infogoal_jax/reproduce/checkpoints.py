@@ -166,7 +166,7 @@ def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[
 
 
 def tidy(folder: Path, runs: Iterable[Run]) -> None:
-    """Delete what killed processes left there: files that they were writing, and checkpoints of measured runs."""
+    """Delete the checkpoints that killed processes left: those that they were writing, and those of measured runs."""
     remove_abandoned(folder / UNFINISHED)
     delete_measured(folder, runs)
 

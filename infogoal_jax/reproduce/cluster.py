@@ -53,6 +53,7 @@ def work_on_cluster(runs: list[Run], work: Work, workers: int = 0, address: str 
         finally:
             stop.finishing = ""
             keeper.dismiss()
+            checkpoints.tidy(work.folder, runs)
             progress.write(work.folder, runs, at_once=True)
 
 

@@ -52,22 +52,25 @@ class Work:
 @dataclasses.dataclass
 class Keeping:
     """The checkpoint of a batch while it is trained. evaluations: after how many it was written; when: seconds of
-    `time.time()` since which training goes on without one."""
+    `time.time()` at which this was tried last, or training began."""
 
     work: Work
     evaluations: int
     when: float = dataclasses.field(default_factory=time.time)
 
+    def is_behind(self, training: lanes.Training) -> bool:
+        """Whether there were evaluations since it was written."""
+        return training.evaluations > self.evaluations
+
     def keep(self, training: lanes.Training) -> None:
-        """Write it, unless it is there. Raises `UserError` if the disk refuses."""
-        if training.evaluations > self.evaluations:
-            checkpoints.save(checkpoints.path_of(self.work.folder, training.batch), training)
-            self.evaluations, self.when = training.evaluations, time.time()
+        """Write it. Raises `UserError` if the disk refuses."""
+        checkpoints.save(checkpoints.path_of(self.work.folder, training.batch), training)
+        self.evaluations, self.when = training.evaluations, time.time()
 
     def keep_now_and_then(self, training: lanes.Training) -> None:
         """Write it, if the last one is long ago. Training can do without: where the disk refuses, that is said."""
         passed = time.time() - self.when
-        if training.evaluations == self.evaluations or passed <= max(KEEPING, 20 * writing_seconds(training)):
+        if not self.is_behind(training) or passed <= max(KEEPING, 20 * writing_seconds(training)):
             return
         self.when = time.time()
         try:
@@ -110,6 +113,7 @@ def work_on(runs: list[Run], work: Work) -> Outcome:
                     if mine:
                         with compiling_quickly(mine[0].toy):
                             train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
+    checkpoints.tidy(work.folder, runs)
     progress.write(work.folder, runs, at_once=True)
     return outcome
 
@@ -200,7 +204,8 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
                 work.say(f"{name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
             keeping.keep_now_and_then(training)
             if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing_seconds(training):
-                keeping.keep(training)
+                if keeping.is_behind(training):
+                    keeping.keep(training)
                 kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
                 work.say(f"{name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
                 outcome.stopped = True

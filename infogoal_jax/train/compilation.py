@@ -24,26 +24,27 @@ fast as with the third; the level below runs two to four times as long. On a GPU
 Triton's would hardly do faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the
 time and runs as fast."""
 QUICKLY: dict[str, dict[str, int | bool]] = {"cpu": {"xla_cpu_use_fusion_emitters": False}}
-"""Beside them, for what runs for seconds. Measured at toy size on object search and Fetch: it compiles in two thirds of
-the time, and runs up to a tenth longer."""
-is_quick: ContextVar[bool] = ContextVar("is_quick", default=False)
+"""Options beside `OPTIONS` for programs that run for seconds only. On two cores FetchReach and object search at toy
+size compile in two thirds of the time; object search at full size runs a twentieth slower (jax 0.10.2, 2026-11-27)."""
+short_runs: ContextVar[bool] = ContextVar("short_runs", default=False)
 
 
 @contextlib.contextmanager
 def compiling_quickly(quickly: bool = True) -> Iterator[None]:
-    """What `jit` is asked for within it is compiled for a short run, if quickly."""
-    token = is_quick.set(quickly)
+    """Within this block, and in this thread, `jit` takes the options of `QUICKLY` too, if quickly: functions that it is
+    given here compile faster and may run slower, wherever they are called."""
+    token = short_runs.set(quickly)
     try:
         yield
     finally:
-        is_quick.reset(token)
+        short_runs.reset(token)
 
 
 def compiler_options() -> dict[str, int | bool]:
-    """Options for `jax.jit(..., compiler_options=...)` on the devices in use, without those that the user's XLA_FLAGS
-    name."""
+    """Options for `jax.jit(..., compiler_options=...)` on the devices in use, and for short runs within
+    `compiling_quickly`; without those that the user's XLA_FLAGS name."""
     flags, device = os.environ.get("XLA_FLAGS", ""), jax.default_backend()
-    options = OPTIONS.get(device, {}) | (QUICKLY.get(device, {}) if is_quick.get() else {})
+    options = OPTIONS.get(device, {}) | (QUICKLY.get(device, {}) if short_runs.get() else {})
     return {name: value for name, value in options.items() if name not in flags and is_known(name, value)}
 
 

@@ -8,6 +8,7 @@ import json
 import os
 from pathlib import Path
 
+import killed_reproduction
 import made_up_results
 import numpy as np
 import pytest
@@ -15,9 +16,10 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import command, files, numbers, progress, workers
+from infogoal_jax.reproduce import command, files, numbers, progress, work, workers
 from infogoal_jax.reproduce.command import DONE, MORE, Asked
 from infogoal_jax.reproduce.figures import FIGURES
+from infogoal_jax.train import compilation
 
 
 def asked(folder: Path, **more) -> Asked:
@@ -176,6 +178,17 @@ def test_two_processes_train_what_one_would(tmp_path, capsys):
     assert "2 runs: 2 done" in printed and "0: object_search" in printed and "1: object_search" in printed
     names = {files.read(path).run.label for path in Path(tmp_path).rglob("runs/**/*.npz")}
     assert names == {"none", "her"} and (tmp_path / "index.html").exists()
+
+
+def test_the_quick_way_compiles_for_a_short_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.setattr(compilation, "is_known", lambda option, value: True)
+    toy, found = killed_reproduction.runs(1)[0], []
+    with killed_reproduction.small_programs(tmp_path):
+        monkeypatch.setattr(work, "train_program", lambda *_: found.append(compilation.compiler_options()))
+        for run in (toy, dataclasses.replace(toy, toy=False)):
+            work.work_on([run], work.Work(tmp_path))
+    assert found[0] == found[1] | compilation.QUICKLY["cpu"] != found[1]
 
 
 @pytest.mark.long

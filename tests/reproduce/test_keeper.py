@@ -13,7 +13,7 @@ from killed_reproduction import runs
 
 import infogoal_jax
 from infogoal_jax.errors import UserError
-from infogoal_jax.reproduce import cluster, files, work, workers
+from infogoal_jax.reproduce import checkpoints, cluster, files, work, workers
 from infogoal_jax.reproduce.work import Outcome, Work
 from infogoal_jax.reproduce.workers import News
 
@@ -183,6 +183,24 @@ def test_what_a_lost_worker_had_finished_counts(tmp_path, monkeypatch):
     ray = FakeRay(1, [lost, Scripted(files=finishing)])
     outcome, _ = work_with(ray, monkeypatch, tmp_path / "folder", runs(1))
     assert outcome.finished == [first, second] and [job.runs for job in ray.workers[1].jobs] == [(second,)]
+
+
+@pytest.mark.parametrize("engine", ["this process", "cluster"])
+def test_checkpoints_that_killed_processes_left_are_deleted(engine, tmp_path, monkeypatch):
+    """One was killed between the file of its last run and the deletion, another one within a write."""
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "delete_measured", lambda folder, runs: None)
+        killed_reproduction.reproduce(tmp_path, 2, keeping=0.0)
+    one, other = checkpoints.kept(tmp_path)
+    files.path_of(tmp_path, runs(2)[-1]).unlink()
+    left = tmp_path / checkpoints.UNFINISHED
+    (left / ".abc.1.partial").write_bytes(b"states")
+    if engine == "cluster":
+        work_with(FakeRay(1, [Scripted()]), monkeypatch, tmp_path, runs(1))
+    else:
+        killed_reproduction.reproduce(tmp_path, 1)
+    (kept,) = left.iterdir()
+    assert kept in (one, other) and runs(2)[-1].name in checkpoints.kept(tmp_path)[kept]
 
 
 def test_after_an_error_busy_workers_bring_their_checkpoints(tmp_path, monkeypatch):
