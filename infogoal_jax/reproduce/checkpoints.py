@@ -165,9 +165,10 @@ def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[
     return [places[place] for place in sorted(places)], [which[lane] for lane in sorted(which)]
 
 
-def tidy(folder: Path, runs: Iterable[Run]) -> None:
-    """Delete the checkpoints that killed processes left: those that they were writing, and those of measured runs."""
-    remove_abandoned(folder / UNFINISHED)
+def tidy(folder: Path, runs: Sequence[Run]) -> None:
+    """Delete what killed processes left: files that they were writing, and checkpoints of measured runs."""
+    for place in {folder / UNFINISHED, *(files.path_of(folder, run).parent for run in runs)}:
+        remove_abandoned(place)
     delete_measured(folder, runs)
 
 

@@ -193,7 +193,7 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     try:
         while True:
             now = [run for run in finishing.ended(training) if run not in ended]
-            end(now, training, keeping, work, stop, outcome)
+            end(now, training, keeping, stop, outcome)
             ended.update(now)
             if ended.issuperset(batch.runs.values()) or outcome.stopped:
                 break
@@ -221,17 +221,15 @@ def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopR
     progress.write(work.folder, all_runs)
 
 
-def end(
-    runs: list[Run], training: lanes.Training, keeping: Keeping, work: Work, stop: StopRequest, outcome: Outcome
-) -> None:
+def end(runs: list[Run], training: lanes.Training, keeping: Keeping, stop: StopRequest, outcome: Outcome) -> None:
     """Write and measure the runs of a batch that are trained to their end."""
     new = [run for run in runs if run.name not in training.costs]
     if new:
         seconds = finishing.share_out(training, new)
-        progress.keep_times(work.folder, training.batch.config.task, len(new), seconds)
+        progress.keep_times(keeping.work.folder, training.batch.config.task, len(new), seconds)
     if any(Extras().missing(run) for run in new):  # Until all is measured, however this process ends.
         keeping.keep(training)
-    finish(runs, training, work, stop, outcome)
+    finish(runs, training, keeping.work, stop, outcome)
 
 
 def say_how_far(name: str, training: lanes.Training, work: Work) -> None:

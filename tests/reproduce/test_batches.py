@@ -271,8 +271,13 @@ def test_a_run_goes_on_from_the_checkpoint_of_others_too(whole, tmp_path, evalua
         np.testing.assert_allclose(mine["test_goal/success_rate"], other["test_goal/success_rate"], atol=1e-5)
 
 
-def test_what_is_measured_later_costs_its_training_once(tmp_path, monkeypatch):
+@pytest.mark.parametrize("end", ["trained to it", "found at it when resumed"])
+def test_what_is_measured_later_costs_its_training_once(end, tmp_path, monkeypatch, request):
     """A run of a batch of two says of the program what the other one does, whoever measures it alone."""
+    if end == "found at it when resumed":
+        request.getfixturevalue("evaluations")
+        assert reproduce(tmp_path, 1, judge, deadline=time.time() + 3600).stopped
+        monkeypatch.setattr(plan, "levelled", lambda curve: 3 if np.shape(curve)[1] >= 3 else None)
     with monkeypatch.context() as patch:
         patch.setattr(work, "MEASURING", 1e9)
         reproduce(tmp_path, 1, judge, deadline=time.time() + 3600)
@@ -293,8 +298,3 @@ def test_a_checkpoint_is_kept_for_a_run_whose_old_file_has_other_settings(whole,
     assert reproduce(tmp_path, [FIRST], judge).finished == [FIRST] and len(kept(tmp_path)) == 1
     assert reproduce(tmp_path, [SECOND], judge).finished == [SECOND] and not kept(tmp_path)
     assert evaluations == [1, 2, 3, 4, 5, 6, 4, 5, 6]
-
-
-def test_what_is_measured_is_known_without_jax():
-    assert plan.missing(FIRST, None, ()) == ["codes", "pictures"]
-    assert plan.missing(FIRST, None, ("codes/closeness", "picture/code_mean")) == []

@@ -186,20 +186,23 @@ def test_what_a_lost_worker_had_finished_counts(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("engine", ["this process", "cluster"])
-def test_checkpoints_that_killed_processes_left_are_deleted(engine, tmp_path, monkeypatch):
-    """One was killed between the file of its last run and the deletion, another one within a write."""
+def test_what_killed_processes_left_is_deleted(engine, tmp_path, monkeypatch):
+    """One was killed between the file of its last run and the deletion of its checkpoint, others within a write."""
     with monkeypatch.context() as patch:
         patch.setattr(checkpoints, "delete_measured", lambda folder, runs: None)
         killed_reproduction.reproduce(tmp_path, 2, keeping=0.0)
     one, other = checkpoints.kept(tmp_path)
     files.path_of(tmp_path, runs(2)[-1]).unlink()
     left = tmp_path / checkpoints.UNFINISHED
-    (left / ".abc.1.partial").write_bytes(b"states")
+    partial = [folder / ".abc.1.partial" for folder in (left, files.path_of(tmp_path, runs(1)[0]).parent)]
+    for path in partial:
+        path.write_bytes(b"the first half")
     if engine == "cluster":
         work_with(FakeRay(1, [Scripted()]), monkeypatch, tmp_path, runs(1))
     else:
         killed_reproduction.reproduce(tmp_path, 1)
     (kept,) = left.iterdir()
+    assert not any(path.exists() for path in partial)
     assert kept in (one, other) and runs(2)[-1].name in checkpoints.kept(tmp_path)[kept]
 
 

@@ -12,7 +12,7 @@ from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.reproduce import plan
 from infogoal_jax.reproduce.files import command_of, home_of, run_from, run_values
-from infogoal_jax.reproduce.manifest import ALL_GOALS, BESIDE, STUDIES, Choice, runs_of
+from infogoal_jax.reproduce.manifest import ALL_GOALS, BESIDE, PRESET, STUDIES, Choice, Lane, Run, runs_of
 from infogoal_jax.reproduce.paper import DESCRIPTIONS, METHODS, TABLE, TASKS
 
 
@@ -238,3 +238,9 @@ def test_a_run_is_trained_once_it_levelled_off_or_came_to_the_ceiling():
 def test_every_task_has_a_budget(task):
     found = plan.budget_of(task)
     assert found.chunk > 0 and found.evaluations == plan.MOST
+
+
+def test_what_is_measured_is_known_without_jax():
+    run = Run("object_search", "none", None, None, 0, Lane(*PRESET), (0, 1), True)
+    assert plan.missing(run, None, ()) == ["codes", "pictures"]
+    assert plan.missing(run, None, ("codes/closeness", "picture/code_mean")) == []
