@@ -8,6 +8,7 @@ Runs are trained by the same work as everywhere, so that their numbers are the s
 import contextlib
 import logging
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,6 +33,8 @@ WAIT = 0.5
 """Seconds between two looks at a signal."""
 SENT = "runs", UNFINISHED
 """Folders whose files are sent."""
+MPS = "nvidia-cuda-mps-control"
+"""The daemon by which processes compute on an NVIDIA GPU at the same time; without it they take turns."""
 OWN = (".lock", ".partial")
 """Endings of files that are of no use elsewhere."""
 
@@ -43,6 +46,8 @@ def work_side_by_side(arguments: list[str], processes: int, gpus: int, say=print
     A signal is handed on: each process stops after its evaluation.
     """
     children, readers = [], []
+    if take_turns(processes, gpus):
+        say(f"infogoal: processes on one GPU take turns; start `{MPS} -d` before, and they compute at the same time")
     with stop_on_signal() as stop:
         for number in range(processes):
             child = subprocess.Popen(
@@ -95,6 +100,12 @@ def environment(number: int, processes: int, gpus: int) -> dict[str, str]:
         "CUDA_VISIBLE_DEVICES": names[number % min(gpus, len(names))],
         "XLA_PYTHON_CLIENT_MEM_FRACTION": f"{MEMORY / on_one:.3f}",
     }
+
+
+def take_turns(processes: int, gpus: int) -> bool:
+    """Whether processes that share a GPU will take turns on it, although this machine has what ends that."""
+    talks = Path(os.environ.get("CUDA_MPS_PIPE_DIRECTORY", "/tmp/nvidia-mps"), "control")
+    return processes > gpus > 0 and shutil.which(MPS) is not None and not talks.exists()
 
 
 def repeat(number: int, child: subprocess.Popen, say) -> None:

@@ -144,6 +144,16 @@ def test_processes_are_spread_over_gpus(monkeypatch):
     assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in workers.environment(0, 2, 0)
 
 
+def test_what_lets_processes_compute_at_the_same_time_is_named_once_it_is_missed(tmp_path, monkeypatch):
+    monkeypatch.setenv("CUDA_MPS_PIPE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not workers.take_turns(2, 1), "this machine does not have it"
+    (tmp_path / workers.MPS).touch(0o700)
+    assert workers.take_turns(2, 1) and not workers.take_turns(2, 2) and not workers.take_turns(2, 0)
+    (tmp_path / "control").touch()
+    assert not workers.take_turns(2, 1), "it runs"
+
+
 def test_gpus_go_with_processes(capsys, tmp_path):
     assert main(["reproduce", "table1", "--gpus", "2", "--out", str(tmp_path)]) == 2
     assert "gpus = 2" in (refusal := capsys.readouterr().err) and "--processes" in refusal
