@@ -29,12 +29,12 @@ from infogoal_jax.train.compilation import use_compilation_cache
 
 MEMORY = 0.9
 """Share of a GPU's memory that its processes have together."""
+MPS = "nvidia-cuda-mps-control"
+"""The daemon by which processes compute on an NVIDIA GPU at the same time; without it they take turns."""
 WAIT = 0.5
 """Seconds between two looks at a signal."""
 SENT = "runs", UNFINISHED
 """Folders whose files are sent."""
-MPS = "nvidia-cuda-mps-control"
-"""The daemon by which processes compute on an NVIDIA GPU at the same time; without it they take turns."""
 OWN = (".lock", ".partial")
 """Endings of files that are of no use elsewhere."""
 
