@@ -7,7 +7,7 @@ PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 
 # Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not
 # optimise. Half of that is the second option, which jax 0.10 knows (constraints.txt) and jax 0.12 refuses. The long
 # tests, which `make test-long` runs after it, train for minutes: their programs are compiled as the command line does it
-# (infogoal_jax/train/compilation.py).
+# (infogoal_jax/runner/compilation.py).
 COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv

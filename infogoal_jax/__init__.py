@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from infogoal_jax.config import Hyperparameters, TrainConfig
     from infogoal_jax.errors import UserError
     from infogoal_jax.report.runs import load_run
-    from infogoal_jax.train.compilation import compiled, compiler_options, jit, use_compilation_cache
+    from infogoal_jax.runner.compilation import compiled, compiler_options, jit, use_compilation_cache
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult, make_train
     from infogoal_jax.train.rollout import rollout
@@ -39,10 +39,10 @@ MODULES = {
     "Hyperparameters": "config",
     "TrainConfig": "config",
     "UserError": "errors",
-    "compiled": "train.compilation",
-    "compiler_options": "train.compilation",
-    "jit": "train.compilation",
-    "use_compilation_cache": "train.compilation",
+    "compiled": "runner.compilation",
+    "compiler_options": "runner.compilation",
+    "jit": "runner.compilation",
+    "use_compilation_cache": "runner.compilation",
     "Train": "train.program",
     "TrainResult": "train.program",
     "make_train": "train.program",

@@ -19,9 +19,9 @@ from infogoal_jax import presets
 from infogoal_jax.__main__ import GARBAGE
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.reproduce import lanes
+from infogoal_jax.runner import host
 from infogoal_jax.stand_ins import house
-from infogoal_jax.train import host
+from infogoal_paper import lanes
 
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000

@@ -13,9 +13,9 @@ import hand_made
 import jax.numpy as jnp
 from killed_run import small_train
 
-from infogoal_jax.reproduce import files, finishing, lanes, plan, work
-from infogoal_jax.reproduce.manifest import Lane, Run
-from infogoal_jax.reproduce.work import Outcome, Work, work_on
+from infogoal_paper import files, finishing, lanes, plan, work
+from infogoal_paper.manifest import Lane, Run
+from infogoal_paper.work import Outcome, Work, work_on
 
 SEEDS = 0, 1
 LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))

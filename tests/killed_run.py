@@ -19,11 +19,11 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import tuning
 from infogoal_jax.report.canvas import empty_figure, save
+from infogoal_jax.runner import host
+from infogoal_jax.runner import tune as search
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.runs.search import Trial
-from infogoal_jax.train import host
-from infogoal_jax.train import tune as search
 from infogoal_jax.train.program import make_train
 
 REFUSED = 2

@@ -12,15 +12,15 @@ from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
 from infogoal_jax.report.image_goals import WEIGHTS
-from infogoal_jax.reproduce import claims
-from infogoal_jax.reproduce.files import Result, command_of, recorded_config
-from infogoal_jax.reproduce.manifest import FETCH, STUDIES, Choice, Run, runs_of
-from infogoal_jax.reproduce.numbers import Results, compact
-from infogoal_jax.reproduce.paper import IMAGE_TASKS
-from infogoal_jax.reproduce.plan import config_of, is_judged, is_pictured
+from infogoal_jax.runner.lanes import plan_of
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan
-from infogoal_jax.train.lanes import plan_of
+from infogoal_paper import claims
+from infogoal_paper.files import Result, command_of, recorded_config
+from infogoal_paper.manifest import FETCH, STUDIES, Choice, Run, runs_of
+from infogoal_paper.numbers import Results, compact
+from infogoal_paper.paper import IMAGE_TASKS
+from infogoal_paper.plan import config_of, is_judged, is_pictured
 
 EVALUATIONS, GOALS, STARTS, LENGTH = 8, 20, 2, 10
 SUCCESS = {"infogoal": 0.9, "infobot": 0.7, "her": 0.6, "cher": 0.6, "ghrl": 0.6, "none": 0.2}

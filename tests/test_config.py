@@ -3,14 +3,12 @@ Presets hold what the searches found, and mean one thing however a method is nam
 
 import dataclasses
 import math
-import sys
 
 import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from places import ROOT
 
 from infogoal_jax import Hyperparameters, UserError, envs, learners, make_train, presets, relabelling
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
@@ -21,11 +19,9 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
 from infogoal_jax.presets.preset import Changes
 from infogoal_jax.registry import Entry, Registry
-from infogoal_jax.train import tune
-from infogoal_jax.train.host import checked_seeds
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
-import tuning
+from infogoal_jax.runner import tune
+from infogoal_jax.runner.host import checked_seeds
+from infogoal_paper import tuning
 
 CONFIG = hand_made.config()
 SEARCHES = tuning.load(tuning.NUMBERS)

@@ -10,8 +10,8 @@ import pytest
 import scipy.stats
 
 from infogoal_jax import pairs, replay
+from infogoal_jax.keys import written_out
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.threefry import written_out
 
 
 @pytest.fixture

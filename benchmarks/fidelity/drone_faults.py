@@ -3,7 +3,7 @@
     python benchmarks/fidelity/drone_faults.py --times 20 --out FOLDER
 
 A flight is a process of `infogoal fly` whose policy goes to and fro. Its fault begins after one or two moves. The
-script writes faults.json; `python benchmarks/paper/tables.py drone --take FOLDER` puts it into docs/results/drone.json
+script writes faults.json; `python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json
 and the page. Flights that are in FOLDER already are not flown again. tests/drone/test_fly.py flies the same, fewer of
 them.
 """
@@ -24,9 +24,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from infogoal_jax.drone import records
-from infogoal_jax.drone.envelope import Envelope
-from infogoal_jax.drone.simulated_tello import SimulatedTello, Started, start
+from infogoal_drone import records
+from infogoal_drone.envelope import Envelope
+from infogoal_drone.simulated_tello import SimulatedTello, Started, start
 from infogoal_jax.report.statistics import describe_machine
 
 SPEED = 4.0

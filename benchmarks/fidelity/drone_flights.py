@@ -4,7 +4,7 @@
 
 Every flight is a process of `infogoal fly`. The evaluation takes the same policy, questions and starts, and images of a
 hovering drone. The script writes flights.json: how every flight ended, and the times from an image to its command.
-`python benchmarks/paper/tables.py drone --take FOLDER` puts it into docs/results/drone.json and the page. Flights that
+`python -m infogoal_paper.pages drone --take FOLDER` puts it into docs/results/drone.json and the page. Flights that
 are in FOLDER already are not flown again.
 """
 
@@ -21,8 +21,8 @@ import jax
 import numpy as np
 from drone_faults import ATTEMPTS, SPEED, conditions, free_ports
 
+from infogoal_drone import records, simulated_tello
 from infogoal_jax import envs, evaluate, load_run
-from infogoal_jax.drone import records, simulated_tello
 from infogoal_jax.report.export import export
 from infogoal_jax.stand_ins import shelf
 from infogoal_jax.train.evaluation import draw_starts

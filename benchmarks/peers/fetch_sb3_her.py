@@ -8,7 +8,7 @@ Stable-Baselines3 is no dependency of the project; it needs a scratch environmen
     scratch/bin/python benchmarks/peers/fetch_sb3_her.py --task fetch_reach --steps 6000 --seeds 3 --out FOLDER
     infogoal pretrain fetch_reach --seeds 3 --num-epochs 6 --out OTHER
 
-FOLDER/numbers.csv has a row for each seed and evaluation. `python benchmarks/paper/tables.py sb3_her --take FOLDER`,
+FOLDER/numbers.csv has a row for each seed and evaluation. `python -m infogoal_paper.pages sb3_her --take FOLDER`,
 and the same of OTHER, which has curve.csv, put them into docs/results/sb3_her and the page.
 """
 

@@ -40,11 +40,11 @@ from infogoal_jax import compiled, jit, make_train, presets
 from infogoal_jax.goals import NO_USE, GoalSet
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.train.compilation import operations
-from infogoal_jax.train.distributed import epochs_over_seeds, over_seeds, shardings_of
+from infogoal_jax.runner.compilation import operations
+from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shardings_of
+from infogoal_jax.runner.host import programs_of
+from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.train.evaluation import random_policy
-from infogoal_jax.train.host import programs_of
-from infogoal_jax.train.memory import bytes_of
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
 

@@ -3,14 +3,15 @@
 import os
 import signal
 import sys
+from importlib.metadata import entry_points
 
 import tyro
 
 import infogoal_jax
-from infogoal_jax.cli import reproduce, training, tuning
-from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
+from infogoal_jax.cli import training, tuning
+from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
-from infogoal_jax.cli.fly import export, fly, record
+from infogoal_jax.cli.export import export
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
@@ -19,6 +20,13 @@ from infogoal_jax.stopping import NOTHING, STATUS
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
 `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
+
+
+def added_commands() -> dict[str, Command | Group]:
+    """The commands that other packages bring, by name: each an entry point of the group `infogoal.commands`."""
+    return {point.name: point.load() for point in entry_points(group="infogoal.commands")}
+
+
 COMMANDS = Group(
     HELP,
     {
@@ -29,18 +37,16 @@ COMMANDS = Group(
         "video": video,
         "export": export,
         "pack": pack,
-        "fly": fly,
-        "record": record,
         "methods": methods,
         "tune": tune,
         "final": final,
         "pretrain": pretrain,
         "data": DATA,
         "check-fetch": check_fetch,
-        "reproduce": reproduce.REPRODUCE,
-    },
+    }
+    | added_commands(),
 )
-CHECKS = {"reproduce": reproduce.check_flags, "final": tuning.check_final}
+CHECKS = {"final": tuning.check_final}
 """What is looked at in all words of a command before it is taken apart."""
 BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.pretraining_tasks}
 """Commands with a subcommand for each task. They are known only after an import that takes long, so it is made where

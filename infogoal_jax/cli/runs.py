@@ -1,6 +1,7 @@
 """Commands that look at what is there: evaluate, report, compare, video, pack, check-fetch."""
 
 import os
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +29,7 @@ def evaluate(
             run's own.
     """
     from infogoal_jax.report.summary import evaluate_run
-    from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.runner.compilation import use_compilation_cache
 
     use_compilation_cache()
     evaluate_run(Path(run), starts, start_seed, test_epsilon, corruption)
@@ -49,11 +50,11 @@ def report(
         captions: Write what stands above and below a figure into a text beside it, for a paper's captions.
         style: Style sheet of matplotlib that is applied after the package's own.
     """
-    if (Path(run) / "flight.jsonl").exists():
-        from infogoal_jax.report.flight_figures import report_flight
-
-        print(f"figure      {report_flight(Path(run), format, captions, style)}")
-        return 0
+    # Packages that leave folders of their own name their file and what draws it, as an entry point.
+    for point in entry_points(group="infogoal.reports"):
+        if (Path(run) / point.name).exists():
+            print(f"figure      {point.load()(Path(run), format, captions, style)}")
+            return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run
 
@@ -126,7 +127,7 @@ def check_fetch(
     from infogoal_jax.envs.fetch.parity import read_kinds
     from infogoal_jax.envs.fetch.recordings import load_recordings
     from infogoal_jax.report.fetch_parity import check_recordings
-    from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.runner.compilation import use_compilation_cache
 
     words, recordings = read_kinds(kinds), load_recordings(file)
     use_compilation_cache()
@@ -150,7 +151,7 @@ def video(
     """
     from infogoal_jax.envs.fetch.tasks import TASKS
     from infogoal_jax.report.video import check_path, episode_video, random_policy
-    from infogoal_jax.train.compilation import use_compilation_cache
+    from infogoal_jax.runner.compilation import use_compilation_cache
 
     check_path(out, "out")
     check_seed(seed)

@@ -75,11 +75,11 @@ def train(
     if resume != AUTO:
         check_resumed_in_place(resume, out)
     from infogoal_jax import presets
-    from infogoal_jax.train import distributed as several
-    from infogoal_jax.train import host
+    from infogoal_jax.runner import distributed as several
+    from infogoal_jax.runner import host
+    from infogoal_jax.runner.compilation import use_compilation_cache
+    from infogoal_jax.runner.listeners import make_listeners
     from infogoal_jax.train.combinations import check_combination
-    from infogoal_jax.train.compilation import use_compilation_cache
-    from infogoal_jax.train.listeners import make_listeners
 
     require(bool(distributed) or not num_processes, "num_processes", num_processes, "goes with --distributed")
     require(not (distributed and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
@@ -227,8 +227,8 @@ def pretrain(
     Returns:
         0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
     """
-    from infogoal_jax.train.compilation import use_compilation_cache
-    from infogoal_jax.train.low_level import host
+    from infogoal_jax.low_level import host
+    from infogoal_jax.runner.compilation import use_compilation_cache
 
     numbers = seeds_from(first_seed, seeds)
     use_compilation_cache()
@@ -240,7 +240,7 @@ def pretrain(
 
 def pretraining_tasks(arguments: list[str]) -> TaskCommands:
     """`pretrain` for each task that has a low level, with its configuration as the defaults."""
-    from infogoal_jax.train.low_level.host import TASKS, preset
+    from infogoal_jax.low_level.host import TASKS, preset
 
     task = first_word(arguments)
     if task:

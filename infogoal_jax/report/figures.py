@@ -36,8 +36,8 @@ from infogoal_jax.report.house_figures import draw_plans
 from infogoal_jax.report.image_goals import draw_image_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.shelf_figures import draw_shelves
+from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.folder import remove_abandoned
-from infogoal_jax.train.compilation import jit
 from infogoal_jax.train.evaluation import draw_starts
 from infogoal_jax.train.program import make_train
 

@@ -21,7 +21,7 @@ from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_
 from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, principal_components
 from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 from infogoal_jax.report.video import LAST_PICTURE, write_video
-from infogoal_jax.train.compilation import jit
+from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.evaluation import (
     EVALUATION_SEED,
     corrupted_images,

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 
 from infogoal_jax.errors import check_count, require
+from infogoal_jax.runner import host
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
-from infogoal_jax.train import host
 from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train, make_train
 from infogoal_jax.train.rollout import Policy, numbers_of_goals

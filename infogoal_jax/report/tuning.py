@@ -14,10 +14,10 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.loading import train_flags
+from infogoal_jax.runner.listeners import progress_line
+from infogoal_jax.runner.tune import Trial, TuneResult, Watch
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Best, TrialLine, read_plan, read_trials, write_scores
-from infogoal_jax.train.listeners import progress_line
-from infogoal_jax.train.tune import Trial, TuneResult, Watch
 
 SHOWN = 5
 """Trials in the table, besides the preset."""

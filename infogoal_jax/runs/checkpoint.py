@@ -15,11 +15,11 @@ import flax.serialization
 import jax
 
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.keys import is_key, written_out
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import DATA, Description, located, to_dict
 from infogoal_jax.runs.disk import Place, decode, decode_value, parse, read_bytes, write_atomically
 from infogoal_jax.runs.tables import Row
-from infogoal_jax.threefry import written_out
 
 FORMAT = "infogoal-jax checkpoint 2"
 EARLIER = "infogoal-jax checkpoint 1"
@@ -32,11 +32,6 @@ class Seal:
 
     format: str
     sha256: str
-
-
-def is_key(leaf: Any) -> bool:
-    """Whether a leaf is an array of typed PRNG keys."""
-    return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
 def keys_like(like: Any, data: jax.Array) -> jax.Array:

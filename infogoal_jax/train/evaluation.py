@@ -15,7 +15,7 @@ import numpy as np
 
 from infogoal_jax.errors import check_count, require
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
-from infogoal_jax.threefry import written_out
+from infogoal_jax.keys import written_out
 from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.

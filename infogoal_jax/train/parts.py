@@ -18,10 +18,10 @@ from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.goals import corrupt, draw_backgrounds
+from infogoal_jax.keys import written_out
 from infogoal_jax.learners.learner import GoalCode, Learner, View
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.threefry import written_out
 from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
 
 
@@ -221,7 +221,7 @@ def steer(env, config) -> target_states.SubgoalEnv:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
     used."""
     # With it comes MuJoCo, which takes half a second that no other task needs.
-    from infogoal_jax.train.low_level.trainer import load_joint_level, load_with_header
+    from infogoal_jax.low_level.trainer import load_joint_level, load_with_header
 
     require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
     if isinstance(env.space, target_states.JointSpace):

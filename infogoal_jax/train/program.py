@@ -22,9 +22,8 @@ from jax.flatten_util import ravel_pytree
 from infogoal_jax import pairs, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
+from infogoal_jax.keys import is_key, written_out
 from infogoal_jax.learners.learner import InputSpec, conditioned
-from infogoal_jax.runs.checkpoint import is_key
-from infogoal_jax.threefry import written_out
 from infogoal_jax.train.evaluation import evaluate_settings
 from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
 from infogoal_jax.train.parts import (

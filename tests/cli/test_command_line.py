@@ -14,10 +14,10 @@ import infogoal_jax
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
+from infogoal_jax.runner import compilation, host
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import Description, from_dict, to_dict
 from infogoal_jax.stand_ins.house import build_house
-from infogoal_jax.train import compilation, host
 
 
 @pytest.fixture(autouse=True)

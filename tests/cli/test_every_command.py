@@ -216,7 +216,7 @@ def test_a_loop_finishes_its_chunk_first(number):
 def test_no_signal_ends_a_flight_before_the_landing():
     """Not even the second one: signals are noted, and the flight lands."""
     wait = """
-        from infogoal_jax.drone.envelope import Signals
+        from infogoal_drone.envelope import Signals
         with Signals() as signals:
             print("in the air", flush=True)
             [time.sleep(0.01) for _ in iter(lambda: signals.count == 2, True)]

@@ -103,7 +103,8 @@ def benchmark_flags(path: Path) -> set[str]:
 
 def known_flags() -> set[str]:
     """The flags of all commands and benchmarks."""
-    of_benchmarks = set().union(*(benchmark_flags(path) for path in (ROOT / "benchmarks").glob("*/*.py")))
+    scripts = [*(ROOT / "benchmarks").glob("*/*.py"), *(ROOT / "infogoal_paper").glob("*.py")]
+    of_benchmarks = set().union(*(benchmark_flags(path) for path in scripts))
     return OTHERS_FLAGS.union(of_benchmarks, *flags_of_commands().values())
 
 

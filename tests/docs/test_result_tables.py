@@ -1,7 +1,6 @@
 """Tables of the pages say what the numbers in docs/results give, and what is run again replaces what was kept."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,13 +8,8 @@ from places import ROOT
 
 from infogoal_jax import presets
 from infogoal_jax.hyperparameters import check, with_values
-from infogoal_jax.train.tune import check_fields, search_space
-
-sys.path.insert(0, str(ROOT / "benchmarks" / "paper"))
-import tables
-import trial_numbers
-import trials
-import tuning
+from infogoal_jax.runner.tune import check_fields, search_space
+from infogoal_paper import pages, trial_numbers, trials, tuning
 
 MOST_FILES, MOST_BYTES = 60, 3_000_000
 
@@ -23,11 +17,11 @@ MOST_FILES, MOST_BYTES = 60, 3_000_000
 @pytest.fixture(scope="module")
 def written():
     """What every page should be, by its path."""
-    return tables.written(list(tables.SOURCES))
+    return pages.written(list(pages.SOURCES))
 
 
 def test_pages_say_what_the_numbers_give(written):
-    """If not, `python benchmarks/paper/tables.py` writes them."""
+    """If not, `python -m infogoal_paper.pages` writes them."""
     assert [str(path.relative_to(ROOT)) for path, text in written.items() if path.read_text() != text] == []
 
 
@@ -35,20 +29,20 @@ def test_a_changed_number_is_noticed(written, monkeypatch, tmp_path):
     page = tmp_path / "page.md"
     text = (ROOT / "docs" / "tuning.md").read_text()
     page.write_text(text.replace("| InfoGoal | 0.94 | 0.94 |", "| InfoGoal | 0.94 | 0.99 |"))
-    monkeypatch.setattr(tables, "PAGES", [page])
-    assert tables.written(["tuning"])[page] == written[ROOT / "docs" / "tuning.md"] != page.read_text()
+    monkeypatch.setattr(pages, "PAGES", [page])
+    assert pages.written(["tuning"])[page] == written[ROOT / "docs" / "tuning.md"] != page.read_text()
 
 
 def test_every_table_for_pages_is_on_one():
-    text = "".join(page.read_text() for page in tables.PAGES)
-    for name, source in tables.SOURCES.items():
+    text = "".join(page.read_text() for page in pages.PAGES)
+    for name, source in pages.SOURCES.items():
         for table in source():
             assert f"<!-- table: {name}/{table} -->" in text, table
 
 
 def test_results_are_light():
     """But for the page that `infogoal reproduce` draws beside them, which is not kept."""
-    sizes = [path.stat().st_size for path in tables.RESULTS.rglob("*") if path.is_file() and path.name != "index.html"]
+    sizes = [path.stat().st_size for path in pages.RESULTS.rglob("*") if path.is_file() and path.name != "index.html"]
     assert len(sizes) <= MOST_FILES and sum(sizes) <= MOST_BYTES
 
 

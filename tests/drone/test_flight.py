@@ -7,12 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from infogoal_jax.drone import flight as flight_module
-from infogoal_jax.drone.envelope import MOVES, Envelope, Limits
-from infogoal_jax.drone.flight import Flight
-from infogoal_jax.drone.link import Answer
-from infogoal_jax.drone.records import NAME, Log, events_of, read
-from infogoal_jax.drone.vision import Detection, Picture
+from infogoal_drone import flight as flight_module
+from infogoal_drone.envelope import MOVES, Envelope, Limits
+from infogoal_drone.flight import Flight
+from infogoal_drone.link import Answer
+from infogoal_drone.records import NAME, Log, events_of, read
+from infogoal_drone.vision import Detection, Picture
 from infogoal_jax.errors import UserError
 
 SPEED = 200.0

@@ -16,9 +16,9 @@ from places import ROOT
 pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
 pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
 
+from infogoal_drone import records, simulated_tello
+from infogoal_drone.records import TABLE
 from infogoal_jax.data import frames, frames_import, splits
-from infogoal_jax.drone import records, simulated_tello
-from infogoal_jax.drone.records import TABLE
 
 sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
 import drone_faults as faults

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from infogoal_drone import link, mission
+from infogoal_drone.envelope import MOVES, Whereabouts
+from infogoal_drone.records import TABLE, Explorer, Recorder
+from infogoal_drone.vision import Picture
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import frames, frames_import, splits, text
-from infogoal_jax.drone import link, mission
-from infogoal_jax.drone.envelope import MOVES, Whereabouts
-from infogoal_jax.drone.records import TABLE, Explorer, Recorder
-from infogoal_jax.drone.vision import Picture
 from infogoal_jax.errors import UserError
 from infogoal_jax.policy_file import ExportedPolicy
 
@@ -163,7 +163,7 @@ def test_nothing_is_imported_that_is_not_needed(words):
     code = (
         "import sys; from infogoal_jax.cli.main import main\n"
         f"try: main({words})\nexcept SystemExit: pass\n"
-        "found = {'djitellopy', 'av', 'ultralytics', 'infogoal_jax.drone'} & set(sys.modules)\n"
+        "found = {'djitellopy', 'av', 'ultralytics', 'infogoal_drone'} & set(sys.modules)\n"
         "assert not found, found"
     )
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
@@ -252,6 +252,6 @@ def test_a_disk_that_is_full_leaves_no_half_row(tmp_path, monkeypatch):
     assert record(tmp_path, "monday", [("right", "made")]) == 1
     (tmp_path / TABLE).unlink()
     (tmp_path / TABLE).symlink_to("/dev/full")
-    monkeypatch.setattr("infogoal_jax.drone.records.check_recordings", lambda folder, trajectory: None)
+    monkeypatch.setattr("infogoal_drone.records.check_recordings", lambda folder, trajectory: None)
     with pytest.raises(UserError, match="record = .*cannot be written .No space left"):
         record(tmp_path, "tuesday", [("right", "made")])

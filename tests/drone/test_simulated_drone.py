@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from infogoal_jax.drone import simulated_drone, vision
-from infogoal_jax.drone.envelope import MOVES, Envelope, Whereabouts, allowed
-from infogoal_jax.drone.simulated_drone import Body
-from infogoal_jax.drone.vision import Detection, Picture, fault_of
+from infogoal_drone import simulated_drone, vision
+from infogoal_drone.envelope import MOVES, Envelope, Whereabouts, allowed
+from infogoal_drone.simulated_drone import Body
+from infogoal_drone.vision import Detection, Picture, fault_of
 from infogoal_jax.errors import UserError
 from infogoal_jax.stand_ins import shelf
 

@@ -17,7 +17,7 @@ from places import ROOT
 
 from infogoal_jax import envs, make_train, policy_file, presets
 from infogoal_jax.agents.hrac import HRACConfig
-from infogoal_jax.cli.fly import actions_in_words
+from infogoal_jax.cli.export import actions_in_words
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError, counted

@@ -17,20 +17,13 @@ from places import EVERY_TASKS_FIGURES
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from infogoal_drone import figures as flight
+from infogoal_drone.records import NAME
 from infogoal_jax.cli.main import main
-from infogoal_jax.drone.records import NAME
 from infogoal_jax.errors import UserError
-from infogoal_jax.report import (
-    codes_and_walks,
-    figures,
-    flight_figures,
-    house_figures,
-    image_goals,
-    shelf_figures,
-    trajectory_figures,
-)
+from infogoal_jax.report import codes_and_walks, figures, house_figures, image_goals, shelf_figures, trajectory_figures
 from infogoal_jax.report.summary import print_run
-from infogoal_jax.train import host
+from infogoal_jax.runner import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
@@ -268,7 +261,7 @@ def test_a_flight_is_summarised_and_drawn(tmp_path, capsys):
 def test_a_program_that_was_killed(tmp_path, capsys):
     """Its log has no end, and perhaps half a line."""
     write_log(tmp_path, [{"event": "start"}, SETTINGS, *TIMES, STEPS[0]], '{"time": 9.0, "eve')
-    assert flight_figures.report_flight(tmp_path).exists()
+    assert flight.report_flight(tmp_path).exists()
     assert "was killed" in capsys.readouterr().out
 
 

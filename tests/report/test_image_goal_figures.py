@@ -28,7 +28,7 @@ from infogoal_jax.report.runs import table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import episode_video, random_policy, write_video
-from infogoal_jax.train import host
+from infogoal_jax.runner import host
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
 from infogoal_jax.train.program import make_train
 

@@ -16,22 +16,22 @@ from fuzzing import command_lines, configurations, damaged, replaced
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from infogoal_drone import cli as fly
 from infogoal_jax import presets
-from infogoal_jax.cli import fly
 from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.low_level import host as low_level
 from infogoal_jax.report import figures, runs, summary, tuning
-from infogoal_jax.reproduce import command, numbers
+from infogoal_jax.runner import host, tune
 from infogoal_jax.runs import checkpoint, configuration, search, tables
 from infogoal_jax.runs.configuration import Description, from_dict, to_dict
 from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stand_ins import cube, photographs, shelf
-from infogoal_jax.train import host, tune
-from infogoal_jax.train.low_level import host as low_level
+from infogoal_paper import command, numbers
 
 SHORT, LONG = 100, 2000
 SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from infogoal_jax import Hyperparameters, make_train, presets
+from infogoal_jax.runner import host
 from infogoal_jax.runs import tables
-from infogoal_jax.train import TrainResult, host
+from infogoal_jax.train import TrainResult
 
 pytestmark = pytest.mark.long
 

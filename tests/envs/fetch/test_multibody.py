@@ -12,7 +12,7 @@ from infogoal_jax.envs.fetch import contacts, model, physics
 from infogoal_jax.envs.fetch.environment import LATE
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.envs.fetch.vectors import Rotation, Vector
-from infogoal_jax.train.compilation import operations
+from infogoal_jax.runner.compilation import operations
 
 CASES = [
     ("fetch_reach", model.FAST),

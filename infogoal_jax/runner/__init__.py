@@ -1,0 +1,1 @@
+"""The host around the training program: compiling, devices, memory, checkpoints, signals, progress, search."""

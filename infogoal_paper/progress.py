@@ -1,0 +1,220 @@
+"""How far a reproduction is, a page that can be looked at while it runs, FOLDER/progress.html; and what it cost."""
+
+import html
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.data.archives import has_no_locks, try_lock
+from infogoal_jax.runs import disk
+from infogoal_paper import checkpoints, files, plan
+from infogoal_paper.files import Result
+from infogoal_paper.manifest import Run
+from infogoal_paper.numbers import Results
+from infogoal_paper.paper import TASKS
+from infogoal_paper.plan import budget_of
+from infogoal_paper.scores import TITLES
+from infogoal_paper.table_formats import Table
+
+PAGE, TIMES = "progress.html", "times.jsonl"
+SECONDS = 10
+"""The page is written anew at most this often, and reloads itself as often."""
+STYLE = """body{font:16px/1.4 system-ui,sans-serif;margin:1rem;max-width:70rem}table{border-collapse:collapse}
+td,th{padding:.15rem .6rem;border-bottom:1px solid #ccc;text-align:left}.failed{color:#a00}.running{color:#06c}
+.done{color:#080}pre{white-space:pre-wrap}div{overflow-x:auto}"""
+
+
+class State(NamedTuple):
+    """How far a run is. kind: done, running, failed or left, or of a finished one not measured; words: what is known of
+    it."""
+
+    kind: str
+    words: str = ""
+
+
+def note(folder: Path, run: Run, evaluations: int, seconds: float) -> None:
+    """Write how far a run is. seconds: that its program takes from one evaluation to the next."""
+    most = budget_of(run.task, run.toy).evaluations
+    values = {"evaluations": evaluations, "of": most, "seconds": seconds}
+    disk.write_json(files.path_of(folder, run, "progress.json"), values)
+
+
+def forget(folder: Path, run: Run) -> None:
+    """Delete what `note` wrote."""
+    files.path_of(folder, run, "progress.json").unlink(missing_ok=True)
+
+
+def keep_times(folder: Path, task: str, runs: int, seconds: float) -> None:
+    """Keep what a batch of runs took, so that the time to go can be told."""
+    with open(folder / TIMES, "a") as file:
+        file.write(json.dumps({"task": task, "runs": runs, "seconds": seconds}) + "\n")
+
+
+def seconds_a_run(folder: Path) -> dict[str, float]:
+    """Mean seconds of a run of each task, and under "" of all, of those that are known."""
+    path = folder / TIMES
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    found = {}
+    for task in {row["task"] for row in rows} | ({""} if rows else set()):
+        own = [row for row in rows if task in ("", row["task"])]
+        found[task] = sum(row["seconds"] for row in own) / sum(row["runs"] for row in own)
+    return found
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a process holds the lock of this file."""
+    try:
+        with open(path, "r+") as file:
+            return not try_lock(file)
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        if has_no_locks(error):
+            return True  # It is there, and nothing more can be told.
+        raise
+
+
+def state_of(folder: Path, run: Run) -> State:
+    """How far a run is, by the files that are there; whether a finished one is sound is not looked at."""
+    noted = files.path_of(folder, run, "progress.json")
+    if is_locked(files.path_of(folder, run, "lock")):
+        try:
+            known = json.loads(noted.read_text())
+            return State("running", f"evaluation {known['evaluations']} of at most {known['of']}")
+        except (OSError, ValueError, KeyError):
+            return State("running", "compiling, or being measured")
+    if files.has_failed(folder, run):
+        return State("failed", files.why_failed(folder, run))
+    if files.path_of(folder, run).exists():
+        return State("done")
+    if not noted.exists():
+        return State("left")
+    kept = checkpoints.has(folder, run)
+    return State("left", "was stopped, goes on from its checkpoint" if kept else "was stopped without a checkpoint")
+
+
+def sound_state_of(folder: Path, run: Run, config_of: Callable[[Run], TrainConfig]) -> State:
+    """How far a run is. A finished one is read: it is left where its file is damaged or of another configuration, or
+    where it is not measured and will be."""
+    state = state_of(folder, run)
+    if state.kind != "done":
+        return state
+    status, why = files.status_of(folder, run, config_of(run))
+    if status == "not measured":
+        waits = why == plan.NO_TIME and checkpoints.has(folder, run)
+        return State("left", "is trained, and to be measured") if waits else State(status, why)
+    return State("done") if status == "done" else State("left", why)
+
+
+def time_to_go(folder: Path, runs: list[Run], states: dict[Run, State]) -> float | None:
+    """Seconds until all is done, if as many processes go on working as do now; None while nothing is known."""
+    known = seconds_a_run(folder)
+    if not known:
+        return None
+    working = max(1, len({run.task + run.label for run in runs if states[run].kind == "running"}))
+    left = [run for run in runs if states[run].kind in ("left", "running")]
+    return sum(known.get(run.task, known[""]) for run in left) / working
+
+
+def in_words(seconds: float | None) -> str:
+    """A time as hours and minutes."""
+    if seconds is None:
+        return "not known yet"
+    minutes = int(np.ceil(seconds / 60))
+    return f"{minutes // 60} h {minutes % 60:02d} min" if minutes >= 60 else f"{minutes} min"
+
+
+def summary(folder: Path, runs: list[Run], states: dict[Run, State] | None = None) -> str:
+    """How many runs are done, running, failed and left, and the time to go. states: None for those of `state_of`."""
+    states = states or {run: state_of(folder, run) for run in runs}
+    kinds = [state.kind for state in states.values()]
+    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in ("done", "running", "failed", "left"))
+    counts += f", {kinds.count('not measured')} not measured" if "not measured" in kinds else ""
+    return f"{len(runs)} runs: {counts}; time to go: {in_words(time_to_go(folder, runs, states))}"
+
+
+def write(folder: Path, runs: list[Run], at_once: bool = False) -> None:
+    """Write the page, unless it is a few seconds old."""
+    path = folder / PAGE
+    if not at_once and path.exists() and time.time() - path.stat().st_mtime < SECONDS:
+        return
+    states = {run: state_of(folder, run) for run in runs}
+    rows = "".join(
+        f'<tr class="{state.kind}"><td>{html.escape(run.name)}</td><td>{state.kind}</td>'
+        f"<td>{html.escape(state.words)}</td></tr>"
+        for run, state in sorted(states.items(), key=lambda item: ORDER.index(item[1].kind))
+    )
+    disk.make_folder(folder)
+    disk.write_text(
+        path,
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        f'<meta http-equiv="refresh" content="{SECONDS}"><title>Reproduction: progress</title><style>{STYLE}</style>'
+        f"<h1>Reproduction: progress</h1><p>{html.escape(summary(folder, runs, states))}</p>"
+        f"<div><table><tr><th>run</th><th></th><th></th></tr>{rows}</table></div></html>\n",
+    )
+
+
+ORDER = ("running", "failed", "left", "done")
+
+
+def costs(results: Results) -> Table | None:
+    """Programs, updates, and the time of compiling and of running, by task."""
+    body, machines, totals = [], {}, np.zeros(5)
+    for task in TASKS:
+        own = [result for run, result in results.items() if run.task == task]
+        programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
+        if not own:
+            continue
+        compiling, running = (
+            # As exact with every version of Python; its own `sum` rounds otherwise from 3.12 on.
+            math.fsum(program[f"{name}_seconds"] for program in programs.values())
+            for name in ("compile", "run")
+        )
+        measuring = math.fsum(result.about["measure_seconds"] for result in own)
+        updates = sum(result.evaluations["train_goal/success_rate"].size * result.about["updates"] for result in own)
+        numbers = np.array([len(own), len(programs), updates / 1e6, compiling + measuring, running])
+        totals += numbers
+        body.append([TITLES[task], *cost_cells(numbers, own)])
+        machines |= dict.fromkeys(result.about["machine"] for result in own)
+    if not body:
+        return None
+    body.append(["all", *cost_cells(totals, list(results.values()))])
+    head = ["task", "runs", "programs", "updates (million)"]
+    head += ["compiling and measuring (s)", "training (s)", "process-minutes"]
+    foot = (
+        "Updates are counted over all seeds. Seconds and process-minutes are sums over processes. Several share a GPU "
+        "and its host, each with a clock of its own, so that the sums are more than the time of the GPU."
+    )
+    if any("spans" in result.about["program"] for result in results.values()):
+        head.append("wall clock (min)")
+        foot += (
+            " Wall clock: the time in which at least one process was at work, on one GPU or on several side by side, "
+            "of the runs that recorded it; empty where none did."
+        )
+    else:
+        body = [row[:-1] for row in body]
+    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
+
+
+def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
+    """The cells of a line of the costs: of these numbers, of which the last two are seconds, and of the wall clock of
+    the runs."""
+    timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
+    clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
+    clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
+    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[-2:].sum() / 60:,.0f}", clock]
+
+
+def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:
+    """Seconds in which at least one of these spans, [from, to] of each run, was running."""
+    total, until = 0.0, -math.inf
+    for start, end in sorted((start, end) for spans in spans_of_runs for start, end in spans):
+        total += max(0.0, end - max(start, until))
+        until = max(until, end)
+    return total

@@ -1,0 +1,129 @@
+"""Tables, and how they are written: as Markdown, LaTeX and CSV from the same cells."""
+
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from infogoal_paper.scores import TwoIntervals
+
+
+class Cell(NamedTuple):
+    """A number of a table. ours: None where there is no run; paper: in words; rank: 1 for the best of its column, 2 for
+    the second best, else 0; marks: of what is wrong with it; run: the name of its first run."""
+
+    ours: TwoIntervals | None
+    paper: str = ""
+    rank: int = 0
+    marks: str = ""
+    run: str = ""
+
+    def words(self) -> str:
+        """`0.85 ± 0.03 / 0.07†`: mean, interval over seeds, interval over goal sets; nothing where there is no run."""
+        if self.ours is None:
+            return ""
+        seeds = f" ± {self.ours.seeds:.2f}" if math.isfinite(self.ours.seeds) else ""
+        sets = f" / {self.ours.sets:.2f}" if math.isfinite(self.ours.sets) else ""
+        return f"{self.ours.mean:.2f}{seeds}{sets}{self.marks}"
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A table. title: in words; head: of the columns; rows: name and cells, a cell or words; foot: lines below."""
+
+    name: str
+    title: str
+    head: list[str]
+    rows: list[list[Cell | str]]
+    foot: list[str] = dataclasses.field(default_factory=list)
+
+
+def markdown_cell(cell: Cell | str) -> str:
+    """A cell in Markdown: best in bold, second best underlined, the paper's number in brackets."""
+    if isinstance(cell, str):
+        return cell
+    words, paper = cell.words(), f" ({cell.paper})" if cell.paper else ""
+    words = f"**{words}**" if cell.rank == 1 else f"<u>{words}</u>" if cell.rank == 2 else words
+    return (words + paper).strip()
+
+
+def markdown_lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of words in Markdown, without a line behind it."""
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def markdown(table: Table) -> str:
+    """The table in Markdown."""
+    rows = [[markdown_cell(cell) for cell in row] for row in table.rows]
+    return "\n".join([markdown_lines(table.head, rows), "", *table.foot]) + "\n"
+
+
+def latex_cell(cell: Cell | str) -> str:
+    """A cell in LaTeX."""
+    if isinstance(cell, str):
+        return latex_words(cell)
+    words, paper = latex_words(cell.words()), f" ({cell.paper})" if cell.paper else ""
+    words = rf"\textbf{{{words}}}" if cell.rank == 1 else rf"\underline{{{words}}}" if cell.rank == 2 else words
+    return (words + paper).strip()
+
+
+LATEX = {
+    "%": r"\%",
+    "±": r"$\pm$",
+    "†": r"$\dagger$",
+    "‡": r"$\ddagger$",
+    "§": r"\S",
+    "°": r"$^\circ$",
+    "¶": r"\P",
+    "◇": r"$\diamond$",
+}
+"""Characters of the tables that LaTeX writes otherwise."""
+
+
+def latex_words(words: str) -> str:
+    """Words as LaTeX has them."""
+    for plain, written in LATEX.items():
+        words = words.replace(plain, written)
+    return words
+
+
+def latex(table: Table) -> str:
+    """The table in LaTeX, for the package booktabs."""
+    lines = [rf"\begin{{tabular}}{{l{'c' * (len(table.head) - 1)}}}", r"\toprule"]
+    lines += [" & ".join(map(latex_words, table.head)) + r" \\", r"\midrule"]
+    lines += [" & ".join(map(latex_cell, row)) + r" \\" for row in table.rows]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", *(f"% {line}" for line in table.foot)]) + "\n"
+
+
+def comma_separated(table: Table) -> str:
+    """The table as CSV: of a cell the mean, both intervals, the paper's number, the rank and the marks in columns of
+    their own."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    parts = ("mean", "interval over seeds", "interval over sets", "paper", "rank", "marks")
+    wide = [any(isinstance(row[place], Cell) for row in table.rows) for place in range(len(table.head))]
+    header = zip(table.head, wide, strict=True)
+    writer.writerow(
+        [
+            name
+            for title, of_cells in header
+            for name in ([f"{title}: {part}" for part in parts] if of_cells else [title])
+        ]
+    )
+    for row in table.rows:
+        values = []
+        for cell in row:
+            if isinstance(cell, str):
+                values.append(cell)
+                continue
+            ours = [""] * 3 if cell.ours is None else ["" if math.isnan(x) else f"{x:.4f}" for x in cell.ours]
+            values += [*ours, cell.paper, cell.rank or "", cell.marks]
+        writer.writerow(values)
+    return text.getvalue()
+
+
+WRITERS = {"md": markdown, "tex": latex, "csv": comma_separated}
+"""By the ending of the file."""

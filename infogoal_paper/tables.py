@@ -1,0 +1,298 @@
+"""Every table that there are numbers for: Tables I and II, test goals at equal training, near and far goals, and the
+comparison of methods over tasks."""
+
+import functools
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from infogoal_jax.goal_uses import TEST
+from infogoal_paper import plan
+from infogoal_paper.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
+from infogoal_paper.numbers import Results
+from infogoal_paper.paper import TASKS, reported
+from infogoal_paper.progress import costs
+from infogoal_paper.scores import (
+    KINDS,
+    MARKS,
+    NOT_COUNTED,
+    ROWS,
+    TITLES,
+    Row,
+    TwoIntervals,
+    bootstrap,
+    columns,
+    has_scores,
+    interquartile_mean,
+    over_seeds_and_sets,
+    probability_of_improvement,
+    row_of,
+    rows_of,
+    scores_of,
+)
+from infogoal_paper.table_formats import Cell, Table
+
+
+def methods_of(rows: dict[tuple[str, str], Row], variant: str) -> list[str]:
+    """The methods of a variant that have a row."""
+    return [method for method in ROWS[variant] if any(known == method for _, known in rows)]
+
+
+def table1(results: Results, variant: str) -> Table | None:
+    """Table I in one of the variants; None where there are no runs."""
+    rows = rows_of(results, variant, ROWS[variant])
+    if not rows:
+        return None
+    shown = [(kind, task) for kind, task in columns() if any(known == task for known, _ in rows)]
+    methods = methods_of(rows, variant)
+    cells = {
+        (method, kind, task): cell_of(rows.get((task, method)), variant, kind, task, method)
+        for method in methods
+        for kind, task in shown
+    }
+    for kind, task in shown:
+        if is_complete(rows, variant, kind, task):
+            column = {method: cells[method, kind, task] for method in methods}
+            for method, rank in ranks(column).items():
+                cells[method, kind, task] = column[method]._replace(rank=rank)
+    head = ["method"]
+    for kind, task in shown:
+        head += [f"{TITLES[task]}, {KINDS[kind]}"]
+    body = [[METHODS[method], *(cells[method, kind, task] for kind, task in shown)] for method in methods]
+    seeds = sorted({row.seeds for row in rows.values()})
+    foot = [
+        "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t); in brackets the paper's number. "
+        "Bold: best of a column; underlined: second best, in columns in which every method ran on every goal set. "
+        f"{' or '.join(map(str, seeds))} seed(s) on each goal set. Corrupted: background of weight 0.4."
+    ]
+    foot += legend(rows.values())
+    return Table(f"table1_{variant}", f"Table I, {VARIANTS[variant]}", head, body, foot)
+
+
+def equal_training(results: Results, variant: str) -> Table | None:
+    """Success on test goals when all methods of a task have had as many updates as the one that stopped first. Training
+    stops by training goals: a method that learns them slowly is given more updates, in which test goals may rise."""
+    rows = rows_of(results, variant, ROWS[variant])
+    lengths = {task: updates_of(rows[key] for key in rows if key[0] == task) for task in TASKS}
+    updates = {task: min(each) for task, each in lengths.items() if each}
+    if not updates:
+        return None
+    methods = methods_of(rows, variant)
+    columns = []
+    for task, most in updates.items():
+        own = {method: rows.get((task, method)) for method in methods}
+        column = {method: Cell(None if row is None else over_updates(row, most)) for method, row in own.items()}
+        order = ranks(column) if is_complete(rows, variant, "test_goal", task) else {}
+        columns.append({method: cell._replace(rank=order.get(method, 0)) for method, cell in column.items()})
+    head = ["method", *(f"{TITLES[task]}, {most:,} updates" for task, most in updates.items())]
+    body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
+    longest = max(max(lengths[task]) / most for task, most in updates.items())
+    foot = [
+        "Success rate on clean test goals: mean ± 95 % interval over seeds / over goal sets, over the three "
+        "evaluations up to the updates after which the first run of the column stopped. In Table I each run has "
+        f"trained until its training goals levelled off, at most for {longest:.1f} times as long."
+    ]
+    return Table(f"equal_training_{variant}", f"Test goals at equal training, {VARIANTS[variant]}", head, body, foot)
+
+
+def updates_of(rows: Iterable[Row]) -> list[int]:
+    """The updates of each run of these rows until its training goals levelled off."""
+    return [
+        plan.shown(result.evaluations["train_goal/success_rate"]).stop * result.about["updates"]
+        for row in rows
+        for result in row.results
+    ]
+
+
+def over_updates(row: Row, updates: int) -> TwoIntervals | None:
+    """Success of a row on test goals over the last evaluations up to so many updates."""
+    scores = []
+    for result in row.results:
+        count = updates // result.about["updates"]
+        scores.append(scores_of(result, "test_goal/success_rate", slice(max(0, count - plan.WINDOW), count)))
+    return over_seeds_and_sets(scores) if all(len(each) for each in scores) else None
+
+
+def legend(rows: Iterable[Row]) -> list[str]:
+    """What the marks of these rows mean, a line each."""
+    found = {fault for row in rows for fault in row.faults()}
+    return [f"{mark} {words}." for fault, (mark, words) in MARKS.items() if fault in found]
+
+
+def cell_of(row: Row | None, variant: str, kind: str, task: str, method: str) -> Cell:
+    """A cell of Table I. The paper has no second variant."""
+    paper = reported(task, kind, method) if variant == "paper" or method == "her" else ""
+    return Cell(None, paper) if row is None else Cell(row.mean(kind), paper, 0, row.marks(), row.results[0].run.name)
+
+
+def ranks(column: dict[str, Cell]) -> dict[str, int]:
+    """1 for the best of a column, 2 for the second best, by the two decimals that are shown; ties share a rank."""
+    means = {name: round(cell.ours.mean, 2) for name, cell in column.items() if cell.ours is not None}
+    order = sorted(set(means.values()), reverse=True)[:2]
+    return {name: order.index(mean) + 1 for name, mean in means.items() if mean in order}
+
+
+def is_complete(rows: dict[tuple[str, str], Row], variant: str, kind: str, task: str) -> bool:
+    """Whether each method that the variant and the task allow has its number, and all of them on the same goal sets."""
+    wanted = [rows.get((task, method)) for method in ROWS[variant] if is_planned(variant, task, method)]
+    sets = {None if row is None else tuple(result.run.goal_set for result in row.results) for row in wanted}
+    return len(sets) == 1 and all(has_scores(row, kind) for row in wanted)
+
+
+@functools.cache
+def is_planned(variant: str, task: str, method: str) -> bool:
+    """Whether a variant has this row on a task."""
+    return bool(runs_of(("table1",), Choice((task,), (method,), (variant,), seeds=1)))
+
+
+def table2(results: Results) -> Table | None:
+    """Table II: beta, accuracy and KL that InfoGoal converges to."""
+    found = {task: row_of(results, "paper", task, "infogoal") for task in TASKS}
+    rows, body = {task: row for task, row in found.items() if row}, []
+    for task, row in rows.items():
+        cells: list[Cell | str] = [TITLES[task]]
+        for metric, decimals in (("beta", 4), ("accuracy", 3), ("kl", 1)):
+            values = [scores_of(result, f"infogoal/{metric}") for result in row.results]
+            mean = over_seeds_and_sets(values)
+            half = f" ± {mean.seeds:.{decimals}f}" if math.isfinite(mean.seeds) else ""
+            cells.append(f"{mean.mean:.{decimals}f}{half}{row.marks()}")
+        body.append([*cells, "0.013, 0.96" if task == "fetch_pick_and_place" else ""])
+    foot = [
+        "Mean ± 95 % interval over seeds. The paper's supplementary table could not be had; its text has PickAndPlace.",
+        *legend(rows.values()),
+    ]
+    head = ["task", "beta", "accuracy", "KL (nats)", "paper: beta, accuracy"]
+    return Table("table2", "Table II: what InfoGoal converges to", head, body, foot) if body else None
+
+
+def near_and_far(results: Results) -> Table | None:
+    """Success on test goals of Fetch near a training goal and far from all of them, at the evaluation at which the run
+    levelled off; of the runs that recorded which are near."""
+    head, columns = ["method"], []
+    for task in FETCH:
+        rows = {method: row_of(results, "paper", task, method) for method in METHODS}
+        rows = {method: row for method, row in rows.items() if row and all("near" in x.arrays for x in row.results)}
+        if rows:
+            head += [f"{TITLES[task]}, near", f"{TITLES[task]}, far"]
+            columns += [(rows, True), (rows, False)]
+    body = [
+        [METHODS[method], *(near_cell(rows.get(method), near) for rows, near in columns)]
+        for method in METHODS
+        if any(method in rows for rows, _ in columns)
+    ]
+    foot = [
+        "Success rate on clean test goals that count as reached from a training goal (near), and on the others (far): "
+        "mean ± 95 % interval over seeds / over goal sets, relabelling as in the paper, at the last of the three "
+        "evaluations whose mean Table I shows.",
+        *legend(row for rows, _ in columns for row in rows.values()),
+    ]
+    return Table("near_and_far", "Near and far test goals of Fetch", head, body, foot) if body else None
+
+
+def near_cell(row: Row | None, near: bool) -> Cell:
+    """The success of a row on its near test goals, or on its far ones."""
+    if row is None:
+        return Cell(None)
+    scores = []
+    for result in row.results:
+        part = (result.arrays["uses"] == TEST) & (result.arrays["near"] == near)
+        if not part.any():  # A goal set may have none that are near.
+            continue
+        scores.append(
+            (result.arrays["first_reached"][result.kept][:, part] <= result.about["episode_length"]).mean((1, 2))
+        )
+    found = over_seeds_and_sets(scores) if scores and all(len(each) for each in scores) else None
+    return Cell(found, "", 0, row.marks(), row.results[0].run.name)
+
+
+def counts(row: Row) -> bool:
+    """Whether a row counts for what is said over tasks."""
+    return not NOT_COUNTED.intersection(row.faults())
+
+
+def counts_alone(row: Row) -> bool:
+    """Whether its mean may stand beside those of other rows, which takes the same goal sets."""
+    return counts(row) and not row.lacking
+
+
+def over_tasks(results: Results, variant: str) -> Table | None:
+    """The interquartile mean of each method over the tasks on which its row counts, and the probability that InfoGoal
+    is better over those on which both do; by kind of goals, of the tasks on which all of the methods ran."""
+    rows = rows_of(results, variant, ROWS[variant])
+    methods = methods_of(rows, variant)
+    if len(methods) < 2:
+        return None
+    tasks_of = {
+        kind: [task for task in TASKS if all(has_scores(rows.get((task, method)), kind) for method in methods)]
+        for kind in KINDS
+    }
+    kinds = [kind for kind in KINDS if tasks_of[kind]]
+    if not kinds:
+        return None
+    head = ["method"]
+    for kind in kinds:
+        head += [f"IQM, {KINDS[kind]}", f"P(InfoGoal better), {KINDS[kind]}"]
+    body = []
+    for method in methods:
+        cells = [METHODS[method]]
+        for kind in kinds:
+            ran = len(tasks_of[kind])
+            own = [rows[task, method] for task in tasks_of[kind] if counts_alone(rows[task, method])]
+            cells.append(over_some(interquartile_mean, ran, [row.scores(kind) for row in own]))
+            both = [pair for pair in pairs_of(rows, tasks_of[kind], method) if all(map(counts, pair))]
+            scores = [[scores_of_sets(row, other, kind) for row, other in (pair, pair[::-1])] for pair in both]
+            cells.append(
+                over_some(probability_of_improvement, ran, *(list(each) for each in zip(*scores, strict=True)))
+            )
+        body.append(cells)
+    filled = [place for place in range(len(head)) if any(row[place] for row in body)]
+    head, body = [head[place] for place in filled], [[row[place] for place in filled] for row in body]
+    foot = [
+        "Interquartile mean over runs and tasks, and probability that a run of InfoGoal has more success than one of "
+        "the method on the same goal set (rliable's definitions), with the 95 % interval of a bootstrap over goal sets "
+        "and seeds within tasks. Rows that do not count are left out: interquartile means over different tasks are not "
+        "to be compared. A row that lacks a goal set is left out of the means alone."
+    ]
+    for kind in kinds:
+        foot.append(f"{KINDS[kind]}: {', '.join(TITLES[task] for task in tasks_of[kind])}.")
+        left = [left_out(rows, task, methods) for task in tasks_of[kind]]
+        foot += [f"Left out of {KINDS[kind]}: {'; '.join(filter(None, left))}."] if any(left) else []
+    foot += legend(rows.values())
+    return Table(f"over_tasks_{variant}", f"Over tasks, {VARIANTS[variant]}", head, body, foot)
+
+
+def pairs_of(rows: dict[tuple[str, str], Row], tasks: list[str], method: str) -> list[tuple[Row, Row]]:
+    """InfoGoal's row and the method's of these tasks, where both are there and are not the same."""
+    there = [task for task in tasks if method != "infogoal" and (task, "infogoal") in rows]
+    return [(rows[task, "infogoal"], rows[task, method]) for task in there]
+
+
+def scores_of_sets(row: Row, other: Row, kind: str) -> list[np.ndarray]:
+    """Success of a row on the goal sets that another one has too, [seeds] of each."""
+    shared = {result.run.goal_set for result in other.results}
+    return [
+        scores for result, scores in zip(row.results, row.scores(kind), strict=True) if result.run.goal_set in shared
+    ]
+
+
+def over_some(function: Callable[..., np.ndarray], ran: int, *methods: list) -> str:
+    """The function over the tasks that count with its interval, and of how many tasks these are; nothing for none."""
+    if not methods or not methods[0] or not all(scores for tasks in methods for scores in tasks):
+        return ""
+    count = len(methods[0])
+    return bootstrap(function, *methods).show() + (f", {count} of {ran} tasks" if count < ran else "")
+
+
+def left_out(rows: dict[tuple[str, str], Row], task: str, methods: list[str]) -> str:
+    """The methods whose rows on a task do not count, with their marks."""
+    left = [method for method in methods if not counts_alone(rows[task, method])]
+    names = [f"{METHODS[method]}{rows[task, method].marks()}" for method in left]
+    return f"{', '.join(names)} on {TITLES[task]}" if names else ""
+
+
+def all_tables(results: Results) -> list[Table]:
+    """Every table of the paper's runs that there are numbers for."""
+    results = {run: result for run, result in results.items() if run.of_paper}
+    made = [make(results, variant) for variant in VARIANTS for make in (table1, equal_training, over_tasks)]
+    return [table for table in (*made, table2(results), near_and_far(results), costs(results)) if table is not None]

@@ -1,0 +1,290 @@
+"""What is kept of the trials: docs/results/trials/numbers.csv.gz, one row for every evaluation of every lane and seed,
+the tables made of it, and the probe that says what a code still tells of its goal.
+
+    trial, lane, seed, updates       which of the queue in trials.py, and the updates that one seed had made
+    known_goals                      the protocol; empty in older rows, which were all under `visited`
+    KIND/success_rate                of each kind of goals
+    learner/beta, accuracy, kl       of the epoch before the evaluation, for learners that have them
+    KIND/code_error, readout_error   `code_errors`, of the goal by its code: degrees on the cube, metres on Fetch
+    seconds                          since the trial began to compile, of all its lanes; empty in older rows
+    machine                          device, versions and date
+
+A cell is empty where a trial has no such number.
+
+The probe leaves the policy out, whereas success mixes what a code says with what the policy makes of it. From the code
+of a goal a goal is guessed, in two ways, and the error is how far the guess lies from the truth, to be held beside the
+tolerance of success:
+
+- `code_error`: the goal whose mean code is nearest to a sample of the code. That is the resolution of the code.
+- `readout_error`: the goal whose pose is nearest to the one that a linear map reads out of the mean code. The map is
+  fitted (ridge regression) to clean images of all goals but the test goals, so for test goals it has to generalise.
+
+Both for clean images, and for images under test backgrounds: `corrupted_...`.
+"""
+
+import csv
+import gzip
+import io
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.envs.object_manipulation import ObjectManipulation
+from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.report.statistics import mean_interval, paired_difference
+from infogoal_jax.runs import disk
+from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
+from infogoal_paper.table_formats import markdown_lines
+
+FILE = "numbers.csv.gz"
+LAST = 3
+"""Evaluations over which tables take the mean: a single one of few goals jumps by 0.05 and more."""
+FEWEST_SEEDS = 3
+"""Seeds from which on an interval is shown: of two it is 12.7 times the standard error, wider than what is measured."""
+SUCCESS = {
+    "train_goal": "training",
+    "validation_goal": "validation",
+    "test_goal": "test",
+    "near_test_goal": "test, near",
+    "far_test_goal": "test, far",
+    "corrupted_train_goal": "corrupted training",
+    "corrupted_test_goal": "corrupted test",
+    "test_goal_mean_code": "test, mean code",
+}
+"""Kinds of goals that tables show: as metrics name them, and in words."""
+SPLIT = ("near_test_goal", "far_test_goal")
+"""Kinds that older trials do not have: columns of tables in which there is a number."""
+
+PROBED = {
+    f"{kind}/{error}": f"{words}, {said}"
+    for error, said in {"code_error": "nearest code", "readout_error": "read out"}.items()
+    for kind, words in {"test_goal": "test", "corrupted_test_goal": "corrupted test"}.items()
+}
+"""Columns of the probe's table."""
+
+Row = dict[str, str]
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, as it is or compressed."""
+    content = path.read_bytes()
+    return (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+
+
+def write_compressed(path: Path, text: str) -> None:
+    """Write a text compressed, the same bytes whenever it is written."""
+    disk.write_atomically(path, lambda file: file.write(gzip.compress(text.encode(), mtime=0)))
+
+
+def read(path: Path) -> list[Row]:
+    """The rows of a file of trials, CSV as it is or compressed."""
+    return list(csv.DictReader(io.StringIO(read_text(path), newline="")))
+
+
+def write(rows: list[Row], path: Path) -> None:
+    """Write these rows compressed, with every column that holds something anywhere, the machine last."""
+    columns = [
+        column
+        for column in dict.fromkeys(column for row in rows for column in row)
+        if any(row.get(column) for row in rows)
+    ]
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(
+        text, sorted(columns, key="machine".__eq__), restval="", extrasaction="ignore", lineterminator="\n"
+    )
+    table.writeheader()
+    table.writerows(rows)
+    write_compressed(path, text.getvalue())
+
+
+def merge(folder: Path, path: Path, order: Iterable[str]) -> list[str]:
+    """Put the trials of FOLDER/*.csv into the file, in place of what it holds of them. order: of all trials. Returns
+    those that came in."""
+    new = {found.stem: read(found) for found in sorted(folder.glob("*.csv"))}
+    places = {trial: place for place, trial in enumerate(order)}
+    kept = [row for row in (read(path) if path.exists() else []) if row["trial"] not in new]
+    rows = sorted(
+        [*kept, *(row for found in new.values() for row in found)],
+        key=lambda row: places.get(row["trial"], len(places)),
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write(rows, path)
+    return list(new)
+
+
+def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
+    """What was run of each trial: of each of its lanes how many seeds, and the updates that each of them has made."""
+    found: dict[str, dict[str, dict[str, int]]] = {}
+    for row in rows:
+        seeds = found.setdefault(row["trial"], {}).setdefault(row["lane"], {})
+        seeds[row["seed"]] = max(int(row["updates"]), seeds.get(row["seed"], 0))
+    return {
+        trial: {lane: (len(seeds), min(seeds.values())) for lane, seeds in lanes.items()}
+        for trial, lanes in found.items()
+    }
+
+
+def cost_table(rows: list[Row], tasks: dict[str, str]) -> str:
+    """What the trials took, task by task. tasks: of each trial its task."""
+    took: dict[str, float] = {}
+    for row in rows:
+        if row.get("seconds"):
+            took[row["trial"]] = max(float(row["seconds"]), took.get(row["trial"], 0.0))
+    ran, table = {row["trial"] for row in rows}, []
+    for task in dict.fromkeys(tasks.values()):
+        trials = [trial for trial, its in tasks.items() if its == task and trial in ran]
+        timed = [took[trial] for trial in trials if trial in took]
+        table.append([task, str(len(trials)), str(len(timed)), f"{sum(timed) / 60:.0f}" if timed else ""])
+    return markdown_lines(["task", "trials", "of which timed", "minutes of these"], table)
+
+
+def kinds_of(rows: list[Row]) -> dict[str, str]:
+    """The kinds of goals that a table of these rows shows."""
+    return {
+        kind: words
+        for kind, words in SUCCESS.items()
+        if kind not in SPLIT or any(row.get(f"{kind}/success_rate") for row in rows)
+    }
+
+
+def seed_means(rows: list[Row], column: str) -> np.ndarray | None:
+    """The mean of a column for each seed, or None where these rows have no such number."""
+    if not all(row.get(column) for row in rows):
+        return None
+    return np.array(
+        [
+            np.mean([float(row[column]) for row in rows if row["seed"] == seed])
+            for seed in dict.fromkeys(row["seed"] for row in rows)
+        ]
+    )
+
+
+def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> str:
+    """The mean over seeds, with the interval if it is asked for and there are seeds enough."""
+    if values is None:
+        return ""
+    return (
+        mean_interval(values).show(decimals)
+        if interval and len(values) >= FEWEST_SEEDS
+        else f"{values.mean():,.{decimals}f}"
+    )
+
+
+def last_of_lanes(rows: list[Row]) -> Iterator[tuple[str, list[Row], str]]:
+    """Each lane of a trial with its rows of the last evaluations, and from which updates to which these are."""
+    last = sorted({int(row["updates"]) for row in rows})[-LAST:]
+    for lane in dict.fromkeys(row["lane"] for row in rows):
+        shown = [row for row in rows if row["lane"] == lane and int(row["updates"]) in last]
+        yield lane, shown, f"{last[0]:,} to {last[-1]:,}"
+
+
+def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
+    """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
+    none."""
+    kinds = kinds_of([row for row in rows if row["trial"] in trials])
+    columns = ["trial", "lane", "known goals", "seeds", "updates", *kinds.values(), "KL", "accuracy"]
+    lines = []
+    for trial in trials:
+        for lane, shown, updates in last_of_lanes([row for row in rows if row["trial"] == trial]):
+            known = shown[0].get("known_goals") or "visited"
+            cells = [f"`{trial}`", lane, known, str(len({row["seed"] for row in shown})), updates]
+            cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
+            cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
+            lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
+    machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
+    return markdown_lines(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+
+
+def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
+    """A line for every lane that the probe looked at, at its last evaluations. units: the unit of the errors of each
+    trial, with its decimals."""
+    lines, machines = [], {}
+    for trial, (unit, decimals) in units.items():
+        own = [row for row in rows if row["trial"] == trial and row.get("test_goal/readout_error")]
+        for lane, shown, updates in last_of_lanes(own):
+            errors = [show(seed_means(shown, column), decimals) for column in PROBED]
+            success = [
+                show(seed_means(shown, f"{kind}/success_rate"), 2) for kind in ("test_goal", "corrupted_test_goal")
+            ]
+            lines.append([f"`{trial}`", lane, updates, unit, *errors, *success])
+            machines |= dict.fromkeys(row["machine"] for row in shown)
+    columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
+    return markdown_lines(columns, lines) + f"\n\n{'; '.join(machines)}."
+
+
+def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
+    """A line for each pair of (trial, lane): success of the first minus that of the second, seed by seed, over the last
+    evaluations that both have."""
+    lines, machines = [], {}
+    kinds = kinds_of([row for pair in pairs for row in rows if (row["trial"], row["lane"]) in pair])
+    for pair in pairs:
+        first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
+        last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
+        shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
+        cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[0]):,} to {int(last[-1]):,}"]
+        for kind in kinds:
+            values = [seed_means(own, f"{kind}/success_rate") for own in shown]
+            cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
+        lines.append(cells)
+        machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
+    return markdown_lines(["trial", "minus", "updates", *kinds.values()], lines) + f"\n\n{'; '.join(machines)}."
+
+
+RIDGE = 1e-3
+"""Of the mean squared entry of the codes, which are standardised."""
+
+
+def poses(env) -> jax.Array:
+    """What is to be read out of each goal's code float32 [num_goals, D]: positions in metres on Fetch; on the cube the
+    products of the quaternion's entries, which do not see its sign."""
+    if not isinstance(env.unwrapped, ObjectManipulation):
+        return env.goal_positions
+    quaternion = env.unwrapped.goal_quaternion
+    return (quaternion[:, :, None] * quaternion[:, None, :]).reshape(len(quaternion), -1)
+
+
+def distances(env, goals: jax.Array, guesses: jax.Array) -> jax.Array:
+    """How far these goals [M] lie from the guessed ones [M], in degrees or metres."""
+    if not isinstance(env.unwrapped, ObjectManipulation):
+        return jnp.linalg.norm(env.goal_positions[goals] - env.goal_positions[guesses], axis=-1)
+    quaternion = env.unwrapped.goal_quaternion
+    cosine_of_half = jnp.abs((quaternion[goals] * quaternion[guesses]).sum(-1))
+    return jnp.degrees(2 * jnp.arccos(jnp.minimum(cosine_of_half, 1.0)))
+
+
+def nearest(table: jax.Array, points: jax.Array) -> jax.Array:
+    """The row of `table` [N, D] that is nearest to each of `points` [M, D], by the mean absolute difference."""
+    return jax.lax.map(lambda point: jnp.abs(table - point).mean(-1).argmin(), points)
+
+
+def fit(codes: jax.Array, targets: jax.Array, shown: jax.Array):
+    """Ridge regression of targets [N, D] on codes [N, L], over the rows of `shown` bool [N]. Returns the map, codes
+    [M, L] -> targets [M, D]."""
+    weight = shown[:, None] / shown.sum()
+    mean, target_mean = (weight * codes).sum(0), (weight * targets).sum(0)
+    spread = jnp.sqrt((weight * (codes - mean) ** 2).sum(0)) + 1e-6
+    scaled = (codes - mean) / spread
+    moments = scaled.T @ (weight * scaled) + RIDGE * jnp.eye(codes.shape[-1])
+    slopes = jnp.linalg.solve(moments, scaled.T @ (weight * (targets - target_mean)))
+    return lambda new: target_mean + (new - mean) / spread @ slopes
+
+
+def code_errors(train, params, goals: jax.Array) -> dict[str, jax.Array]:
+    """The errors named at the top of this file for goals int32 [M], each float32 [M]."""
+    env, learner = train.env, train.parts.learner
+    table, targets = encode_all(learner, params["goal"], env.goals).mean, poses(env)
+    read_out = fit(table, targets, ~env.goals.test_mask)
+    weight = train.parts.config.test_corruption
+    pictures = {"": env.goals.inputs_of(goals)}
+    if has_image_goals(env):
+        pictures["corrupted_"] = corrupted_images(env, goals, 1, weight)[:, 0]
+    errors = {}
+    for prefix, images in pictures.items():
+        code = learner.encode(params["goal"], images)
+        guesses = {"code_error": nearest(table, code.sample(jax.random.key(0)))}
+        guesses["readout_error"] = nearest(targets, read_out(code.mean))
+        errors |= {prefix + name: distances(env, goals, guess) for name, guess in guesses.items()}
+    return errors

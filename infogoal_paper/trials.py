@@ -1,0 +1,286 @@
+"""Trials: short, cheap experiments that decide what a method needs, several settings of floats and several seeds side
+by side in one program.
+
+    python -m infogoal_paper.trials --list
+    python -m infogoal_paper.trials --out FOLDER [--trials cube_her cube_infogoal_her_window_1 ...] [--minutes 9]
+    python -m infogoal_paper.trials --merge FOLDER
+
+`trial_queue.py` and `all_goals_queue.py` have the list of what is to be run. A trial is a preset, what is changed in
+it, and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation
+of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
+--minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
+FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
+writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has
+come in that file.
+"""
+
+import argparse
+import csv
+import json
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import jit, presets, use_compilation_cache
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.data import splits
+from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.report.statistics import describe_machine
+from infogoal_jax.runner.compilation import chunk_of
+from infogoal_jax.runner.lanes import batched_hyper
+from infogoal_jax.train.evaluation import near_and_far
+from infogoal_jax.train.program import make_train
+from infogoal_paper import all_goals_queue, trial_numbers, trial_queue
+from infogoal_paper.trial_numbers import Row, code_errors
+from infogoal_paper.trial_queue import Trial
+from infogoal_paper.tuning import tuning_house
+
+QUEUE = trial_queue.QUEUE | all_goals_queue.QUEUE
+TABLES = {
+    "cube": (("object_manipulation",), ("degrees", 1)),
+    "fetch": (presets.FETCH_TASKS, ("m", 3)),
+    "house": (("object_search",), None),
+    "shelf": (("embodied_qa",), None),
+}
+"""Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
+ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
+"""Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+
+
+def first_occurrence(*tasks: str) -> list[tuple]:
+    """GHRL with goals at their first occurrence, and with the one that an episode demonstrates best, on these tasks."""
+    return [((f"{task}_ghrl_first_occurrence", "preset"), (f"{task}_ghrl", "preset")) for task in tasks]
+
+
+COMPARISONS = {
+    "cube_comparisons": [
+        ((f"cube_{dataset}_infogoal_her_window_1", "threshold 0.999"), (f"cube_{dataset}_her", "preset"))
+        for dataset in (0, 1, 2)
+    ]
+    + [tuple((trial, lane) for lane in ("found", "preset")) for trial in trial_queue.QUEUE if trial.endswith("_found")]
+    + [
+        (("cube_gcb_grounded", "preset"), ("cube_gcb", "preset")),
+        (("cube_gcb_her_grounded", "found"), ("cube_gcb_her_found", "found")),
+        *first_occurrence("cube"),
+    ],
+    "fetch_comparisons": [
+        tuple((f"{short}_infogoal{relabelling}", f"threshold {threshold}") for threshold in (finer, 0.96))
+        for short, finer in (("pick_and_place", 0.99), ("push", 0.999))
+        for relabelling in ("", "_her")
+    ]
+    + [
+        tuple((trial, lane) for lane in ("HER's settings", "preset"))
+        for trial in trial_queue.QUEUE
+        if trial.endswith("_her_settings")
+    ]
+    + first_occurrence("reach", "push", "pick_and_place"),
+    "shelf_comparisons": [
+        ((f"shelf_{dataset}_infogoal", f"threshold {threshold}"), (f"shelf_{dataset}_cql", "preset"))
+        for dataset in (0, 1, 2)
+        for threshold in (0.99, 0.999)
+    ]
+    + [
+        (("shelf_infogoal_gathered", f"threshold {value}"), ("shelf_cql_gathered", "preset")) for value in (0.96, 0.999)
+    ],
+    "house_comparisons": first_occurrence("house"),
+}
+"""Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
+
+KINDS = (
+    "train_goal",
+    "validation_goal",
+    "test_goal",
+    "corrupted_train_goal",
+    "corrupted_test_goal",
+    "train_goal_mean_code",
+    "test_goal_mean_code",
+)
+EPOCH_METRICS = ("beta", "accuracy", "kl")
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "trials" / trial_numbers.FILE
+
+
+def configuration(trial: Trial, folder: Path) -> TrainConfig:
+    """What is trained. Object search is in the house of the tuning, which is built in FOLDER unless it is there."""
+    settings = trial.settings
+    if trial.task == "object_search":
+        _, dataset, _, split = tuning_house(folder)
+        settings = {"env.dataset": dataset, "env.split": split} | settings
+    return preset_of(trial._replace(settings=settings))
+
+
+def preset_of(trial: Trial) -> TrainConfig:
+    """The preset of a trial with its settings."""
+    method, _, relabelling = trial.method.partition("+")
+    config = presets.load(trial.task, method, relabelling=relabelling or None, agent=trial.agent)
+    return with_values(config, trial.settings)
+
+
+def asked_by_name(env):
+    """Embodied question answering in which questions of validation and test sound like the name of their object. (They
+    take part in no training.)"""
+    asked = splits.load_questions(splits.SHIPPED_QUESTIONS).goals()
+    names = {goal.text: number for number, goal in enumerate(asked)}
+    rows = jnp.asarray([names[goal.object] for goal in asked])
+    heard = env.goals.inputs[jnp.where(env.goals.train_mask, jnp.arange(len(asked)), rows)]
+    return env.replace(goals=env.goals.replace(inputs=heard))
+
+
+def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
+    """Train every lane and seed of a trial, one row for each evaluation of each."""
+    config = configuration(trial, folder)
+    train = make_train(config)
+    env = asked_by_name(train.env) if trial.by_name else train.env
+    lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
+    hyper = batched_hyper(config.hyper, list(trial.lanes.values()), trial.seeds)
+    machine = describe_machine()
+    keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
+    started = time.time()
+    states = jit(jax.vmap(train.initial, in_axes=(0, 0, None)))(keys, hyper, env)
+    chunk = chunk_of(
+        jax.vmap(train.epochs, in_axes=(0, None, 0, None)), jax.vmap(train.evaluation, in_axes=(0, 0, None))
+    ).compiling(states, jnp.arange(config.epochs_per_evaluation), hyper, env)()
+    errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
+    print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
+    path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}
+    posed = {group: jnp.flatnonzero(mask) for group, mask in masks.items()} if env.goal_positions is not None else {}
+    with open(path.with_suffix(".partial"), "w", newline="") as file:
+        table = None
+        for number in range(config.num_evaluations):
+            before = time.time()
+            states, epochs, metrics = chunk(
+                states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env
+            )
+            split = near_and_far(env, metrics["first_reached"])
+            metrics = split | {
+                f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"])
+                for kind in KINDS
+                if f"{kind}/success_rate" in metrics
+            }
+            metrics |= {
+                f"learner/{part}": np.asarray(epochs[f"{train.parts.name}/{part}"])[:, -1]
+                for part in EPOCH_METRICS
+                if f"{train.parts.name}/{part}" in epochs
+            }
+            seconds = time.time() - before
+            for group, goals in posed.items():
+                for error, values in errors(states.params, goals).items():
+                    prefix = "corrupted_" if error.startswith("corrupted_") else ""
+                    metrics[f"{prefix}{group}/{error.removeprefix(prefix)}"] = np.asarray(values).mean(1)
+            for lane, (label, seed) in enumerate(lanes):
+                row = {
+                    "trial": name,
+                    "lane": label,
+                    "seed": seed,
+                    "known_goals": config.known_goals,
+                    "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch,
+                }
+                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()}
+                row |= {"seconds": f"{time.time() - started:.0f}", "machine": machine}
+                table = table or csv.DictWriter(file, row)
+                if not file.tell():
+                    table.writeheader()
+                table.writerow(row)
+            file.flush()
+            shown = {
+                kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(trial.lanes), -1).mean(1), 2).tolist()
+                for kind in KINDS
+                if f"{kind}/success_rate" in metrics
+            }
+            rate = len(lanes) * config.epochs_per_evaluation * config.updates_per_epoch / seconds
+            print(f"{name} {row['updates']} updates, {rate:.0f}/s in all: {json.dumps(shown)}", flush=True)
+            if time.time() + 1.2 * seconds > deadline:
+                break
+    path.with_suffix(".partial").rename(path)
+
+
+def tables(rows: list[Row]) -> dict[str, str]:
+    """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
+    done = {row["trial"] for row in rows}
+    all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
+    others = [trial for trial in QUEUE if trial not in all_goals]
+    grouped = {
+        name: ([trial for trial in others if QUEUE[trial].task in tasks], error)
+        for name, (tasks, error) in TABLES.items()
+    } | {
+        name: ([trial for trial in all_goals if trial.startswith(name)], error)
+        for name, error in ALL_GOALS_TABLES.items()
+    }
+    shown = {}
+    for name, (trials, error) in grouped.items():
+        if run := [trial for trial in trials if trial in done]:
+            shown[name] = trial_numbers.table(rows, run, error)
+    probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
+    units = {trial: error for trials, error in grouped.values() for trial in trials if error and trial in probed}
+    if units:
+        shown["probe"] = trial_numbers.probe_table(rows, units)
+    shown["cost"] = trial_numbers.cost_table(rows, {name: trial.task for name, trial in QUEUE.items()})
+    for name, pairs in COMPARISONS.items():
+        if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
+            shown[name] = trial_numbers.differences(rows, compared)
+    return shown
+
+
+def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
+    """How far a trial has come, in words. updates: that each seed of it should make; ran: `trial_numbers.lanes_of` it.
+
+    A lane of other floats is another lane: what ran counts only under the names and seeds that the queue has.
+    """
+    others = [lane for lane in ran if lane not in trial.lanes]
+    lacking = [lane for lane in trial.lanes if ran.get(lane, (0, 0))[0] < trial.seeds]
+    made = min((ran[lane][1] for lane in trial.lanes if lane in ran), default=0)
+    if len(lacking) == len(trial.lanes):
+        words = "to be run"
+    elif lacking:
+        words = f"without {', '.join(lacking)}"
+    else:
+        words = "done" if made >= updates else f"{made:,} of {updates:,} updates"
+    return f"{words}; the numbers have other lanes: {', '.join(others)}" if others else words
+
+
+def list_queue() -> None:
+    """Print the queue, and how far each trial has come in the numbers that are kept."""
+    ran = trial_numbers.lanes_of(trial_numbers.read(NUMBERS)) if NUMBERS.exists() else {}
+    for name, trial in QUEUE.items():
+        config = preset_of(trial)
+        updates = config.num_epochs * config.updates_per_epoch
+        print(
+            f"{name}: {trial.task}, {presets.name_of(config)}, known goals {config.known_goals}, "
+            f"{len(trial.lanes)} lane(s) of {trial.seeds} seeds: {progress_of(trial, updates, ran.get(name, {}))}"
+        )
+
+
+def main():
+    """Run what is not there yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
+    parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
+    parser.add_argument(
+        "--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop"
+    )
+    parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
+    parser.add_argument(
+        "--set", nargs="*", default=[], metavar="FIELD=JSON", help="further fields, for a try at a small size"
+    )
+    arguments = parser.parse_args()
+    if arguments.merge is not None:
+        print(f"{NUMBERS.name}: {', '.join(trial_numbers.merge(arguments.merge, NUMBERS, QUEUE))}")
+        return
+    if arguments.list or arguments.out is None:
+        list_queue()
+        return
+    use_compilation_cache()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    deadline = time.time() + 60 * arguments.minutes
+    further = {field: json.loads(value) for field, _, value in (item.partition("=") for item in arguments.set)}
+    for name in arguments.trials:
+        if not (arguments.out / f"{name}.csv").exists() and time.time() < deadline:
+            trial = QUEUE[name]
+            run(name, trial._replace(settings=trial.settings | further), arguments.out, deadline)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""How every method was tuned: `infogoal tune` with one budget for all, on validation goals and on seeds that no result
+is reported on.
+
+    python -m infogoal_paper.tuning --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
+    [--trials 16] [--seeds 2] [--final]
+    python -m infogoal_paper.tuning --merge FOLDER
+
+Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
+objects are given the names of objects that the task does not have, and are the validation goals. The cube and the shelf
+are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a
+search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several
+processes. With --final the preset and the three best of each search run again with eight other seeds, into
+FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl.gz, a line a search;
+`tables.py tuning` then writes the tables of docs/tuning.md.
+"""
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from infogoal_jax import presets
+from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.report.statistics import paired_difference
+from infogoal_jax.stand_ins.house import build_house
+from infogoal_paper import trial_numbers
+from infogoal_paper.paper import LEARNERS, METHODS
+from infogoal_paper.table_formats import markdown_lines
+
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.gz"
+Search = dict[str, Any]
+"""search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
+evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
+[evaluations][seeds] and the seeds that diverged."""
+SEED = 100
+"""Of the house, the cube and the shelf for tuning: no result is shown on them."""
+VALIDATION = {
+    "crystal_hot_sauce": "pringles_bbq",
+    "paper_plate": "red_cup",
+    "mahatma_rice": "bumblebee_albacore",
+    "honey_bunches_of_oats_with_almonds": "hunts_sauce",
+    "softsoap_clear": "progresso_new_england_clam_chowder",
+    "hersheys_bar": "red_bull",
+    "nature_valley_sweet_and_salty_nut_almond": "expo_marker_red",
+    "advil_liqui_gels": "crest_complete_minty_fresh",
+    "listerine_green": "softsoap_white",
+}
+"""Names of test objects, and those that stand in for them while tuning: of the Active Vision Dataset, but in no split
+of the authors."""
+
+DATASETS = {
+    "object_manipulation": {"env.generator_seed": SEED, "env.goal_seed": SEED},
+    "embodied_qa": {"env.generator_seed": SEED},
+}
+"""Fields of the cube and the shelf for tuning."""
+EPOCHS = {"object_search": (100, 20), "fetch_reach": (60, 20), "object_manipulation": (20, 5)}
+"""Epochs of every trial, and from one evaluation to the next; of another task those of the bare agent's preset. The
+cube's 120 would take a quarter of an hour of a GPU a search."""
+FIELDS = {"infobot": ["learning_rate", "discount", "target_rate", "intrinsic_weight", "learner.beta"]}
+"""What is searched of a method, where that is not all that matters to it: InfoBot's beta and the weight of its loss are
+one number. `AGENT_FIELDS` has what the agent of a task adds."""
+AGENT_FIELDS = {"embodied_qa": ["agent.conservative_weight"]}
+WITH_HER = ("object_manipulation",)
+"""Tasks on which learners are searched with HER: without it all of them stay at the floor."""
+
+
+def tuning_house(folder: Path) -> list[str]:
+    """Build the house for tuning and its split, unless it is there. Returns the flags that train on it."""
+    if not (folder / "house").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        dataset = Path(tempfile.mkdtemp(dir=folder))
+        build_house(dataset, seed=SEED)
+        for path in (dataset / "all_instance_id_map.txt", dataset / "instance_id_map.txt"):
+            identifier = dict(line.split() for line in path.read_text().splitlines())
+            for old, new in VALIDATION.items():
+                identifier[old], identifier[new] = identifier[new], identifier[old]
+            path.write_text("".join(f"{name} {number}\n" for name, number in identifier.items()))
+        for path in dataset.glob("*/present_instance_names.txt"):
+            path.write_text("".join(f"{VALIDATION.get(name, name)}\n" for name in path.read_text().split()))
+        uses = dict.fromkeys(AUTHORS_SPLIT.train, "train") | dict.fromkeys(VALIDATION, "validation")
+        room = {name: AUTHORS_SPLIT.room_names[AUTHORS_SPLIT.rooms[name]] for name in uses}
+        objects = {VALIDATION.get(name, name): {"room": room[name], "use": use} for name, use in uses.items()}
+        (dataset / "split.json").write_text(json.dumps({"objects": objects}, indent=1) + "\n")
+        try:
+            dataset.rename(folder / "house")
+        except OSError:  # Another process was faster, and its house is the same.
+            shutil.rmtree(dataset)
+    return ["--env.dataset", str(folder / "house"), "--env.split", str(folder / "house" / "split.json")]
+
+
+def flags(fields: dict[str, int]) -> list[str]:
+    """Dotted fields as flags of the command line."""
+    return [word for name, value in fields.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+
+
+def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
+    """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder
+    to search again."""
+    out = folder / task / method
+    if (out / "best.json").exists():
+        return
+    data = tuning_house(folder) if task == "object_search" else flags(DATASETS.get(task, {}))
+    command = [
+        "tune",
+        task,
+        "--method",
+        method,
+        "--trials",
+        str(trials),
+        "--seeds",
+        str(seeds),
+        "--out",
+        str(out),
+        *data,
+    ]
+    if task in EPOCHS:
+        epochs, between = map(str, EPOCHS[task])
+        command += ["--num-epochs", epochs, "--epochs-per-evaluation", between]
+    if method in FIELDS:
+        command += ["--fields", *FIELDS[method], *AGENT_FIELDS.get(task, [])]
+    if task in WITH_HER and method in LEARNERS:
+        command += ["--relabelling", "her"]
+    subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+
+
+def final(task: str, method: str, folder: Path) -> None:
+    """The final of a search that is there, into FOLDER/TASK/METHOD/final. One that was stopped stays as it is: delete
+    its folder to run it again."""
+    out = folder / task / method / "final"
+    if not (out / "best.json").exists():
+        command = ["final", str(out.parent), "--out", str(out)]
+        subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+
+
+def read_search(folder: Path, name: str) -> Search:
+    """The finished search or final in this folder."""
+    about, best = (json.loads((folder / file).read_text()) for file in ("config.json", "best.json"))
+    trials = [json.loads(line) for line in (folder / "trials.jsonl").read_text().splitlines()]
+    return {
+        "search": name,
+        "data": about["data"],
+        "device": about["device"],
+        "num_epochs": about["config"]["num_epochs"],
+        "seeds": about["seeds"],
+        "epochs": trials[0]["epochs"],
+        "goals": best["goals"],
+        "best": best["trial"],
+        "trials": [{key: trial[key] for key in ("trial", "values", "success", "diverged")} for trial in trials],
+    }
+
+
+def load(path: Path) -> dict[str, Search]:
+    """The searches of a file, by name."""
+    return {search["search"]: search for search in map(json.loads, trial_numbers.read_text(path).splitlines())}
+
+
+def merge(folder: Path, path: Path) -> list[str]:
+    """Put the finished searches of a folder into the file, in place of what it holds of them. Returns their names."""
+    names = {str(found.parent.relative_to(folder)): found.parent for found in sorted(folder.rglob("best.json"))}
+    new = {name: read_search(found, name) for name, found in names.items()}
+    searches = (load(path) if path.exists() else {}) | new
+    lines = "".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches))
+    trial_numbers.write_compressed(path, lines)
+    return list(new)
+
+
+def tables(searches: dict[str, Search]) -> dict[str, str]:
+    """The tables that docs/tuning.md shows: the searches of each task, and the finals."""
+    shown = {}
+    for task in presets.TASKS:
+        for ending in ("", "/final"):
+            names = [f"{task}/{method}{ending}" for method in METHODS]
+            if any(name in searches for name in names):
+                found = {
+                    method: searches[name] for method, name in zip(METHODS, names, strict=True) if name in searches
+                }
+                shown[task + ending.replace("/", "_")] = table(found, is_final=bool(ending))
+    return shown
+
+
+def table(found: dict[str, Search], is_final: bool) -> str:
+    """A line for each method: the preset's score, the best one's, of a final also the difference of the two over the
+    seeds, and the best one's values; what they were made on below."""
+    rows, footers = [], {}
+    for method, search in found.items():
+        trials = {trial["trial"]: trial for trial in search["trials"]}
+        best = trials[search["best"]]
+        scores = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (trials[0], best)]
+        values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
+        epochs = f"{search['epochs'][-1]} of {search['num_epochs']}"
+        if is_final:
+            difference = paired_difference(best["success"][-1], trials[0]["success"][-1])
+            scores.append("" if search["best"] == 0 else difference.show(2))
+        rows.append([METHODS[method], *scores, str(search["best"]), values, epochs])
+        seeds = ", ".join(map(str, search["seeds"]))
+        footers[
+            f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
+            f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
+        ] = None
+    columns = ["method", "preset of that time", "best", *["best minus preset"] * is_final]
+    lines = markdown_lines([*columns, "trial", "its values", "epochs"], rows)
+    return "\n\n".join([lines, *footers])
+
+
+def main():
+    """Search what is not there yet, or keep what came out."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--merge", type=Path, metavar="FOLDER", help=f"put what is finished there into {NUMBERS.name}")
+    parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=presets.TASKS)
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
+    parser.add_argument("--trials", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument(
+        "--final", action="store_true", help="run the best of each search again, with more and other seeds"
+    )
+    arguments = parser.parse_args()
+    if arguments.merge is not None:
+        print(f"{NUMBERS.name}: {', '.join(merge(arguments.merge, NUMBERS))}")
+        return
+    if arguments.out is None:
+        parser.error("give --out or --merge")
+    for task in arguments.tasks:
+        for method in arguments.methods:
+            search(task, method, arguments.trials, arguments.seeds, arguments.out)
+            if arguments.final:
+                final(task, method, arguments.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,218 @@
+"""Work by the workers of a Ray cluster: nothing is lost with a worker, nothing is trained twice, the numbers are those
+of one process, and who asks for no engine needs no Ray."""
+
+import collections
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import killed_reproduction
+import numpy as np
+import pytest
+from killed_reproduction import LOG, log_of, reproduce, runs
+from places import ROOT
+
+from infogoal_jax.cli.main import main
+from infogoal_paper import files, workers
+from infogoal_paper.cluster import work_on_cluster
+from infogoal_paper.work import Work
+
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
+TOY = "reproduce table1 --quick --tasks object_search --methods none --variants paper".split()
+PROGRAMS = 24
+"""Of two runs each."""
+
+
+def arrays_of(folder, run) -> dict[str, np.ndarray]:
+    """All numbers of a finished run."""
+    result = files.read(files.path_of(folder, run))
+    return result.evaluations | result.arrays
+
+
+def assert_same_numbers(folder, other, runs) -> None:
+    """The runs of both folders have the same bits."""
+    for run in runs:
+        one, two = arrays_of(folder, run), arrays_of(other, run)
+        assert one.keys() == two.keys()
+        for name in one:
+            np.testing.assert_array_equal(one[name], two[name], err_msg=f"{run.name}: {name}")
+
+
+def test_without_an_engine_there_is_no_ray(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ray", None)  # An import of it fails.
+    assert main([*TOY, "--out", str(tmp_path), "--list"]) == 0
+    assert main([*TOY, "--out", str(tmp_path), "--engine", "ray"]) == 2
+    assert "pip install 'infogoal-jax[ray]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flags", [["--ray-address", "auto"], ["--engine", "ray", "--gpus", "2"]])
+def test_flags_of_another_engine_are_refused(tmp_path, capsys, flags):
+    assert main([*TOY, "--out", str(tmp_path), *flags]) == 2
+    assert flags[-2].strip("-").replace("-", "_") in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.long
+def test_a_worker_sends_what_it_wrote_and_goes_on_with_what_it_is_sent(tmp_path):
+    """Stopped after an evaluation, it sends a checkpoint; another one that is given it comes to the same numbers."""
+    there, whole = tmp_path / "there", tmp_path / "whole"
+    reproduce(whole, 1)
+    first = workers.Worker()
+    with killed_reproduction.small_programs(tmp_path):
+        job = workers.Job(tuple(runs(1)))
+        with stopping_at_first_evaluation(first):
+            news = first.train(job)
+        assert any("a checkpoint is kept" in words for words in news.said)
+        (checkpoint,) = (path for path in news.files if path.startswith("unfinished/"))
+        assert not any(path.endswith(".npz") for path in news.files)
+        sent = workers.Worker().train(job._replace(files={checkpoint: news.files[checkpoint]}))
+    assert any("goes on after evaluation 1" in words for words in sent.said)
+    assert sent.files[checkpoint] is None and sent.times
+    for path, content in sent.files.items():
+        workers.write(there, path, content)
+    assert_same_numbers(there, whole, runs(1))
+    assert first.news() == workers.News([], {})
+
+
+@contextlib.contextmanager
+def stopping_at_first_evaluation(worker):
+    """Inside, the worker is told to stop when it says that it has evaluated."""
+    whole = Work.__init__
+
+    def told(self, *arguments, say, **named):
+        def listen(words):
+            say(words)
+            if "evaluation 1" in words:
+                threading.Thread(target=worker.stop).start()
+                while self.deadline:
+                    time.sleep(0.01)
+
+        whole(self, *arguments, say=listen, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Work, "__init__", told)
+        yield
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch):
+    """A real cluster of two machines with a CPU each, whose workers train small programs. This process is at a third
+    machine, which has nothing to compute with."""
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "tests")]))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    there = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    machines = [there.add_node(num_cpus=1) for _ in range(2)]
+    hook = {"worker_process_setup_hook": killed_reproduction.prepare_worker, "env_vars": {"LOG_IN": str(tmp_path)}}
+    ray.init(address=there.address, runtime_env=hook, log_to_driver=False)
+    try:
+        yield there, machines
+    finally:
+        ray.shutdown()
+        there.shutdown()
+
+
+def processes_of(folder, what: str) -> dict[str, int]:
+    """The process that last began or finished each run."""
+    lines = (folder / LOG).read_text().splitlines() if (folder / LOG).exists() else []
+    return {name: int(process) for kind, name, process in map(str.split, lines) if kind == what}
+
+
+def kill_in_the_middle(folder, kill) -> list[int]:
+    """When a third of the runs is finished, call `kill` with the process of one that is under way. Returns it."""
+    while len(log_of(folder, "finished")) < 2 * PROGRAMS // 3:
+        time.sleep(0.02)
+    while True:
+        begun, finished = processes_of(folder, "begun"), processes_of(folder, "finished")
+        under_way = [process for name, process in begun.items() if name not in finished]
+        if under_way:
+            kill(under_way[0])
+            return under_way[:1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lost", ["worker", "machine"])
+def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path, lost):
+    there, machines = cluster
+    folder, alone = tmp_path / "cluster", tmp_path / "alone"
+
+    def kill(process: int) -> None:
+        if lost == "worker":
+            os.kill(process, signal.SIGKILL)
+        else:
+            there.remove_node(machines[0], allow_graceful=False)
+
+    killer = threading.Thread(target=kill_in_the_middle, args=(tmp_path, kill), daemon=True)
+    killer.start()
+    said = []
+    with killed_reproduction.small_programs(tmp_path):
+        outcome = work_on_cluster(runs(PROGRAMS), Work(folder, say=said.append))
+    killer.join(60)
+    assert not killer.is_alive() and sum("is lost" in words for words in said) == 1
+    assert sorted(run.name for run in outcome.finished) == sorted(run.name for run in runs(PROGRAMS))
+    assert not outcome.failed and not outcome.stopped and len(runs(PROGRAMS)) == 48
+    begun = collections.Counter(log_of(tmp_path, "begun"))
+    again = [name for name, times in begun.items() if times > 1]
+    # What was lost of one program, if that had not come to its end.
+    assert len({name.split("/")[3] for name in again}) <= 1 and max(begun.values()) <= 2
+    assert len(set(processes_of(tmp_path, "begun").values())) >= 2
+    reproduce(alone, PROGRAMS)
+    assert_same_numbers(folder, alone, runs(PROGRAMS))
+    with killed_reproduction.small_programs(tmp_path):
+        assert not work_on_cluster(runs(PROGRAMS), Work(folder, say=said.append)).finished
+    assert collections.Counter(log_of(tmp_path, "begun")) == begun
+
+
+@pytest.mark.long
+def test_what_kills_its_workers_fails(cluster, tmp_path):
+    """A program whose every worker dies is given up, and the others are trained."""
+    with killed_reproduction.small_programs(tmp_path):
+        (tmp_path / killed_reproduction.DEADLY).write_text(runs(1)[0].name)
+        outcome = work_on_cluster(runs(2), Work(tmp_path / "folder", say=lambda words: None))
+    assert outcome.failed == runs(1) and set(outcome.finished) == set(runs(2)) - set(runs(1))
+
+
+@pytest.mark.long
+def test_a_signal_leaves_checkpoints_that_go_on(cluster, tmp_path):
+    """Of every worker's program; with the numbers of runs that were left alone."""
+    folder, alone, said = tmp_path / "folder", tmp_path / "alone", []
+
+    def listen(words: str) -> None:
+        said.append(words)
+        if "evaluation 1," in words and sum("evaluation 1," in each for each in said) == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with killed_reproduction.small_programs(tmp_path):
+        (tmp_path / killed_reproduction.SLOW).touch()
+        outcome = work_on_cluster(runs(3), Work(folder, say=listen))
+        assert outcome.stopped and not outcome.finished and len(list((folder / "unfinished").iterdir())) == 2
+        assert not list(folder.rglob("*.lock"))
+        (tmp_path / killed_reproduction.SLOW).unlink()
+        outcome = work_on_cluster(runs(3), Work(folder, say=said.append))
+    assert len(outcome.finished) == 6 and not list((folder / "unfinished").iterdir())
+    assert sum("goes on after evaluation" in words for words in said) == 2
+    reproduce(alone, 3)
+    assert_same_numbers(folder, alone, runs(3))
+
+
+@pytest.mark.long
+def test_ctrl_c_ends_the_command_and_its_own_cluster(tmp_path):
+    pytest.importorskip("ray")
+    words = [sys.executable, "-m", "infogoal_jax", *TOY, "--out", str(tmp_path), "--engine", "ray", "--no-draw"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as command:
+        printed = []
+        for line in command.stdout:
+            printed.append(line)
+            if "none: 1 runs" in line:
+                command.send_signal(signal.SIGINT)
+    assert command.returncode == 130 and "1 left" in printed[-1], printed
+    assert any("Stopping after the evaluations of its workers" in line for line in printed)
+    assert not list(tmp_path.rglob("*.lock"))
+    again = subprocess.run(words, capture_output=True, text=True)
+    assert again.returncode == 0 and "1 done" in again.stdout, again.stderr

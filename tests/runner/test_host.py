@@ -1,0 +1,236 @@
+"""Sweeps: seeds spread over devices or cut into slices are the same seeds; a single run and a sweep agree in
+distribution. What watches a run: a log file says that a program is being compiled, that it still is, and how long
+everything took; TensorBoard and Weights & Biases get numbers, figures and videos.
+
+What is done to seeds is tested with a small program (`killed_run.small_train`), and among the long tests with a real
+one.
+"""
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import hand_made
+import jax
+import killed_run
+import numpy as np
+import pytest
+import scipy.stats
+from PIL import Image
+from places import ROOT, TESTS
+
+from infogoal_jax import make_train
+from infogoal_jax.errors import UserError
+from infogoal_jax.runner import host, listeners
+from infogoal_jax.runner.host import Progress
+from infogoal_jax.runner.listeners import make_listeners
+
+ON_TWO_DEVICES = """
+import sys
+from pathlib import Path
+import jax
+import test_host
+from infogoal_jax.runner import host
+assert len(jax.devices()) == 2
+program, epochs, at_once = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+if at_once < 2:
+    host.seeds_at_once = lambda *arguments: at_once
+seen = []
+host.make_train = test_host.PROGRAMS[program]
+test_host.train_four(Path(sys.argv[1]), epochs, listeners=(lambda progress: seen.extend(progress.epochs),))
+assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
+"""
+PROGRAMS = {"small": killed_run.small_train, "real": make_train}
+
+
+def train_four(folder: Path, epochs: int = 1, **options) -> None:
+    """Train four seeds."""
+    config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
+    host.run(config, [0, 1, 2, 3], folder, env=hand_made.environment(), **options)
+
+
+def losses_on_one_device(folder: Path) -> list[float]:
+    """Losses of four seeds trained side by side on one device."""
+    train_four(folder)
+    return read_losses(folder)
+
+
+@pytest.fixture
+def small_program(monkeypatch):
+    monkeypatch.setattr(host, "make_train", killed_run.small_train)
+
+
+def read_losses(folder: Path) -> list[float]:
+    return [json.loads(line)["agent/loss"] for line in (folder / "epochs.jsonl").read_text().splitlines()]
+
+
+def train_on_two_devices(folder: Path, program: str, epochs: int, at_once: int) -> None:
+    """Train four seeds on two devices, so many of a device's two at once."""
+    environment = os.environ | {
+        "XLA_FLAGS": os.environ.get("XLA_FLAGS", "") + " --xla_force_host_platform_device_count=2"
+    }
+    command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), program, str(epochs), str(at_once)]
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(TESTS)])
+    subprocess.run(command, cwd=TESTS / "train", env=environment, check=True)
+
+
+@pytest.mark.long
+def test_seeds_spread_over_two_devices_are_the_same_seeds(small_program, tmp_path):
+    one_device = losses_on_one_device(tmp_path / "one")
+    train_on_two_devices(tmp_path / "two", "small", 1, 2)
+    np.testing.assert_allclose(read_losses(tmp_path / "two"), one_device, rtol=1e-6)
+    assert len({*one_device}) == 4
+
+
+def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(small_program, tmp_path, monkeypatch):
+    one_device = losses_on_one_device(tmp_path / "one")
+    monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
+    np.testing.assert_allclose(losses_on_one_device(tmp_path / "slices"), one_device, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_a_sweep_in_slices_on_each_of_two_devices_is_the_same_sweep(tmp_path):
+    """The real program. A chunk after the first takes the states from where the first left them."""
+    one_device = losses_on_one_device(tmp_path / "one")
+    train_on_two_devices(tmp_path / "two", "real", 2, 1)
+    losses = read_losses(tmp_path / "two")
+    np.testing.assert_allclose(losses[:4], one_device, rtol=1e-3)
+    assert len(losses) == 8 and losses[:4] != losses[4:]
+
+
+@pytest.mark.long
+def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
+    config = hand_made.config(
+        num_epochs=16,
+        epochs_per_evaluation=16,
+        updates_per_epoch=50,
+        batch_size=64,
+        buffer_steps=5120,
+        evaluation_starts=10,
+    )
+    train = make_train(config, hand_made.environment())
+    keys = jax.random.split(jax.random.key(0), 32)
+    together = np.asarray(jax.jit(jax.vmap(train))(keys).metrics["test_goal/success_rate"][:, -1])
+    single = jax.jit(train)
+    alone = np.asarray([single(key).metrics["test_goal/success_rate"][-1] for key in keys])
+    assert together.std() > 0  # Not all at the ceiling: the comparison could fail.
+    assert scipy.stats.ks_2samp(together, alone).pvalue > 0.01
+
+
+def test_a_log_says_what_takes_long(monkeypatch, capsys):
+    monkeypatch.setattr(listeners, "SIGN_OF_LIFE", 0.05)
+    with listeners.progress_line("fetch_reach infogoal x 2", 4) as line:
+        line.compiling()
+        time.sleep(0.3)
+        line.advance(2, "train 0.50")
+        before = capsys.readouterr().out.splitlines()
+        time.sleep(0.2)
+        line.advance(4, "train 0.75")
+    assert before[0] == "fetch_reach infogoal x 2: compiling, some minutes the first time"
+    assert len(before) > 2 and all(
+        words == "fetch_reach infogoal x 2: still compiling, 0:00:00" for words in before[1:-1]
+    )
+    assert before[-1] == "epoch 2/4  0:00:00  train 0.50"
+    assert capsys.readouterr().out == "epoch 4/4  0:00:00  train 0.75\n"
+
+
+@pytest.mark.parametrize(("rate", "shown"), [(1000.0, True), (0.0, False)])
+def test_who_learns_offline_has_no_rate_of_steps(rate, shown, tmp_path, capsys):
+    row = {"seed": 0, "epoch": 2, "train_goal/success_rate": 0.5}
+    with make_listeners(tmp_path, hand_made.config(), 1) as listeners:
+        for listen in listeners.progress:
+            listen(host.Progress(2, 4, 1.0, 1.0, rate, 7.0, [row], [row]))
+    printed = capsys.readouterr().out
+    assert ("1,000 env steps/s" in printed) == ("env steps" in printed) == shown and "7 updates/s" in printed
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """A figure and a video, as training leaves them."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    grey = [Image.new("RGB", (40, 20), (shade,) * 3) for shade in (0, 120, 240)]
+    grey[1].save(folder / "curves.png")
+    grey[0].save(folder / "episode.gif", save_all=True, append_images=grey[1:])
+    return [folder / "curves.png", folder / "episode.gif"]
+
+
+def tell(listeners, pictures):
+    """What a run of one seed tells its listeners: two chunks, and pictures at the end."""
+    for epoch in (2, 4):
+        row = {"seed": 0, "epoch": epoch, "train_goal/success_rate": epoch / 4, "first_reached": [[1]]}
+        for listen in listeners.progress:
+            listen(Progress(epoch, 4, 1.0, 1.0, 1000.0, 7.0, [row], [row]))
+    listeners.end_progress()
+    listeners.pictures(pictures)
+
+
+def test_tensorboard_has_every_number_the_figures_and_the_video(pictures, tmp_path):
+    event_pb2 = pytest.importorskip("tensorboardX.proto.event_pb2")
+    with make_listeners(tmp_path / "run", hand_made.config(), 1, tensorboard=True) as listeners:
+        tell(listeners, pictures)
+    (path,) = (tmp_path / "run").glob("events.out.tfevents*")
+    content, found = path.read_bytes(), {}
+    while content:  # Records of TensorFlow: length, checksum, content, checksum.
+        (length,) = struct.unpack("<Q", content[:8])
+        for value in event_pb2.Event.FromString(content[12 : 12 + length]).summary.value:
+            found.setdefault(value.tag, []).append(value)
+        content = content[16 + length :]
+    assert [value.simple_value for value in found["seed_0/train_goal/success_rate"]] == [0.5, 0.5, 1.0, 1.0]
+    for picture in pictures:
+        (value,) = found[f"figures/{picture.stem}"]
+        assert value.image.encoded_image_string == picture.read_bytes()
+        assert (value.image.width, value.image.height) == (40, 20)
+
+
+def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures, tmp_path, monkeypatch):
+    pytest.importorskip("wandb")
+    for name, value in {"WANDB_MODE": "offline", "WANDB_SILENT": "true", "HOME": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+    (tmp_path / "runs").mkdir()
+    with make_listeners(tmp_path / "runs" / "mine", hand_made.config(), 1, wandb="project") as listeners:
+        tell(listeners, pictures)
+    (folder,) = (tmp_path / "runs" / "wandb").glob("offline-run-*")
+    (log,) = folder.glob("*.wandb")
+    for _ in range(300):  # Its service writes the last of it when the run is over.
+        if b"episode" in log.read_bytes():
+            break
+        time.sleep(0.1)
+    assert b"train_goal/success_rate" in log.read_bytes()
+    kept = {path.suffix: path.read_bytes() for path in (folder / "files" / "media").rglob("*.*")}
+    assert kept == {picture.suffix: picture.read_bytes() for picture in pictures}
+
+
+@pytest.mark.parametrize(
+    ("key", "reason"), [("", "No API key configured"), ("short", "API key must have 40. characters")]
+)
+def test_a_missing_login_is_named_before_anything_is_run(key, reason, tmp_path, monkeypatch):
+    """Where nobody can be asked for a key, as pytest's stdin is no terminal."""
+    wandb = pytest.importorskip("wandb")
+    wandb.teardown()  # It reads the variables once a process.
+    for name in ("WANDB_MODE", "WANDB_API_KEY", "WANDB_IDENTITY_TOKEN_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    if key:
+        monkeypatch.setenv("WANDB_API_KEY", key)
+    for name in ("HOME", "NETRC", "WANDB_CONFIG_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    with (
+        pytest.raises(UserError, match=rf"wandb = 'project': .*{reason}.*`wandb login`.* WANDB_MODE=offline"),
+        make_listeners(tmp_path / "run", hand_made.config(), 1, wandb="project"),
+    ):
+        pass
+    wandb.teardown()
+    assert not (tmp_path / "run").exists() and not (tmp_path / "wandb").exists()
+
+
+def test_listeners_that_are_not_installed_are_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with (
+        pytest.raises(UserError, match="pip install wandb"),
+        make_listeners(tmp_path, hand_made.config(), 1, wandb="x"),
+    ):
+        pass
