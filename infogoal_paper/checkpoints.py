@@ -17,18 +17,18 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.runner import host
+from infogoal_jax.runner.training import describe
 from infogoal_jax.runs import checkpoint, disk
 from infogoal_jax.runs.configuration import from_dict
 from infogoal_jax.runs.folder import remove_abandoned
-from infogoal_paper import files, lanes
+from infogoal_paper import batches, files
 from infogoal_paper.manifest import Run
 from infogoal_paper.plan import is_trained, program_key
 
 UNFINISHED = "unfinished"
 
 
-def path_of(folder: Path, batch: lanes.Batch) -> Path:
+def path_of(folder: Path, batch: batches.Batch) -> Path:
     """The file in which a batch is kept."""
     names = "\n".join(sorted(run.name for run in batch.runs.values()))
     return folder / UNFINISHED / hashlib.sha256(names.encode()).hexdigest()[:16]
@@ -66,10 +66,10 @@ def apart(folder: Path, runs: Sequence[Run]) -> list[list[Run]]:
     return [each for each in (*found, left) if each]
 
 
-def program_of(training: lanes.Training) -> dict[str, Any]:
+def program_of(training: batches.Training) -> dict[str, Any]:
     """What the checkpoint of a batch has to agree in: the program, but for its number of epochs, and the versions."""
     config = settings_of(training.batch.config)
-    return {"config": config, "versions": host.describe(training.batch.config, training.batch.envs[0], [0]).versions}
+    return {"config": config, "versions": describe(training.batch.config, training.batch.envs[0], [0]).versions}
 
 
 def settings_of(config: TrainConfig) -> dict[str, Any]:
@@ -77,9 +77,9 @@ def settings_of(config: TrainConfig) -> dict[str, Any]:
     return json.loads(program_key(config)) | {"num_epochs": None}
 
 
-def lanes_of(training: lanes.Training) -> dict[str, dict[str, Any]]:
+def lanes_of(training: batches.Training) -> dict[str, dict[str, Any]]:
     """Where each run stands in a batch, and what its lanes are of: floats, seeds and data."""
-    floats = lanes.floats_of(training.batch)
+    floats = batches.floats_of(training.batch)
     return {
         run.name: {
             "place": place,
@@ -90,7 +90,7 @@ def lanes_of(training: lanes.Training) -> dict[str, dict[str, Any]]:
     }
 
 
-def save(path: Path, training: lanes.Training) -> None:
+def save(path: Path, training: batches.Training) -> None:
     """Write the checkpoint of a batch. Raises `UserError` if the disk refuses."""
     header = {
         "runs": lanes_of(training),
@@ -106,7 +106,7 @@ def save(path: Path, training: lanes.Training) -> None:
     checkpoint.save(path, header, training.states)
 
 
-def resume(folder: Path, training: lanes.Training) -> bool:
+def resume(folder: Path, training: batches.Training) -> bool:
     """Go on from the checkpoint that has all runs of this batch, the longest trained one of several. One that is
     damaged or of other settings is passed over. Returns whether there was one."""
     names = {run.name for run in training.batch.runs.values()}
@@ -121,7 +121,7 @@ def resume(folder: Path, training: lanes.Training) -> bool:
     return False
 
 
-def fits(header: dict[str, Any], training: lanes.Training) -> bool:
+def fits(header: dict[str, Any], training: batches.Training) -> bool:
     """Whether a checkpoint has the runs of this batch, with the same settings."""
     wanted = json.loads(json.dumps(lanes_of(training)))
     return header["program"] == json.loads(json.dumps(program_of(training))) and all(
@@ -129,22 +129,27 @@ def fits(header: dict[str, Any], training: lanes.Training) -> bool:
     )
 
 
-def take(path: Path, header: dict[str, Any], payload: bytes, training: lanes.Training) -> None:
+def take(path: Path, header: dict[str, Any], payload: bytes, training: batches.Training) -> None:
     """Bring a batch to where its checkpoint was, of whose lanes it may have a part."""
     places, which = part_of(header["runs"], training)
     finite = np.asarray(header["finite"], bool)
+    own = len(training.batch.shape)
     template = jax.tree.map(
-        lambda leaf: jax.ShapeDtypeStruct((*finite.shape, *leaf.shape[2:]), leaf.dtype), training.states
+        lambda leaf: jax.ShapeDtypeStruct((*finite.shape, *leaf.shape[own:]), leaf.dtype), training.shapes
     )
     states = checkpoint.arrays(path, payload, template)
-    if (places, which) != tuple(list(range(size)) for size in finite.shape):
-        states = jax.tree.map(lambda leaf: leaf[np.asarray(places)][:, np.asarray(which)], states)
-    training.states = jax.device_put(states)
+
+    def part(values: Any) -> Any:
+        if finite.ndim == 1:
+            return values[np.asarray(which)]
+        found = values[np.asarray(places)][:, np.asarray(which)]
+        return found[0] if own == 1 else found
+
+    training.go_on_with(jax.tree.map(part, states), header["evaluations"])
     training.history = {
-        name: [values[places][:, which] for values in np.asarray(history)]
-        for name, history in header["history"].items()
+        name: [part(values) for values in np.asarray(history)] for name, history in header["history"].items()
     }
-    training.finite = finite[places][:, which]
+    training.finite = part(finite)
     costs = header.get("costs", {})
     training.costs = {name: costs[name] for name in lanes_of(training) if name in costs}
     going_on = {name: np.ptp(own["lanes"]) for name, own in header["runs"].items() if name not in costs}
@@ -155,7 +160,7 @@ def take(path: Path, header: dict[str, Any], payload: bytes, training: lanes.Tra
     training.spans = header["spans"]
 
 
-def part_of(runs: dict[str, dict[str, Any]], training: lanes.Training) -> tuple[list[int], list[int]]:
+def part_of(runs: dict[str, dict[str, Any]], training: batches.Training) -> tuple[list[int], list[int]]:
     """The goal sets and the lanes of a checkpoint's batch that are those of this one, in its order."""
     places, which = {}, {}
     for run, (place, own) in training.batch.places.items():

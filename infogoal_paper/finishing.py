@@ -4,7 +4,7 @@ import shlex
 import time
 import traceback
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -12,26 +12,26 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.runner.host import describe
-from infogoal_paper import files, lanes, measure, plan
+from infogoal_jax.runner.training import describe
+from infogoal_paper import batches, files, measure, plan
 from infogoal_paper.files import Result, command_of
 from infogoal_paper.manifest import Run
 
 
-def curve_of(training: lanes.Training, run: Run, metric: str) -> np.ndarray:
+def curve_of(training: batches.Training, run: Run, metric: str) -> np.ndarray:
     """A metric of a run so far, [seeds, evaluations, ...]."""
-    place, which = training.batch.places[run]
-    return np.stack([values[place, which] for values in training.history[metric]], 1)
+    index = training.batch.index(run)
+    return np.stack([values[index] for values in training.history[metric]], 1)
 
 
-def mean_success(training: lanes.Training, run: Run) -> tuple[float, float]:
+def mean_success(training: batches.Training, run: Run) -> tuple[float, float]:
     """Success on training and test goals at the last evaluation, mean over seeds."""
     return tuple(
         float(curve_of(training, run, f"{group}_goal/success_rate")[:, -1].mean()) for group in ("train", "test")
     )
 
 
-def ended(training: lanes.Training) -> list[Run]:
+def ended(training: batches.Training) -> list[Run]:
     """The runs of a batch that are trained to their end: each has levelled off, or the ceiling is reached."""
     if not training.evaluations:
         return []
@@ -39,7 +39,7 @@ def ended(training: lanes.Training) -> list[Run]:
     return [run for run, curve in curves.items() if plan.is_trained(curve, run.task, run.toy)]
 
 
-def share_out(training: lanes.Training, runs: list[Run]) -> float:
+def share_out(training: batches.Training, runs: list[Run]) -> float:
     """Share out what the batch took so far between the runs that end now and those that go on, lane by lane. Returns
     the seconds of those that end."""
     going_on = [run for run in training.batch.runs.values() if run.name not in training.costs]
@@ -72,10 +72,10 @@ class Extras(NamedTuple):
         return plan.missing(run, self.share, self.arrays)
 
 
-def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured: Extras) -> Result:
+def result_of(training: batches.Training, run: Run, config: TrainConfig, measured: Extras) -> Result:
     """What a run of a finished batch came to. config: of the run."""
-    batch, (place, which) = training.batch, training.batch.places[run]
-    env = training.batch.envs[place]
+    batch, (place, _) = training.batch, training.batch.places[run]
+    env, finite = batch.envs[place], training.finite[batch.index(run)]
     evaluations = {
         name: curve_of(training, run, name).astype(float) for name in training.history if name != "first_reached"
     }
@@ -85,7 +85,7 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
         "versions": describe(batch.config, env, [0]).versions,
         "machine": describe_machine(),
         "updates": batch.config.epochs_per_evaluation * batch.config.updates_per_epoch,
-        "diverged": [seed for seed, good in zip(run.seeds, training.finite[place, which], strict=True) if not good],
+        "diverged": [seed for seed, good in zip(run.seeds, finite, strict=True) if not good],
         "learner": training.train.parts.name,
         "learner_share": measured.share,
         "measuring_failed": measured.error or (plan.NO_TIME if measured.missing(run) else ""),
@@ -104,7 +104,7 @@ def result_of(training: lanes.Training, run: Run, config: TrainConfig, measured:
     return Result(run, about, evaluations, arrays | measured.arrays)
 
 
-def known_of(folder: Path, training: lanes.Training, run: Run) -> Extras:
+def known_of(folder: Path, training: batches.Training, run: Run) -> Extras:
     """What an earlier process measured of this very training of a run."""
     try:
         found = files.read(files.path_of(folder, run))
@@ -117,26 +117,32 @@ def known_of(folder: Path, training: lanes.Training, run: Run) -> Extras:
     return Extras(found.about["learner_share"], arrays, "", found.about["measure_seconds"])
 
 
-def share_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+def first_seed(training: batches.Training, run: Run, tree: Any) -> Any:
+    """Of a pytree of all members that of the first seed of a run."""
+    *place, members = training.batch.index(run)
+    return jax.tree.map(lambda leaf: leaf[(*place, members.start)], tree)
+
+
+def share_of(training: batches.Training, run: Run, config: TrainConfig) -> Extras:
     """The share of the learner's loss in the gradient, of the first seed."""
-    place, which = training.batch.places[run]
-    state, hyper = jax.tree.map(lambda leaf: leaf[place, which.start], (training.states, training.hyper))
+    place, _ = training.batch.places[run]
+    state, hyper = first_seed(training, run, (training.states, training.hyper))
     last = training.evaluations * training.batch.config.epochs_per_evaluation - 1
     return Extras(float(training.share(state, last, hyper, training.batch.envs[place])))
 
 
-def codes_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+def codes_of(training: batches.Training, run: Run, config: TrainConfig) -> Extras:
     """What claims say of the codes of all seeds."""
-    place, which = training.batch.places[run]
-    params = jax.tree.map(lambda leaf: leaf[place, which], training.states.params)
+    place, index = training.batch.places[run][0], training.batch.index(run)
+    params = jax.tree.map(lambda leaf: leaf[index], training.states.params)
     train = measure.on(training.train, config, training.batch.envs[place])
     return Extras(arrays=measure.judged_codes(train, params, run.seeds))
 
 
-def pictures_of(training: lanes.Training, run: Run, config: TrainConfig) -> Extras:
+def pictures_of(training: batches.Training, run: Run, config: TrainConfig) -> Extras:
     """What the pictures of the first seed are drawn from."""
-    place, which = training.batch.places[run]
-    params = jax.tree.map(lambda leaf: leaf[place, which.start], training.states.params)
+    place, _ = training.batch.places[run]
+    params = first_seed(training, run, training.states.params)
     train = measure.on(training.train, config, training.batch.envs[place])
     return Extras(arrays=measure.pictures(measure.subject_of(train, params, run.seeds[0])))
 
@@ -146,7 +152,7 @@ MEASURES = {"share": share_of, "codes": codes_of, "pictures": pictures_of}
 
 
 def measured_also(
-    name: str, training: lanes.Training, run: Run, config: TrainConfig, before: Extras
+    name: str, training: batches.Training, run: Run, config: TrainConfig, before: Extras
 ) -> tuple[Extras, str]:
     """What was measured of a run before, and this; and the trace of an error. What fails costs a figure, or a mark in a
     table, and not the run."""

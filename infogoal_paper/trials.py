@@ -16,23 +16,25 @@ come in that file.
 
 import argparse
 import csv
+import dataclasses
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import jit, presets, use_compilation_cache
+from infogoal_jax import presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import splits
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.runner.compilation import chunk_of
-from infogoal_jax.runner.lanes import batched_hyper
+from infogoal_jax.runner.sweep import Callback, Sweep, batched_hyper, side_by_side, train_sweep
+from infogoal_jax.stopping import stop_on_signal
 from infogoal_jax.train.evaluation import near_and_far
-from infogoal_jax.train.program import make_train
+from infogoal_jax.train.program import Train, make_train
 from infogoal_paper import all_goals_queue, trial_numbers, trial_queue
 from infogoal_paper.trial_numbers import Row, code_errors
 from infogoal_paper.trial_queue import Trial
@@ -128,71 +130,87 @@ def asked_by_name(env):
     return env.replace(goals=env.goals.replace(inputs=heard))
 
 
+class TrialFile(Callback):
+    """The file of a trial: a row for each evaluation of each setting and seed."""
+
+    def __init__(self, name: str, trial: Trial, train: Train, env: Any, path: Path, deadline: float):
+        self.name, self.trial, self.train, self.env, self.deadline = name, trial, train, env, deadline
+        self.members = [(label, seed) for label in trial.lanes for seed in range(trial.seeds)]
+        self.file = open(path, "w", newline="")  # noqa: SIM115 (closed when the trial ends)
+        self.table: csv.DictWriter | None = None
+        self.machine, self.started = describe_machine(), time.time()
+        self.errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
+        masks = {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}
+        posed = env.goal_positions is not None
+        self.posed = {group: jnp.flatnonzero(mask) for group, mask in masks.items()} if posed else {}
+
+    def compiled(self, sweep: Sweep) -> None:
+        """Say how long it took."""
+        print(f"{self.name}: {len(self.members)} members compiled in {sweep.prepare_seconds:.0f} s", flush=True)
+
+    def has_time(self, sweep: Sweep) -> bool:
+        """Whether the clock allows another evaluation."""
+        return time.time() + 1.2 * sweep.last_seconds <= self.deadline
+
+    def evaluated(self, sweep: Sweep) -> None:
+        """Write the rows of this evaluation."""
+        metrics, config = self.metrics_of(sweep), self.train.config
+        epochs = sweep.evaluations * config.epochs_per_evaluation
+        for place, (label, seed) in enumerate(self.members):
+            row = {
+                "trial": self.name,
+                "lane": label,
+                "seed": seed,
+                "known_goals": config.known_goals,
+                "updates": epochs * config.updates_per_epoch,
+            }
+            row |= {metric: f"{value[place]:.4g}" for metric, value in metrics.items()}
+            row |= {"seconds": f"{time.time() - self.started:.0f}", "machine": self.machine}
+            self.table = self.table or csv.DictWriter(self.file, row)
+            if not self.file.tell():
+                self.table.writeheader()
+            self.table.writerow(row)
+        self.file.flush()
+        shown = {
+            kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(self.trial.lanes), -1).mean(1), 2).tolist()
+            for kind in KINDS
+            if f"{kind}/success_rate" in metrics
+        }
+        rate = len(self.members) * config.epochs_per_evaluation * config.updates_per_epoch / sweep.last_seconds
+        print(f"{self.name} {row['updates']} updates, {rate:.0f}/s in all: {json.dumps(shown)}", flush=True)
+
+    def metrics_of(self, sweep: Sweep) -> dict[str, np.ndarray]:
+        """The columns of a trial: success of each kind, the learner's numbers, and errors of the code."""
+        scored, name = sweep.scored, self.train.parts.name
+        metrics = near_and_far(self.env, scored["first_reached"])
+        metrics |= {
+            f"{kind}/success_rate": scored[f"{kind}/success_rate"] for kind in KINDS if f"{kind}/success_rate" in scored
+        }
+        metrics |= {
+            f"learner/{part}": sweep.learned[f"{name}/{part}"][:, -1]
+            for part in EPOCH_METRICS
+            if f"{name}/{part}" in sweep.learned
+        }
+        for group, goals in self.posed.items():
+            for error, values in self.errors(sweep.states.state.params, goals).items():
+                prefix = "corrupted_" if error.startswith("corrupted_") else ""
+                metrics[f"{prefix}{group}/{error.removeprefix(prefix)}"] = np.asarray(values).mean(1)
+        return metrics
+
+
 def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
-    """Train every lane and seed of a trial, one row for each evaluation of each."""
+    """Train every setting and seed of a trial, one row for each evaluation of each."""
     config = configuration(trial, folder)
     train = make_train(config)
-    env = asked_by_name(train.env) if trial.by_name else train.env
-    lanes = [(lane, seed) for lane in trial.lanes for seed in range(trial.seeds)]
-    hyper = batched_hyper(config.hyper, list(trial.lanes.values()), trial.seeds)
-    machine = describe_machine()
-    keys = jnp.stack([jax.random.fold_in(jax.random.key(0), seed) for _, seed in lanes])
-    started = time.time()
-    states = jit(jax.vmap(train.initial, in_axes=(0, 0, None)))(keys, hyper, env)
-    chunk = chunk_of(
-        jax.vmap(train.epochs, in_axes=(0, None, 0, None)), jax.vmap(train.evaluation, in_axes=(0, 0, None))
-    ).compiling(states, jnp.arange(config.epochs_per_evaluation), hyper, env)()
-    errors = jax.jit(jax.vmap(lambda params, goals: code_errors(train, params, goals), in_axes=(0, None)))
-    print(f"{name}: {len(lanes)} lanes compiled in {time.time() - started:.0f} s", flush=True)
-    path, masks = folder / f"{name}.csv", {"train_goal": env.goals.train_mask, "test_goal": env.goals.test_mask}
-    posed = {group: jnp.flatnonzero(mask) for group, mask in masks.items()} if env.goal_positions is not None else {}
-    with open(path.with_suffix(".partial"), "w", newline="") as file:
-        table = None
-        for number in range(config.num_evaluations):
-            before = time.time()
-            states, epochs, metrics = chunk(
-                states, number * config.epochs_per_evaluation + jnp.arange(config.epochs_per_evaluation), hyper, env
-            )
-            split = near_and_far(env, metrics["first_reached"])
-            metrics = split | {
-                f"{kind}/success_rate": np.asarray(metrics[f"{kind}/success_rate"])
-                for kind in KINDS
-                if f"{kind}/success_rate" in metrics
-            }
-            metrics |= {
-                f"learner/{part}": np.asarray(epochs[f"{train.parts.name}/{part}"])[:, -1]
-                for part in EPOCH_METRICS
-                if f"{train.parts.name}/{part}" in epochs
-            }
-            seconds = time.time() - before
-            for group, goals in posed.items():
-                for error, values in errors(states.params, goals).items():
-                    prefix = "corrupted_" if error.startswith("corrupted_") else ""
-                    metrics[f"{prefix}{group}/{error.removeprefix(prefix)}"] = np.asarray(values).mean(1)
-            for lane, (label, seed) in enumerate(lanes):
-                row = {
-                    "trial": name,
-                    "lane": label,
-                    "seed": seed,
-                    "known_goals": config.known_goals,
-                    "updates": (number + 1) * config.epochs_per_evaluation * config.updates_per_epoch,
-                }
-                row |= {metric: f"{value[lane]:.4g}" for metric, value in metrics.items()}
-                row |= {"seconds": f"{time.time() - started:.0f}", "machine": machine}
-                table = table or csv.DictWriter(file, row)
-                if not file.tell():
-                    table.writeheader()
-                table.writerow(row)
-            file.flush()
-            shown = {
-                kind: np.round(metrics[f"{kind}/success_rate"].reshape(len(trial.lanes), -1).mean(1), 2).tolist()
-                for kind in KINDS
-                if f"{kind}/success_rate" in metrics
-            }
-            rate = len(lanes) * config.epochs_per_evaluation * config.updates_per_epoch / seconds
-            print(f"{name} {row['updates']} updates, {rate:.0f}/s in all: {json.dumps(shown)}", flush=True)
-            if time.time() + 1.2 * seconds > deadline:
-                break
+    if trial.by_name:
+        train = dataclasses.replace(train, env=asked_by_name(train.env))
+    hyper = batched_hyper(config.hyper, [values for values in trial.lanes.values() for _ in range(trial.seeds)])
+    programs = side_by_side(train, list(range(trial.seeds)) * len(trial.lanes), hyper)
+    path = folder / f"{name}.csv"
+    rows = TrialFile(name, trial, train, train.env, path.with_suffix(".partial"), deadline)
+    with rows.file, stop_on_signal() as stop:
+        train_sweep(Sweep(config, programs), rows, stop)
+        stop.check()  # Of a trial that was stopped the rows stay in its partial file.
     path.with_suffix(".partial").rename(path)
 
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner.compilation import compiling_quickly
 from infogoal_jax.runner.memory import bytes_of
+from infogoal_jax.runner.sweep import Callback, Sweep, train_sweep
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
-from infogoal_paper import checkpoints, files, finishing, lanes, plan, progress
+from infogoal_paper import batches, checkpoints, files, finishing, plan, progress
 from infogoal_paper.finishing import Extras
 from infogoal_paper.manifest import Run
 from infogoal_paper.plan import Program, config_of, programs_of
@@ -58,16 +59,16 @@ class Keeping:
     evaluations: int
     when: float = dataclasses.field(default_factory=time.time)
 
-    def is_behind(self, training: lanes.Training) -> bool:
+    def is_behind(self, training: batches.Training) -> bool:
         """Whether there were evaluations since it was written."""
         return training.evaluations > self.evaluations
 
-    def keep(self, training: lanes.Training) -> None:
+    def keep(self, training: batches.Training) -> None:
         """Write it. Raises `UserError` if the disk refuses."""
         checkpoints.save(checkpoints.path_of(self.work.folder, training.batch), training)
         self.evaluations, self.when = training.evaluations, time.time()
 
-    def keep_now_and_then(self, training: lanes.Training) -> None:
+    def keep_now_and_then(self, training: batches.Training) -> None:
         """Write it, if the last one is long ago. Training can do without: where the disk refuses, that is said."""
         passed = time.time() - self.when
         if not self.is_behind(training) or passed <= max(KEEPING, 20 * writing_seconds(training)):
@@ -79,9 +80,9 @@ class Keeping:
             self.work.say(f"no checkpoint is written for now: {error}")
 
 
-def writing_seconds(training: lanes.Training) -> float:
+def writing_seconds(training: batches.Training) -> float:
     """Roughly how long a checkpoint of a batch takes."""
-    return bytes_of(training.states) / BYTES_A_SECOND
+    return bytes_of(training.shapes) / BYTES_A_SECOND
 
 
 @dataclasses.dataclass
@@ -156,11 +157,11 @@ def train_program(program: Program, all_runs: list[Run], work: Work, stop: StopR
     work.say(f"{program.name}: {len(program.runs)} runs")
     for runs in checkpoints.apart(work.folder, program.runs):
         try:
-            batches = lanes.batches_of(runs, work.goal_images, work.most_lanes)
+            found = batches.batches_of(runs, work.goal_images, work.most_lanes)
         except Exception as error:
             report_failure(runs, error, work, outcome)
             continue
-        for batch in batches:
+        for batch in found:
             outcome.stopped |= stop.requested or work.left() < BEGINNING
             if outcome.stopped:
                 return
@@ -181,47 +182,73 @@ def report_failure(runs: list[Run], error: Exception, work: Work, outcome: Outco
     work.say(f"failed: {', '.join(run.name for run in runs)}: {why[:500]}")
 
 
-def train_batch(batch: lanes.Batch, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
+def train_batch(batch: batches.Batch, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
     """Train a batch until each of its runs has levelled off, or the ceiling, and write and measure each as soon as it
     has; or until the clock or a signal says stop, and keep a checkpoint."""
-    training, ended = lanes.begin(batch), set[Run]()
-    name = f"{batch.config.task} {next(iter(batch.runs.values())).label}"
+    training = batches.begin(batch)
+    kept = BatchFiles(training, all_runs, work, stop, outcome)
     if checkpoints.resume(work.folder, training):
-        work.say(f"{name}: goes on after evaluation {training.evaluations}")
-    keeping = Keeping(work, training.evaluations)
-    stop.finishing = "this chunk of epochs, with a checkpoint"
-    try:
-        while True:
-            now = [run for run in finishing.ended(training) if run not in ended]
-            end(now, training, keeping, stop, outcome)
-            ended.update(now)
-            if ended.issuperset(batch.runs.values()) or outcome.stopped:
-                break
-            training = lanes.without_ended(training, ended)
-            if training.chunk is None:
-                lanes.prepare(training)
-                seconds = training.prepare_seconds
-                work.say(f"{name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
-            keeping.keep_now_and_then(training)
-            if stop.requested or work.left() < 1.2 * training.last_seconds + 5 + writing_seconds(training):
-                if keeping.is_behind(training):
-                    keeping.keep(training)
-                kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
-                work.say(f"{name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
-                outcome.stopped = True
-                break
-            lanes.go_on(training)
-            say_how_far(name, training, work)
-            for run in set(batch.runs.values()) - ended:
-                progress.note(work.folder, run, training.evaluations, training.last_seconds)
-            progress.write(work.folder, all_runs)
+        work.say(f"{kept.name}: goes on after evaluation {training.evaluations}")
+        kept.keeping.evaluations = training.evaluations
+    train_sweep(training.sweep, kept, stop)
+    if not outcome.stopped:
         checkpoints.delete_measured(work.folder, batch.places)
-    finally:
-        stop.finishing = ""
     progress.write(work.folder, all_runs)
 
 
-def end(runs: list[Run], training: lanes.Training, keeping: Keeping, stop: StopRequest, outcome: Outcome) -> None:
+class BatchFiles(Callback):
+    """What is kept of a batch: a file of each run as soon as it has levelled off, and a checkpoint of the others."""
+
+    def __init__(
+        self, training: batches.Training, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome
+    ):
+        self.training, self.all_runs, self.work, self.stop, self.outcome = training, all_runs, work, stop, outcome
+        self.keeping, self.ended = Keeping(work, training.evaluations), set[Run]()
+        self.name = f"{training.batch.config.task} {next(iter(training.batch.runs.values())).label}"
+
+    def going_on(self, sweep: Sweep) -> Sweep | None:
+        """Write the runs that are trained to their end, and go on with the others."""
+        training = self.training
+        now = [run for run in finishing.ended(training) if run not in self.ended]
+        end(now, training, self.keeping, self.stop, self.outcome)
+        self.ended.update(now)
+        if self.ended.issuperset(training.batch.runs.values()) or self.outcome.stopped:
+            return None
+        self.training = batches.without_ended(training, self.ended)
+        if self.training.evaluations:
+            self.keeping.keep_now_and_then(self.training)
+        return self.training.sweep
+
+    def compiled(self, sweep: Sweep) -> None:
+        """Say how long it took."""
+        training, seconds = self.training, sweep.prepare_seconds
+        training.compile_seconds += seconds
+        self.work.say(f"{self.name}: {training.finite.size} seeds and settings compiled in {seconds:.0f} s")
+
+    def has_time(self, sweep: Sweep) -> bool:
+        """Whether the clock allows another evaluation, with a checkpoint after it."""
+        return self.work.left() >= 1.2 * sweep.last_seconds + 5 + writing_seconds(self.training)
+
+    def stopped(self, sweep: Sweep) -> None:
+        """Keep a checkpoint."""
+        training = self.training
+        if self.keeping.is_behind(training):
+            self.keeping.keep(training)
+        kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
+        self.work.say(f"{self.name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
+        self.outcome.stopped = True
+
+    def evaluated(self, sweep: Sweep) -> None:
+        """Keep the numbers, and show them."""
+        training = self.training
+        training.note()
+        say_how_far(self.name, training, self.work)
+        for run in set(training.batch.runs.values()) - self.ended:
+            progress.note(self.work.folder, run, training.evaluations, sweep.last_seconds)
+        progress.write(self.work.folder, self.all_runs)
+
+
+def end(runs: list[Run], training: batches.Training, keeping: Keeping, stop: StopRequest, outcome: Outcome) -> None:
     """Write and measure the runs of a batch that are trained to their end."""
     new = [run for run in runs if run.name not in training.costs]
     if new:
@@ -232,11 +259,11 @@ def end(runs: list[Run], training: lanes.Training, keeping: Keeping, stop: StopR
     finish(runs, training, keeping.work, stop, outcome)
 
 
-def say_how_far(name: str, training: lanes.Training, work: Work) -> None:
+def say_how_far(name: str, training: batches.Training, work: Work) -> None:
     """Say what the last evaluation gave."""
     batch = training.batch
     updates = training.finite.size * batch.config.epochs_per_evaluation * batch.config.updates_per_epoch
-    rate = updates / training.last_seconds
+    rate = updates / training.sweep.last_seconds
     work.say(f"{name}: evaluation {training.evaluations}, {rate:,.0f} updates/s; training, test goals:")
     for run in batch.runs.values():
         if run.name in training.costs:
@@ -245,7 +272,7 @@ def say_how_far(name: str, training: lanes.Training, work: Work) -> None:
         work.say(f"    {run.name.split('/', 1)[1]}: {train:.2f}, {test:.2f}")
 
 
-def finish(runs: list[Run], training: lanes.Training, work: Work, stop: StopRequest, outcome: Outcome) -> None:
+def finish(runs: list[Run], training: batches.Training, work: Work, stop: StopRequest, outcome: Outcome) -> None:
     """Write the files of trained runs of a batch, then measure what is missing of them, as long as there is time."""
 
     def keep(run: Run) -> None:

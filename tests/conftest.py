@@ -19,9 +19,8 @@ from infogoal_jax import presets
 from infogoal_jax.__main__ import GARBAGE
 from infogoal_jax.data import goal_images
 from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.runner import host
+from infogoal_jax.runner import sweep, training
 from infogoal_jax.stand_ins import house
-from infogoal_paper import lanes
 
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
@@ -115,7 +114,7 @@ def few_programs():
 
 
 @pytest.fixture(scope="session")
-def reach_run(tmp_path_factory) -> host.Sweep:
+def reach_run(tmp_path_factory) -> training.RunResult:
     """Two seeds of FetchReach with image goals, trained for two epochs on episodes of 10 steps: nothing is learned,
     everything is there."""
     config = presets.load(
@@ -130,7 +129,7 @@ def reach_run(tmp_path_factory) -> host.Sweep:
         buffer_steps=160,
         evaluation_starts=1,
     )
-    return host.run(config, [0, 1], tmp_path_factory.mktemp("reach") / "run")
+    return training.run(config, [0, 1], tmp_path_factory.mktemp("reach") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -174,12 +173,12 @@ def results():
 def evaluations(monkeypatch) -> list[int]:
     """The number of each evaluation as it comes. The third one that this test makes seems to take so long that the
     clock, where there is one, leaves no time for another."""
-    go_on, count = lanes.go_on, []
+    advance, count = sweep.advance, []
 
-    def slow(training):
-        go_on(training)
-        count.append(training.evaluations)
-        training.last_seconds = 1e9 if len(count) == 3 else 1e-3
+    def slow(members):
+        advance(members)
+        count.append(members.evaluations)
+        members.last_seconds = 1e9 if len(count) == 3 else 1e-3
 
-    monkeypatch.setattr(lanes, "go_on", slow)
+    monkeypatch.setattr(sweep, "advance", slow)
     return count

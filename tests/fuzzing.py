@@ -15,7 +15,8 @@ from tyro.conf import Positional
 
 from infogoal_jax import presets
 from infogoal_jax.cli.commands import Group
-from infogoal_jax.cli.main import BY_TASK, COMMANDS
+from infogoal_jax.cli.main import BY_TASK
+from infogoal_jax.cli.main import commands as all_commands
 from infogoal_jax.errors import UserError
 
 WHOLE = st.sampled_from([0, -1, 1, 2, 7, 2**31 - 1, 2**31, 2**32, 2**63, 10**20]) | st.integers()
@@ -122,9 +123,9 @@ def damaged(draw, content: bytes) -> bytes:
     return content[:start] + noise + content[start + length :]
 
 
-def commands(group: Group = COMMANDS, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def commands(group: Group | None = None, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """The words and the function of every command."""
-    for name, command in group.commands.items():
+    for name, command in (group or all_commands()).commands.items():
         if isinstance(command, Group):
             yield from commands(command, (*words, name))
         else:

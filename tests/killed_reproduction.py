@@ -13,7 +13,8 @@ import hand_made
 import jax.numpy as jnp
 from killed_run import small_train
 
-from infogoal_paper import files, finishing, lanes, plan, work
+from infogoal_jax.runner import sweep
+from infogoal_paper import batches, files, finishing, plan, work
 from infogoal_paper.manifest import Lane, Run
 from infogoal_paper.work import Outcome, Work, work_on
 
@@ -25,7 +26,7 @@ DEADLY, SLOW = "deadly", "slow"
 
 
 def runs(count: int = 3) -> list[Run]:
-    """So many programs of two lanes: object search on as many houses, which are no lanes of one program."""
+    """So many programs of two settings: object search on as many houses, which are no settings of one program."""
     return [
         Run("object_search", "none", None, None, number, lane, SEEDS, True) for number in range(count) for lane in LANES
     ]
@@ -66,9 +67,9 @@ def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
                 os._exit(1)
         return whole_begin(batch)
 
-    def go_on(training):
+    def advance(members):
         time.sleep((folder / SLOW).exists())
-        whole_go_on(training)
+        whole_advance(members)
 
     def save(folder, result):
         new = not files.path_of(folder, result.run).exists()
@@ -76,16 +77,16 @@ def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
         if new:  # It is written again when it has been measured.
             logged(f"finished {result.run.name}")
 
-    whole_begin, whole_go_on, whole_save = lanes.begin, lanes.go_on, files.save
+    whole_begin, whole_advance, whole_save = batches.begin, sweep.advance, files.save
     with contextlib.ExitStack() as patches:
-        for module in (plan, lanes, work):
+        for module in (plan, batches, work):
             patches.enter_context(mock.patch.object(module, "config_of", config_of))
         for module, name, value in (
-            (lanes, "make_train", counted_train),
-            (lanes, "load_environment", lambda config: hand_made.environment()),
-            (lanes, "build_data", lambda run: None),
-            (lanes, "begin", begin),
-            (lanes, "go_on", go_on),
+            (batches, "make_train", counted_train),
+            (batches, "load_environment", lambda config: hand_made.environment()),
+            (batches, "build_data", lambda run: None),
+            (batches, "begin", begin),
+            (sweep, "advance", advance),
             (files, "save", save),
             (plan, "is_pictured", lambda run: False),
             (plan, "is_judged", lambda run: judge is not None),
@@ -106,6 +107,14 @@ def reproduce(
     with small_programs(folder, judge, keeping):
         wanted = runs(wanted) if isinstance(wanted, int) else wanted
         return work_on(wanted, Work(folder, **({"say": lambda words: None} | settings)))
+
+
+def go_on(training: batches.Training) -> None:
+    """Train a batch until its next evaluation."""
+    if training.sweep.chunk is None:
+        sweep.prepare(training.sweep)
+    sweep.advance(training.sweep)
+    training.note()
 
 
 for_good = contextlib.ExitStack()

@@ -19,8 +19,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import tuning
 from infogoal_jax.report.canvas import empty_figure, save
-from infogoal_jax.runner import host
-from infogoal_jax.runner import tune as search
+from infogoal_jax.runner import search, training
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.runs.search import Trial
@@ -84,8 +83,8 @@ class SmallState:
 def small_train(config, env=None):
     """Training whose program compiles in a moment: its numbers depend on every epoch, seed and hyperparameter before.
 
-    Nothing is learned by it; what is killed here is the loop around the program. `tests/train/test_resume.py` kills the
-    real one.
+    Nothing is learned by it; what is killed here is the loop around the program. `tests/runner/test_resume.py` kills
+    the real one.
     """
 
     def initial(key, hyper, env):
@@ -146,7 +145,7 @@ def final(folder: Path) -> bool:
 def short(folder: Path) -> bool:
     """A new run of one chunk, for processes that want the same folder."""
     config = hand_made.config("none", num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=3)
-    return not host.run(config, [0], folder, env=hand_made.environment()).stopped
+    return not training.run(config, [0], folder, env=hand_made.environment()).stopped
 
 
 def small(folder: Path) -> bool:
@@ -162,7 +161,7 @@ def real(folder: Path) -> bool:
 def run_of(config, folder: Path) -> bool:
     """A run of two seeds, or what is left of it. Returns whether it finished."""
     resume = (folder / "config.json").exists()
-    return not host.run(config, [0, 1], folder, resume, env=hand_made.environment()).stopped
+    return not training.run(config, [0, 1], folder, resume, env=hand_made.environment()).stopped
 
 
 def child(kind: str, folder: str, shared) -> None:
@@ -172,7 +171,7 @@ def child(kind: str, folder: str, shared) -> None:
     if kind not in ("small", "real"):
         jax.config.update("jax_enable_compilation_cache", False)  # So that each process compiles.
     if kind != "real":
-        host.make_train = search.make_train = small_train
+        training.make_train = search.make_train = small_train
     watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
     watched(tables, "append_rows", WRITING)
     watched(archives, "replace_file", WRITING)

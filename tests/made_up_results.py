@@ -12,7 +12,7 @@ from infogoal_jax.data.splits import make_split
 from infogoal_jax.envs.object_search import lay_out
 from infogoal_jax.report import tuning
 from infogoal_jax.report.image_goals import WEIGHTS
-from infogoal_jax.runner.lanes import plan_of
+from infogoal_jax.runner.search import plan_of
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Trial, TuneResult, write_plan
 from infogoal_paper import claims

@@ -39,8 +39,7 @@ LAYERS = (
     {"stand_ins", "envs"},
     {"presets"},
     {"runs"},
-    {"train"},
-    {"runner", "low_level"},
+    {"train", "runner", "low_level"},
     {"report", "bridges"},
     {"cli"},
 )

@@ -42,8 +42,8 @@ from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import operations
 from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shardings_of
-from infogoal_jax.runner.host import programs_of
 from infogoal_jax.runner.memory import bytes_of
+from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.train.evaluation import random_policy
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
@@ -130,12 +130,11 @@ def spread_rate(config, train, seeds_of_each: int, num_devices: int, repeats: in
 def build(task: str, method: str, num_seeds: int) -> tuple[int, float, float, float]:
     """Operations of the chunk of one seed, and seconds to trace, lower and compile that of `num_seeds`."""
     train = make_train(config := presets.load(task, method))
-    programs, numbers = programs_of(train, range(num_seeds)), jnp.arange(config.epochs_per_evaluation)
-    arguments = (programs.states_shape, numbers, *programs.shared)
+    programs, numbers = side_by_side(train, range(num_seeds)), jnp.arange(config.epochs_per_evaluation)
     started = time.perf_counter()
-    programs.chunk.trace(*arguments)
+    programs.check()
     after_trace = time.perf_counter()
-    finish = programs.chunk.compiling(*arguments)  # Traced already: it lowers, and compiles on other threads.
+    finish = programs.compiling()  # Traced already: it lowers, and compiles on other threads.
     after_lower = time.perf_counter()
     finish()
     seconds = (after_trace - started, after_lower - after_trace, time.perf_counter() - after_lower)

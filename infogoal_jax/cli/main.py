@@ -9,7 +9,7 @@ import tyro
 
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
-from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
+from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
@@ -20,11 +20,6 @@ from infogoal_jax.stopping import NOTHING, STATUS
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
 `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
-
-
-def added_commands() -> dict[str, Command | Group]:
-    """The commands that other packages bring, by name: each an entry point of the group `infogoal.commands`."""
-    return {point.name: point.load() for point in entry_points(group="infogoal.commands")}
 
 
 COMMANDS = Group(
@@ -43,8 +38,7 @@ COMMANDS = Group(
         "pretrain": pretrain,
         "data": DATA,
         "check-fetch": check_fetch,
-    }
-    | added_commands(),
+    },
 )
 CHECKS = {"final": tuning.check_final}
 """What is looked at in all words of a command before it is taken apart."""
@@ -53,14 +47,24 @@ BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.p
 one of these is called."""
 
 
+def commands(first: str = "") -> Group:
+    """All commands, with those that other packages bring: entry points of the group `infogoal.commands`. They are
+    imported unless the first word names one of the library's own."""
+    if first in COMMANDS.commands:
+        return COMMANDS
+    added = {point.name: point.load() for point in entry_points(group="infogoal.commands")}
+    return Group(HELP, COMMANDS.commands | added)
+
+
 def run(arguments: list[str]) -> int:
     """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for
     an unknown flag."""
     if arguments == ["--version"]:
         print(infogoal_jax.__version__)
         return 0
-    arguments, command, registry = arguments or ["--help"], COMMANDS, None
-    check_names(COMMANDS, arguments)
+    arguments, registry = arguments or ["--help"], None
+    command = commands(arguments[0])
+    check_names(command, arguments)
     words = ["infogoal"]
     if arguments[0] in CHECKS:
         CHECKS[arguments[0]](arguments)

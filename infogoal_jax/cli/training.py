@@ -76,7 +76,7 @@ def train(
         check_resumed_in_place(resume, out)
     from infogoal_jax import presets
     from infogoal_jax.runner import distributed as several
-    from infogoal_jax.runner import host
+    from infogoal_jax.runner import training
     from infogoal_jax.runner.compilation import use_compilation_cache
     from infogoal_jax.runner.listeners import make_listeners
     from infogoal_jax.train.combinations import check_combination
@@ -96,11 +96,11 @@ def train(
         numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
     folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
     if not several.is_writer():
-        sweep = host.run(config, numbers, folder, bool(resume))
+        sweep = training.run(config, numbers, folder, bool(resume))
         several.part()
         return STATUS if sweep.stopped else 0
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
-        sweep = host.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
+        sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
         several.part()  # Figures may take longer than the others would wait.
         listeners.end_progress()
         from infogoal_jax.report.summary import print_summary
@@ -227,20 +227,20 @@ def pretrain(
     Returns:
         0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
     """
-    from infogoal_jax.low_level import host
+    from infogoal_jax.low_level import pretraining
     from infogoal_jax.runner.compilation import use_compilation_cache
 
     numbers = seeds_from(first_seed, seeds)
     use_compilation_cache()
     folder = Path(out) if out else new_folder(config.task, "low-level")
-    result = host.pretrain(config, numbers, folder, evaluation_episodes, command)
-    host.print_result(result)
+    result = pretraining.pretrain(config, numbers, folder, evaluation_episodes, command)
+    pretraining.print_result(result)
     return 130 if result.stopped else 0
 
 
 def pretraining_tasks(arguments: list[str]) -> TaskCommands:
     """`pretrain` for each task that has a low level, with its configuration as the defaults."""
-    from infogoal_jax.low_level.host import TASKS, preset
+    from infogoal_jax.low_level.pretraining import TASKS, preset
 
     task = first_word(arguments)
     if task:

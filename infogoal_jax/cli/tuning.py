@@ -50,7 +50,7 @@ def tune(
     check_seed(space_seed, "space_seed")
     import jax
 
-    from infogoal_jax.runner import tune as search
+    from infogoal_jax.runner import search
 
     numbers = seeds_from(first_seed, seeds)
     fields = tuple(field.replace("-", "_") for field in fields)
@@ -78,7 +78,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
         check_same_parts(config, task, choice)
         check_left_out(arguments, ("--trials", "--seeds", "--first-seed", "--space-seed", "--fields"), "search")
     else:
-        from infogoal_jax.runner.tune import same_budget
+        from infogoal_jax.runner.search import same_budget
 
         config = same_budget(preset_of(task, choice))
     return of_task(tune, config, choice, arguments if task else [config.task, *arguments])
@@ -117,7 +117,7 @@ def final(
     if resume:
         return go_on(resume, "final")
     from infogoal_jax.report import tuning
-    from infogoal_jax.runner import tune as searching
+    from infogoal_jax.runner import search as searching
 
     about, found = tuning.read(Path(search))
     finalists = searching.finalists(found, trials)
@@ -140,7 +140,7 @@ def final(
 def go_on(folder: str, command: str, config: Any = None) -> int:
     """Go on with the search or the final in this folder. Returns the exit status."""
     from infogoal_jax.report import tuning
-    from infogoal_jax.runner import tune as searching
+    from infogoal_jax.runner import search as searching
 
     about, trials = tuning.read_drawn(Path(folder))
     config = about.config if config is None else config

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.errors import check_count, require
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
@@ -116,7 +116,7 @@ class RunTable:
 
 def diverged_seeds(folder: Path) -> dict[int, int]:
     """Seeds whose loss or gradient stopped being finite, with the first such epoch."""
-    return host.diverged_seeds(tables.read_table(folder, "epochs"))
+    return training.diverged_seeds(tables.read_table(folder, "epochs"))
 
 
 def table_of(folder: Path, name: str, leave_out=()) -> RunTable:

@@ -14,7 +14,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
-from infogoal_jax.runner import host, memory
+from infogoal_jax.runner import memory, training
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
@@ -76,7 +76,7 @@ def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
     )
 
 
-def print_summary(sweep: host.Sweep, console: Console | None = None) -> None:
+def print_summary(sweep: training.RunResult, console: Console | None = None) -> None:
     """Print what a run of the host loop came to."""
     show(load_run(sweep.folder), sweep.diverged, console or Console())
 
@@ -202,14 +202,14 @@ def evaluate_run(
         return train.evaluate(params, hyper, env, starts, weight, start_seed)
 
     program = jit(jax.vmap(evaluate_seed, in_axes=(0, None))).trace(params, train.env)
-    needed, room = memory.peak_bytes(program.jaxpr), memory.device_memory(jax.devices()[0])
-    needed += memory.episode_bytes(train, starts) * len(run.seeds)
+    room = memory.device_memory(jax.devices()[0])
+    needed = memory.largest_array(program.jaxpr) + memory.episode_bytes(train, starts) * len(run.seeds)
     require(
         needed <= room,
         "starts",
         starts,
-        f"evaluating {len(run.seeds)} seeds needs {needed / memory.GIB:,.1f} GiB at least, a device has "
-        f"{room / memory.GIB:.1f} GiB: give fewer, such as {run.config.evaluation_starts}",
+        f"evaluating {len(run.seeds)} seeds needs {needed / memory.GIB:,.1f} GiB at least, "
+        f"{memory.room_in_words(room)}: give fewer, such as {run.config.evaluation_starts}",
     )
     metrics = jax.device_get(program.lower().compile()(params, train.env))
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]

@@ -96,11 +96,16 @@ class Chunk(NamedTuple):
         with without_garbage_collection():
             return self.epochs.trace(states, numbers, *shared), self.evaluation.trace(states, *shared)
 
-    def compiling(self, states: Any, numbers: Any, *shared: Any) -> Callable[[], Callable]:
+    def compiling(
+        self, states: Any, numbers: Any, *shared: Any, check: Callable[..., None] = lambda epochs, evaluation: None
+    ) -> Callable[[], Callable]:
         """Begin to compile both programs for arguments of these shapes (and shardings). What is returned waits for them
-        and returns (states, numbers, *shared) -> (states, metrics of the epochs, metrics of the evaluation).
+        and returns (states, numbers) -> (states, metrics of the epochs, metrics of the evaluation), which has the
+        shared arguments.
 
         A compiler does much of its work on one core: each program has one, and the caller another.
+
+        check: called with both compiled programs (`jax.stages.Compiled`) before they are run.
         """
         pool = ThreadPoolExecutor(2)
         with without_garbage_collection():
@@ -110,8 +115,9 @@ class Chunk(NamedTuple):
 
         def compiled() -> Callable:
             epochs, evaluation = first.result(), second.result()
+            check(epochs, evaluation)
 
-            def chunk(states, numbers, *shared):
+            def chunk(states, numbers):
                 states, metrics = epochs(states, numbers, *shared)
                 return states, metrics, evaluation(states, *shared)
 

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 
 SIGN_OF_LIFE = 60.0
 """Seconds after which a log file gets another line while a program is compiled."""
@@ -93,7 +93,7 @@ class Listeners(NamedTuple):
     (GIF), which TensorBoard and Weights & Biases are to show."""
 
     compiling: Callable[[], None]
-    progress: tuple[host.Listener, ...]
+    progress: tuple[training.Listener, ...]
     end_progress: Callable[[], None]
     pictures: Callable[[Sequence[Path]], None]
 
@@ -145,7 +145,7 @@ def make_listeners(
             raise UserError("tensorboard = True: needs `pip install tensorboardX`") from error
         writers = []  # Opened with the first numbers, so that a mistake found before leaves nothing on disk.
 
-        def write(progress: host.Progress):
+        def write(progress: training.Progress):
             if not writers:
                 writers.append(SummaryWriter(str(folder)))
                 closing.append(writers[0].close)
@@ -170,7 +170,7 @@ def make_listeners(
         log_in(weights_and_biases, wandb)
         sessions = []
 
-        def log(progress: host.Progress):
+        def log(progress: training.Progress):
             if not sessions:
                 sessions.append(weights_and_biases.init(project=wandb, dir=str(folder.parent), name=folder.name))
                 closing.append(sessions[0].finish)
@@ -194,7 +194,7 @@ def make_listeners(
         words = f"{config.task} {presets.name_of(config)} x {num_seeds}"
         line = bar.enter_context(progress_line(words, config.num_epochs))
 
-        def advance(progress: host.Progress):
+        def advance(progress: training.Progress):
             means = seed_means(progress.evaluations)
             numbers = "  ".join(f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means)
             if progress.env_steps_per_second:  # Who learns offline takes none.

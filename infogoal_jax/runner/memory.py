@@ -1,25 +1,26 @@
-"""What training needs of a device's memory, before anything is compiled or allocated: how many seeds run side by side,
-and which field is to blame where not even one does.
+"""How many seeds run side by side in a device's memory, before anything is compiled; and what a compiled program says
+that it needs.
 
-Two estimates count. A formula of the state and of what is seen says how many seeds fit; the traced program says what it
-holds at once at least, whatever the sizes are that ask for it.
+The estimate counts what training carries and what an update and an evaluation look at. What it misses shows in the
+compiled program (`check_compiled`); sizes that no device has, in the arrays of the traced one (`check_traced`).
 """
 
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import jax
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from infogoal_jax import presets
+from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.keys import is_key
-from infogoal_jax.runner.compilation import Chunk, inner_programs
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.runner.compilation import inner_programs
+from infogoal_jax.train.program import Train
 
 MEMORY_SHARE = 0.8
 """Of the device's memory that a sweep may fill before it is sliced."""
@@ -83,6 +84,17 @@ def episode_bytes(train: Train, starts: int) -> int:
     return episodes * (env.episode_length + 1) * bytes_of(observation) * EVALUATION_POLICIES
 
 
+def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seeds") -> int:
+    """How many of a device's seeds (or members of another name) run beside each other. Raises `UserError`, naming the
+    field that is to blame, if not even one does."""
+    memory = mesh_memory(mesh)
+    state, extra, held = state_bytes(train), working_bytes(train), bytes_of(train.env)
+    alone = (1 + WORKING_COPIES) * state + extra + held
+    if alone > MEMORY_SHARE * memory:
+        raise too_large(train.config, preset_of(train.config), alone, memory)
+    return seeds_at_once(state, extra, held, count // mesh.size, memory, mesh.size, name)
+
+
 def seeds_at_once(
     state_bytes: int,
     extra_bytes: int,
@@ -95,9 +107,14 @@ def seeds_at_once(
     """How many of a device's seeds run beside each other in `MEMORY_SHARE` of its memory: all of them, or a part that
     divides their number.
 
-    Raises `UserError` if not even their states fit and one of them. state_bytes: carried for each of the `num_seeds` of
-    the device, and once more for those that run in a slice; extra_bytes: `working_bytes` of each that runs; env_bytes:
-    held once; devices: how many there are, for the message; name: of their number, for it too.
+    Args:
+        state_bytes: carried for each of the `num_seeds` of the device, and once more for those that run in a slice.
+        extra_bytes: `working_bytes` of each that runs.
+        env_bytes: held once.
+        devices: how many there are, for the message.
+        name: of the number of seeds, for the message.
+
+    Raises `UserError` if not even their states fit and one of them.
     """
     room, running = MEMORY_SHARE * memory - env_bytes, WORKING_COPIES * state_bytes + extra_bytes
     if num_seeds * (state_bytes + running) <= room:
@@ -109,8 +126,8 @@ def seeds_at_once(
         fitting > 0,
         name,
         num_seeds * devices,
-        f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, a device has "
-        f"{memory / GIB:.1f} GiB: give at most {most}",
+        f"each takes {state_bytes / 2**20:,.0f} MiB, {running / 2**20:,.0f} MiB more while it runs, "
+        f"{room_in_words(memory)}: give at most {most}",
     )
     return max(count for count in divisors(num_seeds) if count <= fitting)
 
@@ -123,109 +140,57 @@ def divisors(number: int) -> Iterator[int]:
             yield number // small
 
 
-def peak_bytes(program: Jaxpr | ClosedJaxpr) -> int:
-    """Bytes that a traced program holds at once at least, beside its arguments: results of `WRITTEN_OUT` operations and
-    what scans read step by step, from where they are made to where they are used last."""
+def room_in_words(memory: int) -> str:
+    """How much memory a device has."""
+    return f"a device has {memory / GIB:.1f} GiB"
+
+
+def check_traced(programs: Iterable[Jaxpr | ClosedJaxpr], config: Any, usual: Callable[[], Any], memory: int) -> None:
+    """Raise `UserError`, naming the field that is to blame, if one array of these traced programs is larger than the
+    memory of their devices together. Lowering a program does not trace it again: the types are the same."""
+    largest = max(largest_array(program) for program in programs)
+    if largest > memory:
+        raise too_large(config, usual(), largest, memory)
+
+
+def largest_array(program: Jaxpr | ClosedJaxpr) -> int:
+    """Bytes of the largest array that an operation of `WRITTEN_OUT` makes or a scan reads, inside of loops too."""
     jaxpr = program.jaxpr if isinstance(program, ClosedJaxpr) else program
-    last_use = {
-        variable: number
-        for number, equation in enumerate(jaxpr.eqns)
-        for variable in equation.invars
-        if not isinstance(variable, Literal)
-    }
-    last_use |= {variable: len(jaxpr.eqns) for variable in jaxpr.outvars if not isinstance(variable, Literal)}
-    scanned = {variable for equation in jaxpr.eqns for variable in scanned_by(equation)}
-    held, most, ends = 0, 0, {}
-    for number, equation in enumerate(jaxpr.eqns):
-        inside = [peak_bytes(inner) for value in equation.params.values() for inner in inner_programs(value)]
-        made = 0
-        for variable in equation.outvars:
-            if equation.primitive.name in WRITTEN_OUT or variable in scanned:
-                size = array_bytes(variable.aval)
-                made += size
-                end = last_use.get(variable, number)
-                ends[end] = ends.get(end, 0) + size
-        most = max(most, held + max(made, *inside, 0))
-        held += made - ends.pop(number, 0)
-    return most
+    largest = 0
+    for equation in jaxpr.eqns:
+        name = equation.primitive.name
+        inside = [largest_array(inner) for value in equation.params.values() for inner in inner_programs(value)]
+        lying = [*(equation.outvars if name in WRITTEN_OUT else ()), *(equation.invars if name == "scan" else ())]
+        largest = max(largest, *inside, *(array_bytes(each.aval) for each in lying), 0)
+    return largest
 
 
-def scanned_by(equation: JaxprEqn) -> list[Var]:
-    """The variables that a scan reads an element of at each step; none of another operation."""
-    if equation.primitive.name != "scan":
-        return []
-    body = equation.params["jaxpr"]
-    inside = getattr(body, "jaxpr", body).invars
-    # What is read step by step has an axis of steps outside; constants and what is carried look alike on both sides.
-    # (How parameters of a scan are named changes between versions of JAX.)
-    return [
-        variable
-        for variable, element in zip(equation.invars, inside, strict=True)
-        if not isinstance(variable, Literal) and variable.aval.ndim > element.aval.ndim
-    ]
+def check_compiled(programs: Iterable[jax.stages.Compiled], config: Any, usual: Callable[[], Any], memory: int) -> None:
+    """Raise `UserError`, naming the field that is to blame, if one of these compiled programs needs more than the
+    memory of a device. A compiler that does not say what a program needs is believed."""
+    for program in programs:
+        found = program.memory_analysis()
+        if found is None:
+            continue
+        held = found.argument_size_in_bytes + found.output_size_in_bytes - found.alias_size_in_bytes
+        if held + found.temp_size_in_bytes > memory:
+            raise too_large(config, usual(), held + found.temp_size_in_bytes, memory)
 
 
-def needed_bytes(train: Train, num_seeds: int) -> float:
-    """Bytes that these seeds need at least, one of them running at a time."""
-    config = train.config
-    state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
-    carried = bytes_of(state)
-    numbers = jax.ShapeDtypeStruct((config.epochs_per_evaluation,), np.int32)
-    traced = jax.jit(train.chunk).trace(state, numbers, config.hyper, train.env)
-    running = max(WORKING_COPIES * carried + working_bytes(train), peak_bytes(traced.jaxpr))
-    return num_seeds * carried + running + bytes_of(train.env)
-
-
-def check_program(
-    chunk: Chunk, states: Any, shared: tuple, train: Train, num_seeds: int, mesh: jax.sharding.Mesh, name: str = "seeds"
-) -> None:
-    """Raise `UserError`, naming the field that is to blame, if the traced epochs and evaluation of all seeds cannot
-    run. Lowering them does not trace them again: the types are the same.
-
-    states, shared: what `chunk` is called with beside the numbers of epochs, or their shapes, on all devices of the
-    mesh together; name: of the number of seeds.
-    """
-    numbers = jax.ShapeDtypeStruct((train.config.epochs_per_evaluation,), np.int32)
-    epochs, evaluation = (peak_bytes(program.jaxpr) for program in chunk.trace(states, numbers, *shared))
-    # What the epochs return stands where the states stood, and is part of their peak; the evaluation reads the states.
-    running = max(epochs, bytes_of(states) + evaluation)
-    needed, memory = (bytes_of(train.env) + running) / mesh.size, mesh_memory(mesh)
-    if needed > memory:
-        raise to_blame(train, num_seeds, memory, f"training needs {needed / GIB:,.1f} GiB at least", name)
-
-
-def to_blame(train: Train, num_seeds: int, memory: int, needs: str, name: str) -> UserError:
-    """The refusal of training that names the field which takes most. name: of the number of seeds."""
-    preset = presets.load(train.config.task, **presets.names_of(train.config))
-    fields = [
-        Larger(field, value, usual, lambda field=field, usual=usual: with_usual(train, field, usual, num_seeds))
-        for field, value, usual in larger_fields(train.config, preset)
-    ]
-    if num_seeds > 1:
-        alone = needed_bytes(train, 1)
-        if alone <= MEMORY_SHARE * memory:  # Otherwise no number of seeds would do.
-            fields.insert(0, Larger(name, num_seeds, 1, lambda: alone))
-    return refusal(fields, train.config.task, memory, needs)
-
-
-class Larger(NamedTuple):
-    """A field that has a larger value than usual. needed: () -> bytes that would be needed with the usual one."""
-
-    name: str
-    value: Any
-    usual: Any
-    needed: Callable[[], float]
-
-
-def refusal(fields: list[Larger], task: str, memory: int, needs: str) -> UserError:
-    """The refusal that names the field whose usual value would leave the least to be needed. needs: what takes more
-    than `memory` bytes, in words."""
-    room = f"a device has {memory / GIB:.1f} GiB"
+def too_large(config: Any, usual: Any, needed: int, memory: int) -> UserError:
+    """The refusal of a training that needs so many bytes. It names the field that is the most times larger than in the
+    usual configuration; the task where none is."""
+    needs = f"training needs {needed / GIB:,.1f} GiB, {room_in_words(memory)}"
+    fields = list(larger_fields(config, usual))
     if not fields:
-        return UserError(f"task = {task!r}: {needs}, {room}: give smaller sizes, or take a larger device")
-    blamed = min(fields, key=lambda field: field.needed()) if len(fields) > 1 else fields[0]
-    remedy = f"give a smaller value, such as {blamed.usual!r}"
-    return UserError(f"{blamed.name} = {blamed.value!r}: {needs}, {room}: {remedy}")
+        return UserError(f"task = {config.task!r}: {needs}: give smaller sizes, or take a larger device")
+    name, value, preset = max(fields, key=lambda field: size(field[1]) / max(1, size(field[2])))
+    return UserError(f"{name} = {value!r}: {needs}: give a smaller value, such as {preset!r}")
+
+
+def preset_of(config: TrainConfig) -> TrainConfig:
+    """The preset of a configuration's task and parts."""
+    return presets.load(config.task, **presets.names_of(config))
 
 
 def larger_fields(config: Any, preset: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -245,34 +210,3 @@ def size(value: Any) -> float | None:
     if isinstance(value, tuple) and value and all(isinstance(item, int) for item in value):
         return math.prod(value)
     return value if isinstance(value, int) and not isinstance(value, bool) else None
-
-
-def with_usual(train: Train, name: str, usual: Any, num_seeds: int) -> float:
-    """Bytes that would be needed with another value of a field; none could be more where that makes no program."""
-    try:
-        other = make_train(with_field(train.config, name, usual), None if name.startswith("env.") else train.env)
-    except UserError:
-        return math.inf
-    return needed_bytes(other, num_seeds)
-
-
-def with_field(config: Any, name: str, value: Any) -> Any:
-    """A configuration with another value of the field of this dotted name."""
-    part, _, field = name.rpartition(".")
-    changed = dataclasses.replace(getattr(config, part), **{field: value}) if part else value
-    return dataclasses.replace(config, **{part or name: changed})
-
-
-def at_once(train: Train, count: int, mesh: jax.sharding.Mesh, name: str = "seeds") -> int:
-    """How many of a device's seeds (or lanes) run beside each other. Raises `UserError`, naming the field that is to
-    blame, if not even one does. name: of their number."""
-    memory = mesh_memory(mesh)
-    sizes = state_bytes(train), working_bytes(train), bytes_of(train.env)
-    try:
-        return seeds_at_once(*sizes, count // mesh.size, memory, mesh.size, name)
-    except UserError as error:
-        state, extra, held = sizes
-        needed = (count // mesh.size + 1 + WORKING_COPIES) * state + extra + held
-        needs = f"training needs {needed / GIB:,.1f} GiB and may take {MEMORY_SHARE * memory / GIB:,.1f} GiB"
-        blamed = to_blame(train, count, memory, needs, name)
-        raise (error if str(blamed).startswith(name) else blamed) from error

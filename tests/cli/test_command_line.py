@@ -14,7 +14,7 @@ import infogoal_jax
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.presets import load
-from infogoal_jax.runner import compilation, host
+from infogoal_jax.runner import compilation, training
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import Description, from_dict, to_dict
 from infogoal_jax.stand_ins.house import build_house
@@ -169,7 +169,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
         asked.append((str(folder), resume, list(seeds)))
         raise UserError("that is enough")
 
-    monkeypatch.setattr(host, "run", run)
+    monkeypatch.setattr(training, "run", run)
     started = Description(load("object_search", num_epochs=200), [0, 1], "a house", {}, "cpu")
     assert main("train object_search --seeds 2 --resume auto".split()) == 2
     (tmp_path / "runs" / "first").mkdir(parents=True)
@@ -184,7 +184,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     for typed in ("", " --seeds 1", " --first-seed 3"):
         assert main(f"train --resume runs/first{typed}".split()) == 2
     new, continued, other, mine, first, *typed = asked
-    assert [seeds for _, _, seeds in typed] == [[0, 1], [0], [3, 4]]  # The last two are refused by `host.run`.
+    assert [seeds for _, _, seeds in typed] == [[0, 1], [0], [3, 4]]  # The last two are refused by `training.run`.
     assert not new[1] and not other[1] and new[0] != "runs/first" != other[0]
     assert continued == first == ("runs/first", True, [0, 1]) and mine == ("runs/mine", False, [0, 1])
 

@@ -23,7 +23,7 @@ from places import ROOT
 import infogoal_jax
 from infogoal_jax import learners, presets
 from infogoal_jax.cli.commands import Group
-from infogoal_jax.cli.main import BY_TASK, COMMANDS, main
+from infogoal_jax.cli.main import BY_TASK, commands, main
 from infogoal_jax.train.program import make_train
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -90,7 +90,7 @@ def flags_of_commands() -> dict[str, set[str]]:
     """The flags of every command, by its words; of one that takes parts by name, those of every part."""
     return {
         words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set())
-        for words in commands_in(COMMANDS)
+        for words in commands_in(commands())
     }
 
 
@@ -167,7 +167,8 @@ def test_flags_stand_behind_their_own_command(page):
             assert name or resumed, line
             assert flags_in(command) <= (resumed or known[name]), line
         elif words[:1] == ["python"]:
-            assert flags_in(command) <= benchmark_flags(ROOT / words[1]), line
+            script = f"{words[2].replace('.', '/')}.py" if words[1] == "-m" else words[1]
+            assert flags_in(command) <= benchmark_flags(ROOT / script), line
 
 
 @each_page

@@ -8,7 +8,7 @@ from places import ROOT
 
 from infogoal_jax import presets
 from infogoal_jax.hyperparameters import check, with_values
-from infogoal_jax.runner.tune import check_fields, search_space
+from infogoal_jax.runner.search import check_fields, search_space
 from infogoal_paper import pages, trial_numbers, trials, tuning
 
 MOST_FILES, MOST_BYTES = 60, 3_000_000

@@ -19,10 +19,10 @@ from infogoal_jax.envs import object_manipulation
 from infogoal_jax.envs.fetch.targets import BESIDE, FARTHEST, HELD, TargetSpace
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
-from infogoal_jax.low_level import host, joints
+from infogoal_jax.low_level import joints, pretraining
 from infogoal_jax.low_level import trainer as low_levels
 from infogoal_jax.low_level.fetch import PRESETS
-from infogoal_jax.low_level.host import make_agent, preset
+from infogoal_jax.low_level.pretraining import make_agent, preset
 from infogoal_jax.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, make_trainer
 from infogoal_jax.relabelling import her
 from infogoal_jax.replay import Trajectories
@@ -222,7 +222,7 @@ def test_the_low_level_of_the_joints_is_trained_and_written_as_any_other(tmp_pat
     config = preset(
         "object_manipulation", num_envs=200, num_epochs=4, updates_per_epoch=5, network=LowLevelConfig((32, 32))
     )
-    result = host.pretrain(config, [0, 1], tmp_path, evaluation_episodes=400)
+    result = pretraining.pretrain(config, [0, 1], tmp_path, evaluation_episodes=400)
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [(line["seed"], line["epoch"]) for line in lines] == [
         (seed, epoch) for epoch in range(1, 5) for seed in (0, 1)
@@ -285,7 +285,9 @@ def test_a_stopped_training_leaves_its_curve_and_what_was_learned(tmp_path, monk
 
     monkeypatch.setattr(tables, "append_rows", interrupted)
     config = preset("fetch_reach", num_envs=16, num_epochs=3, updates_per_epoch=2)
-    result = host.pretrain(config, [5, 6], tmp_path, evaluation_episodes=16, command="infogoal pretrain fetch_reach")
+    result = pretraining.pretrain(
+        config, [5, 6], tmp_path, evaluation_episodes=16, command="infogoal pretrain fetch_reach"
+    )
     assert result.stopped
     lines = [json.loads(line) for line in (tmp_path / "curve.jsonl").read_text().splitlines()]
     assert [(line["seed"], line["epoch"], line["env_steps"]) for line in lines] == [(5, 1, 800), (6, 1, 800)]

@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from killed_reproduction import config_of, reproduce, runs
+from killed_reproduction import config_of, go_on, reproduce, runs
 
 from infogoal_jax.data import goal_images
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.runner import sweep
 from infogoal_jax.train.program import make_train
-from infogoal_paper import files, lanes, measure, plan, progress, work
+from infogoal_paper import batches, files, measure, plan, progress, work
 from infogoal_paper.finishing import Extras
 from infogoal_paper.manifest import PRESET, Lane, Run
 
@@ -46,8 +47,8 @@ def both():
 
 
 def test_padded_goal_sets_have_one_shape(both):
-    assert lanes.shape_of(hand_made.environment()) != lanes.shape_of(smaller())
-    assert lanes.shape_of(both[0]) == lanes.shape_of(both[1])
+    assert batches.shape_of(hand_made.environment()) != batches.shape_of(smaller())
+    assert batches.shape_of(both[0]) == batches.shape_of(both[1])
     for name, value in vars(hand_made.environment()).items():
         if isinstance(value, jax.Array):
             np.testing.assert_array_equal(getattr(both[0], name), value)  # The larger one is as it was.
@@ -63,7 +64,7 @@ def test_what_is_added_is_never_met(both):
     assert (np.asarray(padded.achieved_goals)[kept:] == -1).all()
 
 
-def batch_of(envs, values=(("discount", 0.9),)) -> lanes.Batch:
+def batch_of(envs, values=(("discount", 0.9),)) -> batches.Batch:
     """Two seeds under two settings on each of these goal sets."""
     config = hand_made.config("infogoal", num_epochs=2, epochs_per_evaluation=1, updates_per_epoch=3)
     settings = Lane("preset", ()), Lane("other", values)
@@ -72,7 +73,7 @@ def batch_of(envs, values=(("discount", 0.9),)) -> lanes.Batch:
         for place in range(len(envs))
         for lane in settings
     }
-    return lanes.Batch(config, tuple(envs), tuple((lane, seed) for lane in settings for seed in SEEDS), runs)
+    return batches.Batch(config, tuple(envs), tuple((lane, seed) for lane in settings for seed in SEEDS), runs)
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0), (1,)], ids=["preset first", "preset last", "alone"])
@@ -80,8 +81,8 @@ def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path)
     """The first lane of a batch may be another than the preset, where the preset's run is done already."""
     fixed = Lane("beta 0.1", (("learner.beta_start", 0.1), ("learner.beta_step", 0.0)))
     both = [Run("fetch_reach", "infogoal", None, None, 0, lane, SEEDS) for lane in (Lane(*PRESET), fixed)]
-    (batch,) = lanes.batches_of([both[place] for place in order], None, 64)
-    floats = lanes.floats_of(batch)
+    (batch,) = batches.batches_of([both[place] for place in order], None, 64)
+    floats = batches.floats_of(batch)
     for (lane, _), found in zip(batch.lanes, floats, strict=True):
         run = both[0] if lane.name == PRESET[0] else both[1]
         assert found == values_of(plan.config_of(run).hyper), lane.name
@@ -94,15 +95,15 @@ def test_goal_sets_are_side_by_side_as_far_as_the_lanes_go_but_for_push(task, mo
     (tmp_path / "1").mkdir()
     shutil.copy(goal_images.shipped(task), tmp_path / "1" / f"{task}.npz")
     both = [Run(task, "none", None, None, goal_set, Lane(*PRESET), SEEDS) for goal_set in (0, 1)]
-    batches = lanes.batches_of(both, tmp_path, most)
-    assert [len(batch.envs) for batch in batches] == ([2] if (task, most) == ("fetch_reach", 64) else [1, 1])
-    assert [run.goal_set for batch in batches for run in batch.runs.values()] == [0, 1]
+    found = batches.batches_of(both, tmp_path, most)
+    assert [len(batch.envs) for batch in found] == ([2] if (task, most) == ("fetch_reach", 64) else [1, 1])
+    assert [run.goal_set for batch in found for run in batch.runs.values()] == [0, 1]
 
 
-def trained(envs) -> lanes.Training:
+def trained(envs) -> batches.Training:
     """A batch after its first evaluation."""
-    training = lanes.begin(batch_of(envs))
-    lanes.go_on(training)
+    training = batches.begin(batch_of(envs))
+    go_on(training)
     return training
 
 
@@ -117,7 +118,7 @@ def test_a_goal_set_learns_as_it_does_alone(both, together):
     for place, env in enumerate(both):
         alone = trained([env])
         for name, values in alone.history.items():
-            np.testing.assert_allclose(together.history[name][0][place], values[0][0], atol=2e-3, err_msg=name)
+            np.testing.assert_allclose(together.history[name][0][place], values[0], atol=2e-3, err_msg=name)
 
 
 @pytest.mark.long
@@ -146,9 +147,9 @@ def test_a_learner_without_a_loss_has_no_share():
 
 def test_lanes_are_cut_into_parts_that_fit():
     needed = (("a", SEEDS), ("b", SEEDS), ("c", (0,)))
-    assert lanes.parts_of(needed, 64) == [list(needed)]
-    assert [[lane for lane, _ in part] for part in lanes.parts_of(needed, 3)] == [["a"], ["b", "c"]]
-    assert [[lane for lane, _ in part] for part in lanes.parts_of(needed, 1)] == [["a"], ["b"], ["c"]]
+    assert batches.parts_of(needed, 64) == [list(needed)]
+    assert [[lane for lane, _ in part] for part in batches.parts_of(needed, 3)] == [["a"], ["b", "c"]]
+    assert [[lane for lane, _ in part] for part in batches.parts_of(needed, 1)] == [["a"], ["b"], ["c"]]
 
 
 FIRST, SECOND = runs(1)
@@ -156,8 +157,7 @@ FIRST, SECOND = runs(1)
 
 def judge(training, run, config) -> Extras:
     """A number of the parameters of each seed, for the closeness of its codes."""
-    place, which = training.batch.places[run]
-    weight = np.asarray(training.states.params["weight"][place, which])
+    weight = np.asarray(training.states.params["weight"][training.batch.index(run)])
     return Extras(arrays={"codes/closeness": weight.mean(1, keepdims=True)})
 
 
@@ -187,7 +187,7 @@ def no_training(monkeypatch):
     def never(training):
         raise AssertionError("trained again")
 
-    return lambda: monkeypatch.setattr(lanes, "go_on", never)
+    return lambda: monkeypatch.setattr(sweep, "advance", never)
 
 
 @pytest.mark.parametrize(

@@ -116,12 +116,6 @@ def test_a_run_that_still_rose_is_not_replaced_by_a_shorter_one_on_the_floor(tmp
     assert numbers.is_superseded(other, after)
 
 
-@pytest.mark.parametrize(("old", "new"), [("--ways", "--variants"), ("--lanes=8", "--vmap-size")])
-def test_a_flag_of_an_earlier_version_is_refused_with_its_name_today(old, new, capsys):
-    assert main(["reproduce", "table1", "--list", old]) == 2
-    assert capsys.readouterr().err == f"infogoal: {old.partition('=')[0]}: is called {new} today\n"
-
-
 def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
     flags = ["--list", "--known-goals", "held_out", "--out", str(tmp_path)]
     assert main(["reproduce", "table1", *flags]) == 2

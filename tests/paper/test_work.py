@@ -12,8 +12,9 @@ import pytest
 from killed_reproduction import SEEDS, log_of, reproduce, runs
 
 from infogoal_jax.errors import UserError
+from infogoal_jax.runner import sweep
 from infogoal_jax.runs.folder import locked
-from infogoal_paper import checkpoints, files, lanes, plan, progress
+from infogoal_paper import batches, checkpoints, files, plan, progress
 from infogoal_paper.finishing import Extras
 
 LONGEST = 600
@@ -51,11 +52,11 @@ def test_a_run_keeps_its_numbers(whole):
 def test_a_lane_learns_as_it_does_alone(whole, tmp_path):
     """Lanes of one program do not touch each other."""
     with killed_reproduction.small_programs(tmp_path):
-        (batch,) = lanes.batches_of(runs(1)[1:], None, 64)
-        training = lanes.begin(batch)
+        (batch,) = batches.batches_of(runs(1)[1:], None, 64)
+        training = batches.begin(batch)
         for _ in range(6):
-            lanes.go_on(training)
-    alone = np.stack([each[0] for each in training.history["train_goal/success_rate"]], 1)
+            killed_reproduction.go_on(training)
+    alone = np.stack([each for each in training.history["train_goal/success_rate"]], 1)
     together = files.read(files.path_of(whole, runs(1)[1])).evaluations["train_goal/success_rate"]
     np.testing.assert_allclose(alone, together, atol=1e-5)
 
@@ -94,7 +95,7 @@ def test_a_run_of_other_settings_is_made_again(whole, tmp_path):
 
 def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(lanes, "go_on", out_of_luck)
+        patch.setattr(sweep, "advance", out_of_luck)
         outcome = reproduce(tmp_path, 2)
     assert outcome.failed == runs(2) and not outcome.finished
     state = progress.state_of(tmp_path, runs(1)[0])
@@ -108,7 +109,7 @@ def test_what_fails_is_shown_and_waits_for_retry(tmp_path, monkeypatch):
 
 
 def test_what_fails_again_is_begun_once_a_retry(tmp_path, monkeypatch):
-    monkeypatch.setattr(lanes, "go_on", out_of_luck)
+    monkeypatch.setattr(sweep, "advance", out_of_luck)
     assert reproduce(tmp_path, 1).failed == runs(1)
     assert reproduce(tmp_path, 1, retry=True).failed == runs(1)
     assert sorted(log_of(tmp_path, "begun")) == sorted(run.name for run in runs(1) * 2)
@@ -122,7 +123,7 @@ def test_a_remake_that_fails_over_a_damaged_file_has_failed(whole, tmp_path, mon
 
     assert progress.sound_state_of(tmp_path, run, killed_reproduction.config_of).kind == "left"
     with monkeypatch.context() as patch:
-        patch.setattr(lanes, "go_on", out_of_luck)
+        patch.setattr(sweep, "advance", out_of_luck)
         assert reproduce(tmp_path, 1).failed == [run]
     sound = progress.sound_state_of(tmp_path, run, killed_reproduction.config_of)
     for state in (progress.state_of(tmp_path, run), sound):
@@ -161,16 +162,16 @@ def test_a_run_that_another_process_trains_is_left_to_it(tmp_path):
 @pytest.mark.parametrize("end", ["clock", "killed"])
 def test_it_goes_on_from_the_checkpoint(end, whole, tmp_path, evaluations, monkeypatch):
     """The same numbers as those of a run that was left alone, and no evaluation twice."""
-    go_on = lanes.go_on
+    advance = sweep.advance
 
-    def killed(training):
-        if training.evaluations == 3:
+    def killed(members):
+        if members.evaluations == 3:
             raise KeyboardInterrupt
-        go_on(training)
+        advance(members)
 
     if end == "killed":
         with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-            patch.setattr(lanes, "go_on", killed)
+            patch.setattr(sweep, "advance", killed)
             reproduce(tmp_path, 1, keeping=0.0)
     else:
         assert reproduce(tmp_path, 1, deadline=time.time() + 3600).stopped
@@ -210,22 +211,22 @@ def test_a_run_that_has_levelled_off_is_written_at_once(
     seconds, sizes, whole, first_levels_early, tmp_path, monkeypatch
 ):
     """It leaves the batch where compiling that anew takes no longer than it costs. The other one never notices."""
-    prepare, go_on, found, measured = lanes.prepare, lanes.go_on, [], []
+    prepare, advance, found, measured = sweep.prepare, sweep.advance, [], []
 
-    def prepared(training):
-        prepare(training)
-        training.prepare_seconds = seconds
+    def prepared(members):
+        prepare(members)
+        members.prepare_seconds = seconds
 
-    def noted(training):
-        found.append(training.finite.size)
-        go_on(training)
+    def noted(members):
+        found.append(len(members.states.state.env_steps))
+        advance(members)
 
     def judge(training, run, config):
         measured.append((run, training.evaluations, files.path_of(tmp_path, SECOND).exists()))
         return Extras(arrays={"codes/closeness": np.zeros((len(SEEDS), 1))})
 
-    monkeypatch.setattr(lanes, "prepare", prepared)
-    monkeypatch.setattr(lanes, "go_on", noted)
+    monkeypatch.setattr(sweep, "prepare", prepared)
+    monkeypatch.setattr(sweep, "advance", noted)
     assert reproduce(tmp_path, 1, judge).finished == [FIRST, SECOND]
     assert found == sizes and measured == [(FIRST, 3, False), (SECOND, 6, True)]
     assert not list((tmp_path / "unfinished").iterdir())

@@ -23,7 +23,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import codes_and_walks, figures, house_figures, image_goals, shelf_figures, trajectory_figures
 from infogoal_jax.report.summary import print_run
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED
 
 POSE_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories", "poses_on_the_way"}
@@ -34,14 +34,14 @@ SHELF_FIGURES = EVERY_TASKS_FIGURES | {"codes_and_trajectories", "intrinsic_rewa
 def poses(tmp_path_factory):
     """A run of object manipulation."""
     folder = tmp_path_factory.mktemp("poses") / "run"
-    return host.run(hand_made_frames.manipulation_config(), [0], folder, env=hand_made_frames.manipulation())
+    return training.run(hand_made_frames.manipulation_config(), [0], folder, env=hand_made_frames.manipulation())
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory):
     """A run of embodied question answering, offline."""
     config = hand_made_frames.qa_config(num_epochs=4, epochs_per_evaluation=2, updates_per_epoch=3)
-    return host.run(config, [0], tmp_path_factory.mktemp("flights") / "run", env=hand_made_frames.qa())
+    return training.run(config, [0], tmp_path_factory.mktemp("flights") / "run", env=hand_made_frames.qa())
 
 
 @pytest.fixture(scope="module")

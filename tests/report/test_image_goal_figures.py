@@ -28,7 +28,7 @@ from infogoal_jax.report.runs import table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import episode_video, random_policy, write_video
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
 from infogoal_jax.train.program import make_train
 
@@ -39,7 +39,7 @@ IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectori
 def points(tmp_path_factory):
     """A run with image goals, without physics: most goals are never evaluated, and there are none for validation."""
     env = hand_made_points.steered()
-    return host.run(hand_made_points.config(), [6, 7], tmp_path_factory.mktemp("points") / "run", env=env)
+    return training.run(hand_made_points.config(), [6, 7], tmp_path_factory.mktemp("points") / "run", env=env)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_su
 from infogoal_jax.report.runs import diverged_seeds, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 from infogoal_jax.runs.folder import pack, shipped
 from infogoal_jax.train.program import make_train
 
@@ -40,7 +40,7 @@ def env():
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory, env):
-    return host.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
+    return training.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
 
 
 @pytest.fixture

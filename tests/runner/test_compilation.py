@@ -2,6 +2,7 @@
 works across processes and is nobody's surprise. Memory: what cannot fit into a device's is refused before anything is
 compiled or allocated, in the name of the field that is to blame."""
 
+import dataclasses
 import gc
 import os
 import subprocess
@@ -18,12 +19,12 @@ from infogoal_jax import compiled, make_train, presets, use_compilation_cache
 from infogoal_jax.agents.hrac import LowLevelConfig
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
-from infogoal_jax.low_level import host
-from infogoal_jax.low_level.host import preset
+from infogoal_jax.low_level import pretraining
+from infogoal_jax.low_level.pretraining import preset
 from infogoal_jax.report.figures import draw_figures
-from infogoal_jax.runner import compilation, distributed, memory, tune
+from infogoal_jax.runner import compilation, distributed, memory, search
 from infogoal_jax.runner.compilation import OPTIONS, chunk_of, compiler_options, compiling_quickly, operations
-from infogoal_jax.runner.host import run
+from infogoal_jax.runner.training import run
 
 COUNT_HITS = """
 import sys
@@ -171,12 +172,20 @@ def test_slices_follow_from_the_memory_of_the_devices():
         memory.seeds_at_once(100, 50, 30, 10, round((30 + 1340) / memory.MEMORY_SHARE), 2)
 
 
-def test_what_a_scan_reads_step_by_step_lies_in_memory():
-    def draw_all_then_use(key):
-        numbers = jax.random.uniform(key, (1000, 8))
-        return jax.lax.scan(lambda total, number: (total + number.sum(), None), 0.0, numbers)[0]
+def test_the_largest_array_of_a_loop_counts():
+    def doubled(total, number):
+        return jax.lax.scan(lambda inner, each: (inner + each, inner[:, None] * each), total, number)
 
-    assert memory.peak_bytes(jax.make_jaxpr(draw_all_then_use)(jax.random.key(0))) >= 32_000
+    program = jax.make_jaxpr(lambda numbers: jax.lax.scan(doubled, jnp.zeros(8), numbers))(jnp.ones((2, 1000, 8)))
+    assert memory.largest_array(program) >= 1000 * 8 * 8 * 4
+
+
+def test_what_a_compiled_program_needs_is_compared_with_the_device():
+    compiled = jax.jit(lambda x: jnp.sort(x @ x.T)).lower(jnp.ones((100, 100))).compile()
+    memory.check_compiled([compiled], hand_made.config(), lambda: hand_made.config(), 10**9)
+    with pytest.raises(UserError, match=r"batch_size = 64: .*such as 32"):
+        larger = hand_made.config(batch_size=64)
+        memory.check_compiled([compiled], larger, lambda: dataclasses.replace(larger, batch_size=32), 1000)
 
 
 @pytest.fixture
@@ -196,14 +205,14 @@ def no_compiling(monkeypatch):
         ({"batch_size": 2 * 10**9}, [0], "batch_size = 2000000000"),
         ({"updates_per_epoch": 2 * 10**9, "num_epochs": 1}, [0], "updates_per_epoch = 2000000000"),
         ({"network": LowLevelConfig((10**6, 10**6))}, range(2), r"network.hidden = \(1000000, 1000000\)"),
-        ({}, range(10**9), "seeds = 1000000000: .*such as 1"),
+        ({}, range(10**9), "seeds = 1000000000: .*give at most"),
     ],
 )
 def test_sizes_of_a_low_level_are_refused(changes, seeds, message, tmp_path, monkeypatch, no_compiling):
     env = hand_made_frames.manipulation()
     monkeypatch.setattr(object_manipulation, "make", lambda config: env)
     with pytest.raises(UserError, match=message):
-        host.pretrain(preset("object_manipulation", **changes), seeds, tmp_path / "new")
+        pretraining.pretrain(preset("object_manipulation", **changes), seeds, tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
@@ -219,13 +228,13 @@ def test_more_transitions_or_updates_than_can_be_numbered_are_refused():
 @pytest.mark.parametrize(("trials", "seeds"), [(10**20, [1000]), (2, range(1000, 4 * 10**9))])
 def test_lanes_of_a_search_are_refused_before_they_are_drawn(trials, seeds, no_compiling):
     with pytest.raises(UserError, match=r"trials x seeds = \d+: .*give at most [1-9]"):
-        tune.tune(hand_made.config("none"), trials, seeds, jax.random.key(0), env=hand_made.environment())
+        search.tune(hand_made.config("none"), trials, seeds, jax.random.key(0), env=hand_made.environment())
 
 
 @pytest.mark.parametrize("changes", [{"batch_size": 2 * 10**9}, {"evaluation_starts": 2 * 10**9}], ids=str)
 def test_seeds_are_not_blamed_where_not_even_one_fits(changes, no_compiling):
     train = make_train(hand_made.config(**changes), hand_made.environment())
-    needs = r"training needs [\d,.]+ GiB and may take [\d,.]+ GiB, a device has [\d,.]+ GiB: give a smaller value"
+    needs = r"training needs [\d,.]+ GiB, a device has [\d,.]+ GiB: give a smaller value"
     with pytest.raises(UserError, match=f"{next(iter(changes))} = 2000000000: {needs}"):
         memory.at_once(train, 100_000, distributed.seed_mesh(1))
 

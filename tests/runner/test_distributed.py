@@ -19,7 +19,7 @@ from places import TESTS
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import figures, summary
-from infogoal_jax.runner import distributed, host
+from infogoal_jax.runner import distributed, training
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.stopping import Stopped, stop_on_signal
 
@@ -29,7 +29,7 @@ from pathlib import Path
 import hand_made
 from infogoal_jax.errors import UserError
 from infogoal_jax.stopping import Stopped, stop_on_signal
-from infogoal_jax.runner import distributed, host
+from infogoal_jax.runner import distributed, training
 folder, coordinator, number, epochs, resume, seeds = sys.argv[1:]
 watching = stop_on_signal()  # Before they join, as the command line does.
 watching.__enter__()
@@ -45,7 +45,7 @@ def compiling():
 try:
     config = hand_made.config("none", num_epochs=int(epochs), epochs_per_evaluation=1, updates_per_epoch=3)
     env = hand_made.environment()
-    sweep = host.run(config, range(int(seeds)), Path(folder), resume == "True", (stop,), env, compiling)
+    sweep = training.run(config, range(int(seeds)), Path(folder), resume == "True", (stop,), env, compiling)
 except UserError as error:
     sys.exit(str(error))
 except Stopped as stopped:
@@ -109,7 +109,7 @@ def alone(tmp_path_factory) -> Path:
     """The run as one process makes it."""
     folder = tmp_path_factory.mktemp("alone") / "run"
     config = hand_made.config("none", num_epochs=2, epochs_per_evaluation=1, updates_per_epoch=3)
-    host.run(config, [0, 1, 2, 3], folder, env=hand_made.environment())
+    training.run(config, [0, 1, 2, 3], folder, env=hand_made.environment())
     return folder
 
 
@@ -241,7 +241,7 @@ def test_processes_part_between_training_and_figures(number, tmp_path, monkeypat
     sweep = SimpleNamespace(stopped=False, train=SimpleNamespace(env=None))
     monkeypatch.setattr(distributed, "join", lambda *arguments: None)
     monkeypatch.setattr(distributed, "is_writer", lambda: number == 0)
-    monkeypatch.setattr(host, "run", lambda *arguments, **named: done.append("trained") or sweep)
+    monkeypatch.setattr(training, "run", lambda *arguments, **named: done.append("trained") or sweep)
     monkeypatch.setattr(jax.distributed, "shutdown", lambda: done.append("parted"))
     monkeypatch.setattr(summary, "print_summary", lambda sweep: done.append("summed up"))
     monkeypatch.setattr(figures, "draw_figures", lambda folder, env: done.append("drawn") or [])

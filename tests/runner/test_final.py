@@ -10,7 +10,7 @@ from made_up_results import environment, made, save, small
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import tuning
-from infogoal_jax.runner import tune as search
+from infogoal_jax.runner import search
 
 
 @pytest.fixture(scope="module")

@@ -25,22 +25,22 @@ from places import ROOT, TESTS
 
 from infogoal_jax import make_train
 from infogoal_jax.errors import UserError
-from infogoal_jax.runner import host, listeners
-from infogoal_jax.runner.host import Progress
+from infogoal_jax.runner import listeners, memory, training
 from infogoal_jax.runner.listeners import make_listeners
+from infogoal_jax.runner.training import Progress
 
 ON_TWO_DEVICES = """
 import sys
 from pathlib import Path
 import jax
 import test_host
-from infogoal_jax.runner import host
+from infogoal_jax.runner import memory, training
 assert len(jax.devices()) == 2
 program, epochs, at_once = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
 if at_once < 2:
-    host.seeds_at_once = lambda *arguments: at_once
+    memory.at_once = lambda *arguments: at_once
 seen = []
-host.make_train = test_host.PROGRAMS[program]
+training.make_train = test_host.PROGRAMS[program]
 test_host.train_four(Path(sys.argv[1]), epochs, listeners=(lambda progress: seen.extend(progress.epochs),))
 assert [row["seed"] for row in seen] == [0, 1, 2, 3] * epochs
 """
@@ -50,7 +50,7 @@ PROGRAMS = {"small": killed_run.small_train, "real": make_train}
 def train_four(folder: Path, epochs: int = 1, **options) -> None:
     """Train four seeds."""
     config = hand_made.config("none", num_epochs=epochs, epochs_per_evaluation=1, updates_per_epoch=3)
-    host.run(config, [0, 1, 2, 3], folder, env=hand_made.environment(), **options)
+    training.run(config, [0, 1, 2, 3], folder, env=hand_made.environment(), **options)
 
 
 def losses_on_one_device(folder: Path) -> list[float]:
@@ -61,7 +61,7 @@ def losses_on_one_device(folder: Path) -> list[float]:
 
 @pytest.fixture
 def small_program(monkeypatch):
-    monkeypatch.setattr(host, "make_train", killed_run.small_train)
+    monkeypatch.setattr(training, "make_train", killed_run.small_train)
 
 
 def read_losses(folder: Path) -> list[float]:
@@ -88,7 +88,7 @@ def test_seeds_spread_over_two_devices_are_the_same_seeds(small_program, tmp_pat
 
 def test_a_sweep_cut_into_slices_for_memory_is_the_same_sweep(small_program, tmp_path, monkeypatch):
     one_device = losses_on_one_device(tmp_path / "one")
-    monkeypatch.setattr(host, "seeds_at_once", lambda *arguments: 2)
+    monkeypatch.setattr(memory, "at_once", lambda *arguments: 2)
     np.testing.assert_allclose(losses_on_one_device(tmp_path / "slices"), one_device, rtol=1e-6)
 
 
@@ -143,7 +143,7 @@ def test_who_learns_offline_has_no_rate_of_steps(rate, shown, tmp_path, capsys):
     row = {"seed": 0, "epoch": 2, "train_goal/success_rate": 0.5}
     with make_listeners(tmp_path, hand_made.config(), 1) as listeners:
         for listen in listeners.progress:
-            listen(host.Progress(2, 4, 1.0, 1.0, rate, 7.0, [row], [row]))
+            listen(training.Progress(2, 4, 1.0, 1.0, rate, 7.0, [row], [row]))
     printed = capsys.readouterr().out
     assert ("1,000 env steps/s" in printed) == ("env steps" in printed) == shown and "7 updates/s" in printed
 

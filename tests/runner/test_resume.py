@@ -22,7 +22,7 @@ import pytest
 from killed_run import small_config
 
 from infogoal_jax.errors import UserError
-from infogoal_jax.runner import host
+from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, last_point
 
@@ -37,7 +37,7 @@ def env():
 @pytest.fixture(autouse=True)
 def small_program(monkeypatch):
     """The small program in place of InfoGoal's own, in this process as in those of `small` runs."""
-    monkeypatch.setattr(host, "make_train", killed_run.small_train)
+    monkeypatch.setattr(training, "make_train", killed_run.small_train)
 
 
 def start(folder: Path, kind: str = "small") -> multiprocessing.Process:
@@ -129,7 +129,7 @@ def test_a_damaged_checkpoint_is_refused_and_left_alone(copy_of_whole, env, dama
     )
     path.unlink() if spoiled is None else path.write_bytes(spoiled)
     with pytest.raises(UserError, match="damaged|no checkpoint|cannot be resumed"):
-        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        training.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
     assert (path.read_bytes() == spoiled) if spoiled is not None else not path.exists()
 
 
@@ -162,13 +162,13 @@ def test_a_damaged_table_is_refused_before_anything_is_changed(copy_of_whole, en
     before = {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
     longer = dataclasses.replace(small_config(), num_epochs=num_epochs)
     with pytest.raises(UserError, match=f"{table.name}.*(; bring back a copy|not there)"):
-        last_point(copy_of_whole, host.describe(longer, env, [0, 1]), states_shape(env))
+        last_point(copy_of_whole, training.describe(longer, env, [0, 1]), states_shape(env))
     assert before == {path.name: path.is_dir() or path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
 def states_shape(env):
     """Shapes of the states of two seeds."""
-    train = host.make_train(small_config(), env)
+    train = training.make_train(small_config(), env)
     keys = jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32))
     return jax.eval_shape(jax.vmap(lambda key: train.initial(key, train.config.hyper, env)), keys)
 
@@ -178,7 +178,7 @@ def test_a_checkpoint_of_an_epoch_that_is_none_is_refused(copy_of_whole, env, ep
     header, _ = checkpoint.read_header(copy_of_whole / "checkpoint")
     checkpoint.save(copy_of_whole / "checkpoint", header | {"epoch": epoch}, {})
     with pytest.raises(UserError, match="checkpoint.*epoch = "):
-        last_point(copy_of_whole, host.describe(small_config(), env, [0, 1]), None)
+        last_point(copy_of_whole, training.describe(small_config(), env, [0, 1]), None)
 
 
 def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninterrupted, copy_of_whole, env):
@@ -188,7 +188,7 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines[:3]) + b'{"seed": 0, "epo')
     (copy_of_whole / "evaluations.jsonl").unlink()
     (copy_of_whole / "evaluations.csv").unlink()
-    now = host.describe(small_config(), env, [0, 1])
+    now = training.describe(small_config(), env, [0, 1])
     assert last_point(copy_of_whole, now, None) == BEGINNING
     (copy_of_whole / "epochs.jsonl").write_bytes(b"".join(lines))  # Later rows: a checkpoint was lost.
     with pytest.raises(UserError, match="there is no checkpoint"):
@@ -198,15 +198,15 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_begins_again(uninter
 def test_a_checkpoint_of_another_configuration_names_the_fields(copy_of_whole, env):
     other = small_config(batch_size=64)
     with pytest.raises(UserError, match="batch_size was 32, now 64"):
-        host.run(other, [0, 1], copy_of_whole, resume=True, env=env)
+        training.run(other, [0, 1], copy_of_whole, resume=True, env=env)
     with pytest.raises(UserError, match=r"seeds was \[0, 1\], now \[0, 1, 2\]"):
-        host.run(small_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
+        training.run(small_config(), [0, 1, 2], copy_of_whole, resume=True, env=env)
 
 
 def test_a_folder_that_holds_a_run_is_not_written_over(copy_of_whole, env):
     before = {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
     with pytest.raises(UserError, match="holds a run already"):
-        host.run(small_config(), [0, 1], copy_of_whole, env=env)
+        training.run(small_config(), [0, 1], copy_of_whole, env=env)
     assert before == {path.name: path.read_bytes() for path in copy_of_whole.iterdir()}
 
 
@@ -214,15 +214,15 @@ def test_a_seed_that_diverged_is_named_and_the_others_go_on_unchanged(env, tmp_p
     """Poison one seed's parameters in a checkpoint of the small program, go on for a chunk, and compare with going on
     from the sound checkpoint. `test_training.py` poisons a seed of the real one."""
     folder, sound, longer = tmp_path / "run", tmp_path / "sound", dataclasses.replace(small_config(), num_epochs=26)
-    host.run(small_config(), [0, 1], folder, env=env)
+    training.run(small_config(), [0, 1], folder, env=env)
     shutil.copytree(folder, sound)
     header, states = checkpoint.load(folder / "checkpoint", states_shape(env))
     params = jax.tree.map(lambda leaf: np.array(leaf), states.params)
     for leaf in jax.tree.leaves(params):
         leaf[1] = np.nan
     checkpoint.save(folder / "checkpoint", header, states.replace(params=params))
-    poisoned = host.run(longer, [0, 1], folder, resume=True, env=env)
-    healthy = host.run(longer, [0, 1], sound, resume=True, env=env)
+    poisoned = training.run(longer, [0, 1], folder, resume=True, env=env)
+    healthy = training.run(longer, [0, 1], sound, resume=True, env=env)
     assert poisoned.diverged == {1: 25} and healthy.diverged == {}
     first, second = (jax.tree.map(lambda leaf: leaf[0], sweep.params) for sweep in (poisoned, healthy))
     jax.tree.map(np.testing.assert_array_equal, first, second)
@@ -269,9 +269,9 @@ def test_a_run_of_an_earlier_version_says_so(copy_of_whole, env):
     path = copy_of_whole / "checkpoint"
     path.write_bytes(b'{"format": "infogoal-jax checkpoint 1", "sha256": "0", "epoch": 2}\n')
     with pytest.raises(UserError, match="written by an earlier version.*start a new run"):
-        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        training.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
     about = json.loads((copy_of_whole / "config.json").read_text())
     del about["config"]["format"]
     (copy_of_whole / "config.json").write_text(json.dumps(about))
     with pytest.raises(UserError, match="config.format = 1.*use the version that wrote the run"):
-        host.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)
+        training.run(small_config(), [0, 1], copy_of_whole, resume=True, env=env)

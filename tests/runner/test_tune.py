@@ -16,10 +16,8 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import check, search_space, values_of, with_values
 from infogoal_jax.report import tuning
-from infogoal_jax.runner import host
-from infogoal_jax.runner import tune as search
-from infogoal_jax.runner.lanes import Watch, plan_of
-from infogoal_jax.runner.tune import tune
+from infogoal_jax.runner import search, training
+from infogoal_jax.runner.search import Watch, plan_of, tune
 from infogoal_jax.runs.search import write_plan
 
 
@@ -228,7 +226,7 @@ def test_the_flags_of_the_best_train_with_its_configuration(task, method, change
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(host, "run", run)
+    monkeypatch.setattr(training, "run", run)
     assert main(["train", task, *json.loads((tmp_path / "search" / "best.json").read_text())["flags"]]) == 2
     assert ran == [found.config_of(found.trials[1])] and ran[0].hyper.learning_rate == 5e-4
 

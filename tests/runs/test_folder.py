@@ -25,7 +25,7 @@ from infogoal_jax import load_run
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import runs
-from infogoal_jax.runner.host import describe
+from infogoal_jax.runner.training import describe
 from infogoal_jax.runs import checkpoint, configuration, disk, folder
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import LOW_LEVEL, RUN, SEARCH, check_new, newest_run, only_writer

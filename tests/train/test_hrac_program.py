@@ -1,6 +1,8 @@
 """The whole program with HRAC, on a world of points without physics (`hand_made_points`) and on the real tasks made
 small."""
 
+import dataclasses
+
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import Hyperparameters, make_train, presets
-from infogoal_jax.runner import host
+from infogoal_jax.runner.sweep import Sweep, advance, prepare, side_by_side
 from infogoal_jax.runs import tables
 from infogoal_jax.train import TrainResult
 
@@ -18,20 +20,17 @@ pytestmark = pytest.mark.long
 @pytest.fixture(scope="module")
 def program():
     """Training of two seeds of InfoGoal on the points, and what trains them with any hyperparameters: in the programs
-    of `host.run`, which other tests of this configuration find compiled."""
+    of `training.run`, which other tests of this configuration find compiled."""
     train = make_train(hand_made_points.config(), hand_made_points.steered())
-    programs = host.programs_of(train, range(2))
-    numbers = jnp.arange(train.config.epochs_per_evaluation, dtype=jnp.int32)
-    chunk = programs.chunk.compiling(programs.states_shape, numbers, *programs.shared)()
-    keys = jax.device_put(jax.vmap(jax.random.key)(jnp.arange(2, dtype=jnp.uint32)), programs.by_seed)
-    everywhere = jax.tree.leaves(programs.shared)[0].sharding
 
     def run(hyper: Hyperparameters) -> TrainResult:
-        shared = jax.device_put(hyper, everywhere), programs.shared[1]
-        states, found = programs.initial(keys, *shared), []
-        for evaluation in range(train.config.num_evaluations):
-            states, *metrics = chunk(states, numbers + evaluation * len(numbers), *shared)
-            found.append(metrics)
+        of_these = dataclasses.replace(train, config=dataclasses.replace(train.config, hyper=hyper))
+        sweep, found = Sweep(train.config, side_by_side(of_these, range(2))), []
+        prepare(sweep)
+        while not sweep.finished:
+            advance(sweep)
+            found.append((sweep.learned, sweep.scored))
+        states = sweep.states.state
         epochs, metrics = zip(*found, strict=True)
         return TrainResult(
             metrics=jax.tree.map(lambda *each: np.stack(each, 1), *metrics),

@@ -1,6 +1,6 @@
-"""Training of several runs in one compiled program: goal sets, settings of floats and seeds side by side.
+"""Several runs in one compiled program: goal sets, settings of floats and seeds side by side.
 
-The environments of the goal sets are stacked where their arrays differ, and each is held once for all its lanes.
+The environments of the goal sets are stacked where their arrays differ, and each is held once for all its members.
 """
 
 import dataclasses
@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.hyperparameters import values_of, with_values
-from infogoal_jax.runner import host, memory
-from infogoal_jax.runner.compilation import chunk_of, jit
+from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.runner import memory
+from infogoal_jax.runner.compilation import jit
+from infogoal_jax.runner.sweep import Member, Sweep, batched_hyper, in_several, is_finite, side_by_side
 from infogoal_jax.train.parts import load_environment
 from infogoal_jax.train.program import Train, make_train
 from infogoal_paper import measure
@@ -31,8 +32,15 @@ LEARNED = ("beta", "accuracy", "kl")
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """Runs with the same lanes on each of their goal sets. config: of the first; envs: of the goal sets; lanes: (lane,
-    seed) of each goal set; runs: by (goal set's place, lane)."""
+    """Runs with the same settings and seeds on each of their goal sets.
+
+    config: of the first.
+    envs: of the goal sets.
+    lanes: (setting, seed) of each member of a goal set.
+    runs: by (goal set's place, setting).
+
+    Arrays of all members begin with the axes [goal sets, members], or with [members] where there is one goal set.
+    """
 
     config: TrainConfig
     envs: tuple[Any, ...]
@@ -40,41 +48,59 @@ class Batch:
     runs: dict[tuple[int, Lane], Run]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the members."""
+        return (len(self.lanes),) if len(self.envs) == 1 else (len(self.envs), len(self.lanes))
+
+    @property
     def places(self) -> dict[Run, tuple[int, slice]]:
-        """Where the seeds of each run stand: goal set's place, lanes."""
+        """Where the seeds of each run stand: goal set's place, members."""
         found = {}
         for (place, lane), run in self.runs.items():
             first = [each for each, _ in self.lanes].index(lane)
             found[run] = place, slice(first, first + len(run.seeds))
         return found
 
+    def index(self, run: Run) -> tuple:
+        """Where the seeds of a run stand in arrays of all members."""
+        place, members = self.places[run]
+        return (members,) if len(self.envs) == 1 else (place, members)
+
+    def part(self, values: Any, places: list[int], members: list[int]) -> Any:
+        """Of an array of all members those of these goal sets and places, as a batch has them that is of these."""
+        if len(self.envs) == 1:
+            return values[np.asarray(members)]
+        own = values[np.asarray(places)][:, np.asarray(members)]
+        return own[0] if len(places) == 1 else own
+
 
 @dataclasses.dataclass
 class Training:
-    """A batch while it is trained. initial: makes the first states; compiling: begins to compile the program, and
-    returns what waits for it; share: `measure.learner_share`, which compiles at its first call; states: [goal sets,
-    lanes, ...], their shapes before `prepare` or a checkpoint gives them; finite: bool [goal sets, lanes]; started:
-    seconds of `time.time()`; prepare_seconds: that `prepare` took; chunk: the program, None before it; history: of each
-    metric a list of arrays [goal sets, lanes, ...], one an evaluation; spans: from when to when earlier processes
-    worked on it; costs: by name of each run that has ended, what its file says of the program, the same for all that
-    ended at one evaluation; compile_seconds, run_seconds: of those that go on; idle_seconds: of lanes that ended."""
+    """A batch while it is trained.
+
+    sweep: the members, and the program.
+    hyper: of each member.
+    share: `measure.learner_share`, which compiles at its first call; None for a learner without a loss.
+    finite: which members have not diverged, bool [members].
+    started: seconds of `time.time()`.
+    history: of each metric a list of arrays [members, ...], one an evaluation.
+    spans: from when to when earlier processes worked on it.
+    costs: by name of each run that has ended, what its file says of the program, the same for all that ended at one
+        evaluation.
+    compile_seconds, run_seconds: of the runs that go on, those of earlier processes too.
+    idle_seconds: of members that ended.
+    """
 
     batch: Batch
     train: Train
+    sweep: Sweep
     hyper: Any
-    leaves: list
-    initial: Callable[[], Any]
-    compiling: Callable[[], Callable[[], Callable]]
     share: Callable | None
-    states: Any
     finite: np.ndarray
     started: float
     compile_seconds: float = 0.0
-    prepare_seconds: float = 0.0
-    chunk: Callable | None = None
     history: dict[str, list[np.ndarray]] = dataclasses.field(default_factory=dict)
     run_seconds: float = 0.0
-    last_seconds: float = 0.0
     spans: list[list[float]] = dataclasses.field(default_factory=list)
     costs: dict[str, dict[str, Any]] = dataclasses.field(default_factory=dict)
     idle_seconds: float = 0.0
@@ -82,11 +108,42 @@ class Training:
     @property
     def evaluations(self) -> int:
         """How many there were."""
-        return len(self.history["train_goal/success_rate"]) if self.history else 0
+        return self.sweep.evaluations
+
+    @property
+    def states(self) -> Any:
+        """Of all members; None before the first epoch."""
+        members = self.sweep.states
+        return members.state if isinstance(members, Member) else members
+
+    @property
+    def shapes(self) -> Any:
+        """Of the states of all members."""
+        members = self.sweep.programs.shapes
+        return members.state if isinstance(members, Member) else members
 
     def spans_until_now(self) -> list[list[float]]:
         """From when to when processes worked on it, seconds of `time.time()`; the last one until now."""
         return [*self.spans, [round(self.started), round(time.time())]]
+
+    def go_on_with(self, states: Any, evaluations: int) -> None:
+        """Let these be the states of all members, after so many evaluations."""
+        one_set = len(self.batch.envs) == 1
+        self.sweep.states = Member(states, self.hyper) if one_set else states
+        self.sweep.evaluations = evaluations
+
+    def note(self) -> None:
+        """Keep the numbers of the last evaluation."""
+        learned, name = self.sweep.learned, self.train.parts.name
+        kept = {
+            f"{name}/{metric}": learned[f"{name}/{metric}"][..., -1]
+            for metric in LEARNED
+            if f"{name}/{metric}" in learned
+        }
+        self.finite &= is_finite(learned)
+        for metric, value in (kept | self.sweep.scored).items():
+            self.history.setdefault(metric, []).append(np.asarray(value))
+        self.run_seconds += self.sweep.last_seconds
 
 
 def without_words(env: Any) -> Any:
@@ -168,133 +225,53 @@ def begin(batch: Batch) -> Training:
     """A batch before its first epoch, neither compiled nor with states: a checkpoint may have them, or show that
     nothing is left to train."""
     began, started = time.time(), time.perf_counter()
-    train = make_train(batch.config, batch.envs[0])
-    flat = [jax.tree.leaves(env) for env in batch.envs]
-    whole = jax.tree.structure(batch.envs[0])  # Its words stand for those of all goal sets.
-    axes, leaves = [], []
-    for each in zip(*flat, strict=True):
-        alike = all(leaf is each[0] or np.array_equal(leaf, each[0]) for leaf in each[1:])
-        axes.append(None if alike else 0)
-        leaves.append(each[0] if alike else jnp.stack(each))
-
-    def over_lanes(function: Callable, lane_axes: tuple) -> Callable:
-        """The function (*lane, env) for all lanes of all goal sets: (*lanes [goal sets, lanes], leaves)."""
-
-        def of_set(*arguments):
-            *lane, own = arguments
-            env = jax.tree.unflatten(whole, own)
-            return jax.vmap(lambda *each: function(*each, env), in_axes=lane_axes)(*lane)
-
-        in_axes = (*(None if axis is None else 0 for axis in lane_axes), axes)
-        if len(batch.envs) > 1:
-            return jax.vmap(of_set, in_axes=in_axes)
-
-        def of_one(*arguments):
-            """Without the axis of goal sets, which would make every operation of the program one of a batch of one."""
-            *lane, own = arguments
-            alone = [
-                each if axis is None else jax.tree.map(lambda leaf: leaf[0], each)
-                for each, axis in zip(lane, lane_axes, strict=True)
-            ]
-            return jax.tree.map(lambda leaf: leaf[None], of_set(*alone, own))
-
-        return of_one
-
-    settings = floats_of(batch)
-    shape = len(batch.envs), len(batch.lanes)
-    hyper = with_values(
-        batch.config.hyper,
-        {
-            name: jnp.broadcast_to(jnp.asarray([setting[name] for setting in settings], jnp.float32), shape)
-            for name in settings[0]
-        },
-    )
-    seeds = jnp.broadcast_to(jnp.asarray([seed for _, seed in batch.lanes], jnp.uint32), shape)
-    initial = jit(over_lanes(lambda seed, hyper, env: train.initial(jax.random.key(seed), hyper, env), (0, 0)))
-
-    def step(state, numbers, hyper, env):
-        state, epochs = train.epochs(state, numbers, hyper, env)
-        learned = {name: epochs[name][-1] for name in learned_names(train, epochs)}
-        return state, learned | {"finite": host.is_finite(epochs)}
-
-    numbers = jnp.arange(batch.config.epochs_per_evaluation, dtype=jnp.int32)
-    shapes = jax.eval_shape(initial, seeds, hyper, leaves)
-    chunk = chunk_of(over_lanes(step, (0, None, 0)), over_lanes(train.evaluation, (0, 0)))
-    share, finite = measure.learner_share(train), np.ones(shape, bool)
+    train, seeds = make_train(batch.config, batch.envs[0]), [seed for _, seed in batch.lanes]
+    hyper = batched_hyper(batch.config.hyper, [dict(lane.values) for lane, _ in batch.lanes], batch.shape[:-1])
+    if len(batch.envs) == 1:
+        programs = side_by_side(train, seeds, hyper, "vmap_size")
+    else:
+        programs = in_several(train, batch.envs, seeds, hyper)
+    share = measure.learner_share(train)
     return Training(
         batch,
         train,
+        Sweep(batch.config, programs),
         hyper,
-        leaves,
-        lambda: initial(seeds, hyper, leaves),
-        lambda: chunk.compiling(shapes, numbers, hyper, leaves),
         share and jit(share),
-        shapes,
-        finite,
+        np.ones(batch.shape, bool),
         began,
         compile_seconds=time.perf_counter() - started,
     )
 
 
-def prepare(training: Training) -> None:
-    """Make the first states, unless a checkpoint gave others, and compile the program at the same time."""
-    started = time.perf_counter()
-    compiled = training.compiling()
-    if not training.evaluations:
-        training.states = training.initial()
-    training.chunk = compiled()
-    training.prepare_seconds = time.perf_counter() - started
-    training.compile_seconds += training.prepare_seconds
-
-
-def learned_names(train: Train, epochs: dict) -> list[str]:
-    """The metrics of `LEARNED` that the learner has."""
-    return [f"{train.parts.name}/{name}" for name in LEARNED if f"{train.parts.name}/{name}" in epochs]
-
-
-def go_on(training: Training) -> None:
-    """Train until the next evaluation and keep its numbers."""
-    if training.chunk is None:
-        prepare(training)
-    started, length = time.perf_counter(), training.batch.config.epochs_per_evaluation
-    numbers = jnp.arange(length, dtype=jnp.int32) + training.evaluations * length
-    training.states, learned, scored = training.chunk(training.states, numbers, training.hyper, training.leaves)
-    metrics = jax.device_get(learned | scored)
-    training.finite &= metrics.pop("finite")
-    for name, value in metrics.items():
-        training.history.setdefault(name, []).append(np.asarray(value))
-    training.last_seconds = time.perf_counter() - started
-    training.run_seconds += training.last_seconds
-
-
 def without_ended(training: Training, ended: set[Run]) -> Training:
-    """Before an evaluation: the training of the goal sets and lanes on which a run goes on, not yet compiled. The same
-    one where these are all, or where lanes that have ended have not cost yet what compiling anew would; if not, its
-    states are given up."""
+    """Before an evaluation: the training of the goal sets and members on which a run goes on, not yet compiled. The
+    same one where these are all, or where members that have ended have not cost yet what compiling anew would; if not,
+    its states are given up."""
     batch = training.batch
     runs = {key: run for key, run in batch.runs.items() if run not in ended}
     places = sorted({place for place, _ in runs})
     which = [number for number, (lane, _) in enumerate(batch.lanes) if any(lane == each for _, each in runs)]
     idle = 1 - len(places) * len(which) / training.finite.size
-    if not idle or training.idle_seconds < training.prepare_seconds:
-        training.idle_seconds += idle * training.last_seconds
+    if not idle or training.idle_seconds < training.sweep.prepare_seconds:
+        training.idle_seconds += idle * training.sweep.last_seconds
         return training
 
-    def part(values: Any) -> Any:
-        return values[np.asarray(places)][:, np.asarray(which)]
-
     def moved(leaf: jax.Array) -> jax.Array:
-        own = part(leaf)
+        own = batch.part(leaf, places, which)
         leaf.delete()  # The device's memory may not hold both.
         return own
 
     runs = {(places.index(place), lane): run for (place, lane), run in runs.items()}
     envs, flat = tuple(batch.envs[place] for place in places), tuple(batch.lanes[number] for number in which)
     smaller = begin(Batch(batch.config, envs, flat, runs))
-    smaller.states = jax.tree.map(moved, training.states)
-    smaller.history = {name: [part(value) for value in values] for name, values in training.history.items()}
-    smaller.finite = part(training.finite)
-    smaller.started, smaller.spans, smaller.last_seconds = training.started, training.spans, training.last_seconds
+    smaller.go_on_with(jax.tree.map(moved, training.states), training.evaluations)
+    smaller.history = {
+        name: [batch.part(value, places, which) for value in values] for name, values in training.history.items()
+    }
+    smaller.finite = batch.part(training.finite, places, which)
+    smaller.started, smaller.spans = training.started, training.spans
+    smaller.sweep.last_seconds = training.sweep.last_seconds
     smaller.compile_seconds += training.compile_seconds
     smaller.run_seconds = training.run_seconds
     return smaller

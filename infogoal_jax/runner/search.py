@@ -1,0 +1,361 @@
+"""Random search over hyperparameters (Bergstra & Bengio 2012): every trial with every seed is a member of one sweep,
+with a checkpoint after each evaluation.
+
+Every method is searched alike: the same number of trials, seeds and updates, the same ranges, and the same draws for
+the fields that methods share. Trial 0 is the preset. Scores are successes on validation goals, or on training goals
+where a task has none; goals of the test are not even evaluated.
+
+The best of many trials owes something to luck: in a final the preset and the best of a search run again, fewer trials
+with more and other seeds.
+"""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.interpreters import partial_eval
+
+from infogoal_jax import agents, envs, presets
+from infogoal_jax.config import Hyperparameters, TrainConfig
+from infogoal_jax.errors import nearest, require, typed
+from infogoal_jax.hyperparameters import Search, search_space, values_of
+from infogoal_jax.runner import memory
+from infogoal_jax.runner.distributed import seed_mesh
+from infogoal_jax.runner.sweep import (
+    Callback,
+    Member,
+    Programs,
+    Sweep,
+    batched_hyper,
+    is_finite,
+    side_by_side,
+    train_sweep,
+)
+from infogoal_jax.runner.training import checked_seeds, describe
+from infogoal_jax.runs import checkpoint
+from infogoal_jax.runs.checkpoint import check_same
+from infogoal_jax.runs.configuration import from_values
+from infogoal_jax.runs.disk import Place, decode
+from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
+from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
+from infogoal_jax.stopping import NOTHING, Stopped, StopRequest, stop_on_signal
+from infogoal_jax.train.combinations import check_combination, has_reward
+from infogoal_jax.train.program import Train, make_train
+
+NUMBER = "trials x seeds"
+"""What is to be smaller where the members of a search do not fit."""
+FIRST_SEED = 1000
+"""Seeds of tuning start here: reported runs have seeds 0, 1, 2, ..."""
+BUDGET = ("num_epochs", "epochs_per_evaluation", "num_envs", "rollout_steps", "updates_per_epoch")
+
+
+class Watch(NamedTuple):
+    """What accompanies a search. folder: where it leaves its files; command: of the command line that goes on with it;
+    compiling: called before the program is compiled; evaluated: called after each evaluation."""
+
+    folder: Path
+    command: str = "tune"
+    compiling: Callable[[], None] = lambda: None
+    evaluated: Callable[[TuneResult], None] = lambda result: None
+
+
+@dataclasses.dataclass(frozen=True)
+class Saved:
+    """What the header of a checkpoint says beside the description: evaluations so far, and what each trial came to."""
+
+    evaluations: int
+    trials: list[Trial]
+
+
+def same_budget(config: TrainConfig) -> TrainConfig:
+    """The configuration with the epochs and steps that the task's preset has for the bare agent: as much for one method
+    as for another."""
+    bare = presets.load(config.task, "none", agent=agents.registry.name_of(config.agent))
+    return dataclasses.replace(config, **{name: getattr(bare, name) for name in BUDGET})
+
+
+def check_fields(fields: Sequence[str], space: dict[str, Search]) -> None:
+    """Raise `UserError` for a field that the space does not have, or one given twice."""
+    for field in fields:
+        require(
+            field in space, "fields", field, f"is not searched.{nearest(field, list(space))} Known: {', '.join(space)}"
+        )
+    require(len(set(fields)) == len(fields), "fields", tuple(fields), "give each once")
+
+
+def check_seeds(seeds: Sequence[int], trials: int) -> None:
+    """Raise `UserError` for seeds that reported runs have, or for nothing to run."""
+    require(trials > 0, "trials", trials, "give at least 1")
+    checked_seeds(seeds)
+    first = seeds[0] if isinstance(seeds, range) else min(seeds)
+    require(
+        first >= FIRST_SEED,
+        "first_seed",
+        first,
+        f"reported runs have the seeds 0, 1, 2, ...: give {FIRST_SEED} or more",
+    )
+
+
+def scored_goals_only(env) -> tuple[Any, str]:
+    """The environment with no other goals evaluated than those that trials are scored on, and their group."""
+    group = "validation" if "validation" in env.goals.groups else "train"
+    scored = np.flatnonzero(getattr(env.goals, f"{group}_mask"))
+    return env.with_goals(env.goals.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))), group
+
+
+def fields_that_matter(train: Train) -> tuple[str, ...]:
+    """Fields of the space that anything of a run depends on.
+
+    The traced program says so itself: a learner without a loss does not read the weight of one. Only the intrinsic
+    reward is a constant 0 where there is none, which the program multiplies all the same.
+    """
+    hyper = jax.tree.map(jnp.float32, train.config.hyper)
+    state = jax.eval_shape(train.initial, jax.random.key(0), hyper, train.env)
+    program = jax.make_jaxpr(train.chunk)(state, jnp.arange(1), hyper, train.env).jaxpr
+    _, read = partial_eval.dce_jaxpr(program, [True] * len(program.outvars))
+    before = len(jax.tree.leaves(state)) + 1
+    read = dict(zip(values_of(hyper), read[before:], strict=False))
+    read["intrinsic_weight"] &= has_reward(train.parts.learner)
+    return tuple(name for name in search_space(hyper) if read[name])
+
+
+def draw(key: jax.Array, preset: Hyperparameters, fields: Sequence[str], trials: int) -> list[dict[str, float]]:
+    """The values of each trial: the preset's, then draws from the space. Those of a field depend on nothing but the
+    key, the field and the trial."""
+    space, values = search_space(preset), values_of(preset)
+    shares = {
+        field: np.asarray(jax.random.uniform(jax.random.fold_in(key, zlib.crc32(field.encode())), (trials,)), float)
+        for field in fields
+    }
+    drawn = [{field: space[field].at(shares[field][number]) for field in fields} for number in range(1, trials)]
+    return [{field: float(values[field]) for field in fields}, *drawn]
+
+
+def finalists(trials: Sequence[Trial], count: int) -> list[Trial]:
+    """The preset and the best others of a search, `count` in all, to be run again; of equal settings one. Raises
+    `UserError` if there are fewer."""
+    require(count > 1, "trials", count, "a final has at least 2: the preset, and others")
+    chosen = [trials[0]]
+    for trial in sorted(trials, key=lambda trial: trial.order, reverse=True):
+        if len(chosen) < count and all(trial.values != other.values for other in chosen):
+            chosen.append(trial)
+    require(len(chosen) == count, "trials", count, f"the search has {len(chosen)} different settings; give no more")
+    return [Trial(trial.number, trial.values, [], [], []) for trial in chosen]
+
+
+def tune(
+    config: TrainConfig,
+    trials: int,
+    seeds: Sequence[int],
+    key: jax.Array,
+    fields: Sequence[str] = (),
+    env: Any = None,
+    watch: Watch | None = None,
+) -> TuneResult:
+    """Draw `trials` settings and train each with each of these seeds. Raises `UserError` before anything is compiled.
+
+    key: of the draws; fields: those to search, empty for all that matter to the method; env: one already loaded; watch:
+    what accompanies the search; None leaves nothing on disk.
+    """
+    check_fields(fields, search_space(config.hyper))
+    train, group = scored_training(config, trials, seeds, env)
+    matter = fields_that_matter(train)
+    for field in fields:
+        require(
+            field in matter,
+            "fields",
+            field,
+            f"changes nothing about {presets.name_of(config)} on {config.task}. What does: {', '.join(matter)}",
+        )
+    drawn = draw(
+        key,
+        config.hyper,
+        tuple(fields) or tuple(name for name in matter if search_space(config.hyper)[name].always),
+        trials,
+    )
+    return train_trials(
+        train, group, [Trial(number, values, [], [], []) for number, values in enumerate(drawn)], seeds, watch
+    )
+
+
+def final(
+    config: TrainConfig,
+    trials: Sequence[Trial],
+    seeds: Sequence[int],
+    env: Any = None,
+    watch: Watch | None = None,
+    resume: bool = False,
+) -> TuneResult:
+    """Train `finalists` of a search of this configuration with each of these seeds, which should be others. Otherwise
+    as `tune`.
+
+    resume: these are all trials of a search or a final that was stopped, which goes on in the folder of `watch`.
+    """
+    check_fields(tuple(trials[0].values), search_space(config.hyper))
+    train, group = scored_training(config, len(trials), seeds, env)
+    return train_trials(train, group, trials, seeds, watch, resume)
+
+
+def scored_training(config: TrainConfig, trials: int, seeds: Sequence[int], env: Any) -> tuple[Train, str]:
+    """Training that evaluates nothing but the goals that trials are scored on, and their group. Raises `UserError` for
+    what cannot be run."""
+    check_seeds(seeds, trials)
+    check_combination(config, env)
+    env, group = scored_goals_only(envs.load(config.task, config.env) if env is None else env)
+    train = make_train(config, env)
+    count = trials * len(seeds)
+    memory.at_once(train, count, seed_mesh(count), NUMBER)  # Before the settings are drawn.
+    return train, group
+
+
+def train_trials(
+    train: Train,
+    group: str,
+    trials: Sequence[Trial],
+    seeds: Sequence[int],
+    watch: Watch | None = None,
+    resume: bool = False,
+) -> TuneResult:
+    """Train each of these settings with each of these seeds, to the end or until a signal comes.
+
+    watch: what accompanies it; None leaves nothing on disk. resume: go on in its folder. Raises `UserError`, without a
+    change on the disk, for a folder that holds something else.
+    """
+    seeds = list(checked_seeds(seeds))
+    if watch is not None and not resume:
+        check_new(watch.folder, SEARCH)
+    with stop_on_signal() as stop:
+        hyper = batched_hyper(train.config.hyper, [trial.values for trial in trials for _ in seeds])
+        programs = side_by_side(train, seeds * len(trials), hyper, NUMBER)
+        about = describe(train.config, train.env, seeds)
+        fields = tuple(trials[0].values)
+        result = TuneResult(about.config, group, fields, seeds, [], list(trials), 0.0, 0.0, about)
+        if not resume:
+            programs.check()
+        if watch is None:
+            return train_from(result, None, programs, None, stop)
+        with only_writer(watch.folder, new=() if resume else SEARCH):
+            members = None
+            if resume:
+                result, members = last_point(watch.folder, result, programs)
+                programs.check()
+            if not resume or read_plan(watch.folder)[0] != about:
+                write_plan(watch.folder, about, plan_of(result))
+            return train_from(result, members, programs, watch, stop)
+
+
+def train_from(
+    result: TuneResult, members: Member | None, programs: Programs, watch: Watch | None, stop: StopRequest
+) -> TuneResult:
+    """Train all members from where they are."""
+    scores = Scores(result, watch, stop)
+    stop.check()
+    sweep = Sweep(result.config, programs, members, len(result.epochs))
+    train_sweep(sweep, scores, stop)
+    if sweep.states is None:
+        raise Stopped(stop.advice)
+    return dataclasses.replace(scores.result, compile_seconds=sweep.prepare_seconds)
+
+
+class Scores(Callback):
+    """What the trials of a search come to; with `watch`, with a checkpoint of its members after each evaluation."""
+
+    finishing = "this chunk of epochs and its evaluation"
+
+    def __init__(self, result: TuneResult, watch: Watch | None, stop: StopRequest):
+        self.result, self.watch, self.stop = result, watch, stop
+        stop.advice = how_to_go_on(watch, result)
+
+    def compiling(self, sweep: Sweep) -> None:
+        """Tell whoever waits."""
+        if self.watch is not None:
+            self.watch.compiling()
+
+    def evaluated(self, sweep: Sweep) -> None:
+        """Add what each trial came to, and keep it."""
+        result = self.result
+        shape = len(result.trials), len(result.seeds)
+        seen = {
+            "success": sweep.scored[f"{result.group}_goal/success_rate"],
+            "loss": sweep.learned["agent/loss"][:, -1],
+            "finite": is_finite(sweep.learned),
+        }
+        seen = {name: np.asarray(value).reshape(shape).tolist() for name, value in seen.items()}
+        self.result = result = dataclasses.replace(
+            result,
+            epochs=[*result.epochs, sweep.evaluations * result.config.epochs_per_evaluation],
+            compile_seconds=sweep.prepare_seconds,
+            run_seconds=sweep.run_seconds,
+            trials=[
+                continued(trial, result.seeds, *(seen[name][place] for name in ("success", "loss", "finite")))
+                for place, trial in enumerate(result.trials)
+            ],
+        )
+        if self.watch is not None:
+            self.watch.evaluated(result)
+            saved = Saved(len(result.epochs), result.trials)
+            checkpoint.save(
+                self.watch.folder / "checkpoint", result.about.values() | dataclasses.asdict(saved), sweep.states
+            )
+            self.stop.advice = how_to_go_on(self.watch, result)
+
+
+def plan_of(result: TuneResult) -> Plan:
+    """What a search is to run."""
+    space = search_space(result.config.hyper)
+    return Plan(
+        trials=len(result.trials),
+        space={field: search._asdict() for field, search in space.items() if field in result.fields},
+        drawn=[Drawn(trial.number, trial.values) for trial in result.trials],
+    )
+
+
+def how_to_go_on(watch: Watch | None, result: TuneResult) -> str:
+    """What is on disk, in words, and the command that goes on with it."""
+    if watch is None:
+        return NOTHING
+    there = f"the scores until epoch {result.epochs[-1]}" if result.epochs else "no scores yet"
+    return f"{watch.folder} holds {there}; go on with: infogoal {watch.command} --resume {typed(watch.folder)}"
+
+
+def last_point(folder: Path, start: TuneResult, programs: Programs) -> tuple[TuneResult, Member | None]:
+    """Where the search in this folder goes on: its result and its members, or the start if it was stopped before the
+    first evaluation.
+
+    Raises `UserError`, and changes nothing, for another search, or a file that is not what was written.
+    """
+    about, plan = read_plan(folder)
+    check_same(folder / "config.json", about, start.about, longer=False)
+    path = folder / "checkpoint"
+    if plan != plan_of(start):
+        raise Place(folder / "config.json").refusal("its trials are others than those that are to go on")
+    if not path.exists():
+        return start, None
+    header, payload = checkpoint.read_header(path)
+    place = Place(path, remedy=checkpoint.REMEDY)
+    check_same(path, from_values(header, place), start.about, longer=False)
+    saved = decode(Saved, header, place)
+    alike = [(trial.number, trial.values) for trial in saved.trials] == [
+        (trial.number, trial.values) for trial in start.trials
+    ]
+    whole = all(len(trial.success) == len(trial.loss) == saved.evaluations for trial in saved.trials)
+    if not alike or not whole or not 0 < saved.evaluations <= start.config.num_evaluations:
+        raise place.refusal("its trials are not those of config.json")
+    chunk = start.config.epochs_per_evaluation
+    epochs = [chunk * number for number in range(1, saved.evaluations + 1)]
+    return dataclasses.replace(start, epochs=epochs, trials=saved.trials), checkpoint.arrays(
+        path, payload, programs.shapes
+    )
+
+
+def continued(trial: Trial, seeds: list[int], success: list[float], loss: list[float], finite: list[bool]) -> Trial:
+    """The trial after another evaluation; each list has a number for each seed."""
+    lost = {seed for seed, good in zip(seeds, finite, strict=True) if not good}
+    return dataclasses.replace(
+        trial, success=[*trial.success, success], loss=[*trial.loss, loss], diverged=sorted(lost.union(trial.diverged))
+    )

@@ -1,0 +1,240 @@
+"""A run: all seeds of one configuration, with tables, a checkpoint and the policy in a folder after each chunk."""
+
+import contextlib
+import dataclasses
+import math
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import infogoal_jax
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import require, typed
+from infogoal_jax.runner import distributed
+from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
+from infogoal_jax.runs import checkpoint, configuration, tables
+from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
+from infogoal_jax.runs.configuration import MOST_SEEDS, Description
+from infogoal_jax.runs.folder import RUN, check_new, only_writer
+from infogoal_jax.runs.tables import Timing
+from infogoal_jax.stopping import Stopped, StopRequest, stop_on_signal
+from infogoal_jax.train.program import Train, make_train
+
+
+@dataclasses.dataclass
+class Progress:
+    """What the loop tells its listeners after each chunk: numbers of this run, and the tables' new rows."""
+
+    epoch: int
+    num_epochs: int
+    compile_seconds: float
+    run_seconds: float
+    env_steps_per_second: float
+    updates_per_second: float
+    epochs: list[dict]
+    evaluations: list[dict]
+
+
+Listener = Callable[[Progress], None]
+
+
+@dataclasses.dataclass
+class RunResult:
+    """A finished or stopped run.
+
+    params: of all seeds, [seeds, ...].
+    diverged: seeds whose metrics stopped being finite, with the first such epoch.
+    stopped: by a signal before the end.
+    """
+
+    folder: Path
+    train: Train
+    params: Any
+    diverged: dict[int, int]
+    stopped: bool
+
+
+def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
+    """What config.json says of a run with these seeds, which is to be found again from any folder."""
+    versions = {
+        "infogoal_jax": infogoal_jax.__version__,
+        "jax": jax.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    return Description(configuration.located(config), seeds, env.source, versions, str(jax.devices()[0].device_kind))
+
+
+def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
+    """Metrics {name: [seeds, epochs, ...]} as rows: seed and epoch first, then every name; arrays become lists."""
+    names = sorted(metrics)
+    return [
+        {"seed": seed, "epoch": int(number)} | {name: metrics[name][i, j].tolist() for name in names}
+        for j, number in enumerate(epoch_numbers)
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def diverged_seeds(rows: Iterable[dict]) -> dict[int, int]:
+    """Seeds whose watched metrics stopped being finite, with the first such epoch, from the rows of the table
+    `epochs`."""
+    diverged: dict[int, int] = {}
+    for row in rows:
+        if any(not math.isfinite(row[name]) for name in WATCHED):
+            diverged.setdefault(row["seed"], row["epoch"])
+    return dict(sorted(diverged.items()))
+
+
+def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
+    """The seeds, those of NumPy as numbers of Python. Raises `UserError` for what cannot be used. A range of them is
+    not looked at one by one."""
+    if not isinstance(seeds, range):
+        given = np.asarray(seeds)
+        whole = given.ndim == 1 and (given.size == 0 or np.issubdtype(given.dtype, np.integer))
+        require(whole, "seeds", seeds, "give a list of whole numbers, such as range(3)")
+        seeds = given.tolist()
+        require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
+    require(len(seeds) > 0, "seeds", len(seeds), "give at least 1")
+    first, last = (seeds[0], seeds[-1]) if isinstance(seeds, range) else (min(seeds), max(seeds))
+    require(
+        first >= 0 and last < MOST_SEEDS,
+        "seeds",
+        f"{first} to {last}",
+        "give seeds from 0 to below 2^32 (--first-seed)",
+    )
+    return seeds
+
+
+def run(
+    config: TrainConfig,
+    seeds: Sequence[int],
+    folder: str | Path,
+    resume: bool = False,
+    listeners: tuple[Listener, ...] = (),
+    env: Any = None,
+    compiling: Callable[[], None] = lambda: None,
+) -> RunResult:
+    """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
+    from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
+    own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
+
+    compiling: called before the program is compiled. Raises `UserError` before any compilation, and without a change on
+    the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one of another
+    configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
+    """
+    folder, seeds = Path(folder), checked_seeds(seeds)
+    writes = distributed.is_writer()
+    if writes and not resume:
+        check_new(folder, RUN)
+    with stop_on_signal() as stop, distributed.noted(stop):
+        train = make_train(config, env)
+        programs = side_by_side(train, distributed.share(seeds))
+        now = describe(config, train.env, list(seeds))
+        if not resume:
+            programs.check()  # So that a refusal leaves no folder behind.
+        with only_writer(folder, new=() if resume else RUN) if writes else contextlib.nullcontext():
+            point = last_point(folder, now, distributed.of_all(programs.shapes.state)) if resume else BEGINNING
+            if resume:
+                programs.check()
+            distributed.any_process(False)  # Nobody changes what another one is still reading.
+            if writes:
+                for table, rows in point.rows.items():
+                    tables.replace_table(folder, table, rows)
+                if not resume or configuration.read(folder) != now:
+                    configuration.write(folder, now)
+            stop.advice = how_to_go_on(folder, point.epoch)
+            distributed.check(stop)
+            return train_in(folder, train, programs, point, now, listeners, compiling, stop)
+
+
+def how_to_go_on(folder: Path, epoch: int) -> str:
+    """What is on disk after this epoch, in words, and the command that goes on with it."""
+    there = f"{folder} has a checkpoint of epoch {epoch}" if epoch else f"{folder} has no checkpoint yet"
+    return f"{there}; go on with: infogoal train --resume {typed(folder)}"
+
+
+def train_in(
+    folder: Path,
+    train: Train,
+    programs: Programs,
+    point: Point,
+    now: Description,
+    listeners: tuple[Listener, ...],
+    compiling: Callable[[], None],
+    stop: StopRequest,
+) -> RunResult:
+    """Train from this point to the end or until a signal comes."""
+    sweep = Sweep(now.config, programs, evaluations=point.epoch // now.config.epochs_per_evaluation)
+    if point.states is not None:
+        mine = jax.tree.map(lambda leaf: leaf[distributed.share_of(len(now.seeds))], point.states)
+        sweep.states = Member(mine, None)
+    files = RunFiles(folder, now, point.epoch, listeners, compiling, stop)
+    train_sweep(sweep, files, stop)
+    if sweep.states is None:
+        raise Stopped(stop.advice)
+    params, diverged = jax.device_get(distributed.gathered(sweep.states.state.params)), {}
+    if distributed.is_writer():
+        files.save_policy(params)  # Again, if a kill came between the two files.
+        diverged = diverged_seeds(tables.read_table(folder, "epochs"))
+    return RunResult(folder, train, params, diverged, stopped=not sweep.finished)
+
+
+class RunFiles(Callback):
+    """The files of a run, written after each chunk, and what is told to listeners."""
+
+    def __init__(
+        self,
+        folder: Path,
+        now: Description,
+        epoch: int,
+        listeners: tuple[Listener, ...],
+        compiling: Callable[[], None],
+        stop: StopRequest,
+    ):
+        self.folder, self.now, self.listeners, self.stop = folder, now, listeners, stop
+        self.tell_compiling = compiling
+        self.epoch = self.first = epoch
+        self.steps_before = 0
+
+    def compiling(self, sweep: Sweep) -> None:
+        """Tell whoever waits."""
+        self.tell_compiling()
+
+    def compiled(self, sweep: Sweep) -> None:
+        """Note how many steps earlier sessions took."""
+        self.steps_before = int(np.sum(distributed.gathered(jax.device_get(sweep.states.state.env_steps))))
+
+    def evaluated(self, sweep: Sweep) -> None:
+        """Write the rows of the chunk, then the checkpoint and the policy."""
+        config, seeds, before = self.now.config, self.now.seeds, self.epoch
+        self.epoch = sweep.evaluations * config.epochs_per_evaluation
+        epochs = rows_of(range(before + 1, self.epoch + 1), seeds, sweep.learned)
+        evaluations = rows_of([self.epoch], seeds, {name: value[:, None] for name, value in sweep.scored.items()})
+        timing = Timing(
+            compile_seconds=sweep.prepare_seconds,
+            run_seconds=sweep.run_seconds,
+            env_steps_per_second=(int(sweep.scored["env_steps"].sum()) - self.steps_before) / sweep.run_seconds,
+            updates_per_second=(self.epoch - self.first) * config.updates_per_epoch * len(seeds) / sweep.run_seconds,
+        )
+        states = distributed.gathered_by_writer(sweep.states.state)
+        if not distributed.is_writer():
+            return
+        tables.append_rows(self.folder, "epochs", epochs)
+        tables.append_rows(self.folder, "evaluations", evaluations)
+        checkpoint.save(self.folder / "checkpoint", {"epoch": self.epoch, **self.now.values()}, states)
+        self.save_policy(states.params)
+        tables.write_timing(self.folder, timing)
+        self.stop.advice = how_to_go_on(self.folder, self.epoch)
+        progress = Progress(
+            self.epoch, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)
+        )
+        for listener in self.listeners:
+            listener(progress)
+
+    def save_policy(self, params: Any) -> None:
+        """Write the parameters of all seeds."""
+        checkpoint.save(self.folder / "policy", {"epoch": self.epoch, **self.now.values()}, params)
