@@ -12,6 +12,7 @@ from infogoal_drone import records
 from infogoal_drone.envelope import MARGIN, STEP
 from infogoal_drone.records import events_of
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, empty_figure, figure_style, save
+from infogoal_jax.runs.folder import check_own
 
 COLOURS = {"made": "#0072B2", "refused": "#E69F00", "unanswered": FAILURE}
 ROWS = ("image", "state", "command", "answer")
@@ -21,6 +22,7 @@ def report_flight(folder: Path, format: str = "png", captions: bool = False, sty
     """Print what the log in this folder says and draw it under FOLDER/figures; the path of the figure. format,
     captions, style: see `figures.draw_figures`. Raises `UserError` for a file that is no log."""
     events = records.read(folder / records.NAME)
+    check_own(folder, ["figures"])
     for line in summary(events):
         print(line)
     path = folder / "figures" / f"flight.{format}"

@@ -6,8 +6,6 @@ import dataclasses
 import ipaddress
 import math
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +18,6 @@ from infogoal_drone.link import Address, Link, check_ports, import_djitellopy
 from infogoal_drone.records import Log, Recorder, check_recordings
 from infogoal_drone.vision import Detector, check_known, simulated_detector, yolo_detector
 from infogoal_jax.data import text
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.policy_file import ExportedPolicy
 from infogoal_jax.runs import disk
@@ -145,13 +142,13 @@ def load_policy(path: str) -> tuple[ExportedPolicy, bytes]:
 def read_policy(file: Path, given: str) -> ExportedPolicy:
     """The exported policy of this file. given: how the user named it. Raises `UserError` as `load_policy` does."""
     try:
-        if not zipfile.is_zipfile(regular(file)):
-            raise zipfile.BadZipFile("not an npz")  # NumPy would advise to load it as a pickle.
         policy = ExportedPolicy(file)
-        place = Place(file, remedy="export the policy again")
-        about = decode(About, policy.about, place)
+        about = decode(About, policy.about, Place(file, remedy="export the policy again"))
         (shape, kind), outputs = policy.program["inputs"][1][0], policy.program["outputs"]
-    except (OSError, EOFError, LookupError, TypeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        rows = 0 if policy.goals is None else len(np.atleast_1d(policy.goals))
+        if not rows == len(about.goal_names) == len(about.goal_objects):
+            raise ValueError(f"{rows} goals, {len(about.goal_names)} names and {len(about.goal_objects)} objects")
+    except (OSError, ValueError) as error:
         raise UserError(
             f"policy = {given!r}: is no file of `infogoal export` ({error}); give one, or a run's folder"
         ) from error
@@ -189,14 +186,22 @@ def embedded(question: str, embeddings: str) -> np.ndarray:
 
 
 def flown_policy(policy: ExportedPolicy, asked: Asked, seed: int) -> Flown:
-    """The exported policy with this goal; its code is drawn anew at every step, as in the evaluation."""
+    """The exported policy with this goal; its code is drawn anew at every step, as in the evaluation. Raises
+    `UserError` for a program that does not come to an end with a value for every move: better now than in the air."""
     random, sampled = np.random.default_rng(seed), policy.about["samples_code"]
 
     def act(picture: np.ndarray, mask: np.ndarray) -> int:
         noise = random.normal(size=policy.about["code_size"]).astype(np.float32) if sampled else None
         return policy.act(picture, asked.goal, mask, noise)
 
-    height, width, _ = policy.program["inputs"][1][0][0]
+    height, width, _ = shape = policy.program["inputs"][1][0][0]
+    try:
+        values = policy.values(np.zeros(shape, np.uint8), asked.goal)
+        require(values.shape == (len(policy.about["actions"]),), "values", values.shape, "one for each move is needed")
+    except Exception as error:  # A file can hold any program, and NumPy raises whatever it comes to.
+        raise UserError(
+            f"policy: its program cannot be run for this goal ({error}); export the policy again"
+        ) from error
     return Flown(act, tuple(policy.about["actions"]), (height, width))
 
 

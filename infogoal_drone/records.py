@@ -16,8 +16,8 @@ import numpy as np
 
 from infogoal_drone.envelope import STEP, Whereabouts
 from infogoal_drone.vision import Picture
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import append, open_to_read
 from infogoal_jax.runs.disk import Place, decode, parse_lines, read_bytes
 
 NAME = "flight.jsonl"
@@ -151,7 +151,7 @@ def check_recordings(folder: Path, trajectory: str) -> None:
             f"holds {trajectory} already; give another folder, or let --out end in another name",
         )
         table = folder / TABLE
-        with open(regular(table), encoding="utf-8", errors="replace", newline="") as file:
+        with io.TextIOWrapper(open_to_read(table), encoding="utf-8", errors="replace", newline="") as file:
             require(
                 next(csv.reader(file), list(COLUMNS)) == list(COLUMNS),
                 "record",
@@ -214,19 +214,10 @@ class Recorder:
             return 0
         self.rows[-1]["action"] = ""
         text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, COLUMNS)
+        csv.DictWriter(text, COLUMNS).writerows(self.rows)
+        header = f"{','.join(COLUMNS)}\r\n"
         try:
-            with open(self.folder / TABLE, "ab") as file:
-                before = file.tell()
-                if before == 0:
-                    writer.writeheader()
-                writer.writerows(self.rows)
-                try:
-                    file.write(text.getvalue().encode())
-                    file.flush()
-                except OSError:
-                    file.truncate(before)  # No half row.
-                    raise
+            append(self.folder / TABLE, text.getvalue().encode(), header.encode())  # All rows, or none.
         except OSError as error:
             raise cannot_write(self.folder, error.strerror) from error
         return len(self.rows) - 1

@@ -8,8 +8,19 @@ of goals that are known by name.
 
 import io
 import json
+import math
+import os
+import stat
+import zipfile
 
 import numpy as np
+
+FORMAT = 1
+"""Version of the file's format."""
+MOST = 2**30
+"""Bytes that a file has and unpacks to at most, and elements of an array."""
+KINDS = ("bool", "uint8", "int32", "uint32", "int64", "float32", "float64")
+"""Types of inputs."""
 
 
 def contract(left, right, dimension_numbers, **_):
@@ -68,19 +79,87 @@ OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name
 """JAX's primitives in NumPy: those that networks of this package are made of."""
 
 
+def members_of(path):
+    """The arrays of an npz, by name. Raises `OSError` if it cannot be read, `ValueError` if it is none, or unpacks to
+    more than a policy has."""
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise ValueError(f"{path}: is no regular file")
+    with open(path, "rb") as file:
+        content = io.BytesIO(file.read(MOST + 1))  # NumPy leaves a damaged file open.
+    try:
+        with zipfile.ZipFile(content) as packed:
+            sizes = {info.filename: info.file_size for info in packed.infolist()}
+        if max(len(content.getvalue()), sum(sizes.values())) > MOST:
+            raise ValueError(f"it has, or unpacks to, more than {MOST:,} bytes")
+        with np.load(content, allow_pickle=False) as file:
+            members = {name: file[name] for name in file.files}
+        for name, array in members.items():
+            if not isinstance(array, np.ndarray) or array.size > MOST:
+                raise ValueError(f"{name[:100]} is no array")
+        return members
+    except Exception as error:  # NumPy and zipfile raise a dozen types between them on a damaged file.
+        raise ValueError(f"{path}: is no policy of `infogoal export` ({error})") from error
+
+
+def check(about, program):
+    """Raise `ValueError` unless these are what a policy says of itself, and a program that can be run: of a known
+    format, and with operations that are known, on arrays that are there."""
+
+    def wants(condition, name):
+        if not condition:
+            raise ValueError(name)
+
+    def whole(value, most):
+        return type(value) is int and 0 <= value <= most
+
+    def wholes(values, most=MOST):
+        return type(values) is list and all(whole(value, most) for value in values)
+
+    wants(type(about) is dict and type(program) is dict, "about and program should be objects")
+    version = about.get("format_version")
+    wants(version == FORMAT, f"format_version = {str(version)[:100]}: this reader has that of version {FORMAT}")
+    wants(whole(about.get("code_size"), 2**20), "code_size should be a whole number")
+    wants(type(about.get("discrete", True)) is bool, "discrete should be true or false")
+    wants(whole(about.get("interval", 1), MOST) and about.get("interval", 1) > 0, "interval should be 1 or more")
+    wants(whole(program.get("constants"), 10**5), "constants should be a whole number")
+    inputs, operations = program.get("inputs"), program.get("operations")
+    two = type(inputs) is list and len(inputs) == 2 and wholes(inputs[0]) and type(inputs[1]) is list
+    wants(two and len(inputs[0]) == len(inputs[1]) >= 3, "inputs should be places and as many kinds, three or more")
+    for kind in inputs[1]:
+        wants(type(kind) is list and len(kind) == 2 and wholes(kind[0]) and kind[1] in KINDS, "a kind of input")
+        wants(math.prod(kind[0]) <= MOST, "an input's shape")
+    known = {*range(program["constants"]), *inputs[0]}
+    wants(type(operations) is list, "operations should be a list")
+    for operation in operations:
+        four = type(operation) is list and len(operation) == 4
+        wants(four and type(operation[3]) is dict and wholes(operation[1]) and wholes(operation[2]), "an operation")
+        name, given, results, settings = operation
+        wants(type(name) is str and name in OPERATIONS, f"operation {str(name)[:100]!r} is not known")
+        wants(known.issuperset(given), f"{name} has an argument that is not there")
+        for setting in ("shape", "new_sizes"):
+            wants(wholes(settings.get(setting, [])) and math.prod(settings.get(setting, [])) <= MOST, setting)
+        known.update(results)
+    outputs = program.get("outputs")
+    wants(wholes(outputs) and outputs and known.issuperset(outputs), "outputs should be places of arrays")
+
+
 class ExportedPolicy:
     """A policy: `values` and `act` where actions are discrete, else `drive`. about: dict; goals: float32 or uint8 [N,
     ...], or None."""
 
     def __init__(self, path):
-        with open(path, "rb") as file:
-            content = io.BytesIO(file.read())  # NumPy leaves a damaged file open.
-        with np.load(content, allow_pickle=False) as file:
-            if not {"about", "program"} <= {*file}:
-                raise ValueError(f"{path}: is no policy of `infogoal export`")
-            self.about, self.program = json.loads(str(file["about"])), json.loads(str(file["program"]))
-            self.goals = file.get("goals")
-            self.constants = [file[f"constant_{index}"] for index in range(self.program["constants"])]
+        """Read the policy in this file. Raises `OSError` if it cannot be read, `ValueError` if it is none of this
+        format."""
+        members = members_of(path)
+        try:
+            if not {"about", "program"} <= members.keys():
+                raise ValueError("about or program is missing")
+            self.about, self.program = (json.loads(str(members[name])) for name in ("about", "program"))
+            check(self.about, self.program)
+            self.goals = members.get("goals")
+            self.constants = [members[f"constant_{index}"] for index in range(self.program["constants"])]
+        except (KeyError, RecursionError, ValueError) as error:
+            raise ValueError(f"{path}: is no policy of `infogoal export` ({error})") from error
 
     def run(self, *arguments):
         """What the program gives for these arguments: a list of arrays."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
+from infogoal_jax.files import from_json, open_to_read
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.runner.training import describe
 from infogoal_jax.runs import checkpoint, disk
@@ -26,6 +27,8 @@ from infogoal_paper.manifest import Run
 from infogoal_paper.plan import is_trained, program_key
 
 UNFINISHED = "unfinished"
+MOST_OF_HEADER = 2**28
+"""Bytes of the first line of a checkpoint."""
 
 
 def path_of(folder: Path, batch: batches.Batch) -> Path:
@@ -39,8 +42,8 @@ def headers(folder: Path) -> dict[Path, dict[str, Any]]:
     found = []
     for path in sorted((folder / UNFINISHED).glob("[0-9a-f]*")):
         try:
-            with open(path, "rb") as file:
-                header = json.loads(file.readline())
+            with open_to_read(path) as file:
+                header = from_json(file.readline(MOST_OF_HEADER))
             found.append((header["evaluations"], set(header["runs"]), path, header))
         except (OSError, ValueError, KeyError, TypeError):
             continue  # Of an earlier version, damaged, or deleted by another process at this moment.

@@ -202,8 +202,7 @@ class Keeper:
             write(folder, path, content)
             hired.received.add(path)
         if news.times:
-            with open(folder / progress.TIMES, "a") as file:
-                file.write(news.times)
+            progress.append_times(folder, news.times)
 
     def end(self, hired: Hired) -> None:
         """Keep what a job came to."""

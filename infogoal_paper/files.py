@@ -11,6 +11,7 @@ import functools
 import io
 import json
 import operator
+import os
 import shlex
 from pathlib import Path
 from typing import Any, Literal
@@ -20,8 +21,10 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import from_json, read_bytes
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.configuration import from_dict, to_dict
+from infogoal_jax.runs.disk import decode
 from infogoal_paper import plan
 from infogoal_paper.manifest import FETCH, PRESET, Lane, Run
 from infogoal_paper.plan import GOAL_SET_FIELDS
@@ -123,10 +126,55 @@ def run_values(run: Run) -> dict[str, Any]:
 
 
 def run_from(values: dict[str, Any]) -> Run:
-    """The run of `run_values`."""
-    name, floats = values["lane"]
-    lane = Lane(name, tuple((field, value) for field, value in floats))
-    return Run(**values | {"lane": lane, "seeds": tuple(values["seeds"])})
+    """The run of `run_values`. Raises `UserError` for values that are of none, and for names that would lead out of a
+    folder of runs."""
+    fields = decode(RunFields, values, PLACE.within("run"))
+    lane = Lane(fields.lane[0], tuple(fields.lane[1]))
+    run = Run(**vars(fields) | {"lane": lane})
+    parts = Path(run.name).parts
+    safe = len(parts) == 5 and ".." not in parts and not os.path.isabs(run.name) and bool(run.seeds)
+    require(safe, "run", run.name, f"is no name of a run; {REMEDY}")
+    return run
+
+
+PLACE = disk.Place(Path("about"), remedy=REMEDY)
+"""Of what a file says of a run; whoever reads the file names it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFields:
+    """What a file says of its run: the fields of `Run`. lane: name, and (field, value) of each float."""
+
+    task: str
+    method: str
+    goal_set: int
+    lane: tuple[str, tuple[tuple[str, float], ...]]
+    seeds: tuple[int, ...]
+    relabelling: str | None = None
+    explorer: str | None = None
+    toy: bool = False
+    agent: str | None = None
+    known_goals: str = "visited"
+
+
+@dataclasses.dataclass(frozen=True)
+class About:
+    """What is read of what a file says of itself. metrics: of the last axis of its evaluations; updates: between two of
+    them; program: what all runs of its program cost together."""
+
+    format: int
+    metrics: list[str]
+    run: dict[str, Any]
+    config: dict[str, Any]
+    data: str
+    machine: str
+    updates: int
+    diverged: list[int]
+    learner_share: float | None
+    measuring_failed: str
+    episode_length: int
+    program: dict[str, Any]
+    measure_seconds: float
 
 
 def packed(result: Result) -> dict[str, np.ndarray]:
@@ -141,13 +189,16 @@ def packed(result: Result) -> dict[str, np.ndarray]:
 def unpacked(members: dict[str, np.ndarray]) -> Result:
     """The run of these arrays. Raises `UserError` for another format, or where something is missing."""
     try:
-        about = json.loads(members.pop("about").tobytes())
+        about = from_json(members.pop("about").tobytes())
         stacked = members.pop("evaluations")
     except (KeyError, ValueError) as error:
         raise UserError(f"about = unreadable ({error}); {REMEDY}") from error
-    require(about.get("format") == FORMAT, "format", about.get("format"), f"should be {FORMAT}; {REMEDY}")
+    version = about.get("format") if isinstance(about, dict) else None
+    require(version == FORMAT, "format", version, f"should be {FORMAT}; {REMEDY}")
+    decode(About, about, PLACE)
     names, run = about.pop("metrics"), run_from(about.pop("run"))
     fits = stacked.ndim == 3 and stacked.shape[0] == len(run.seeds) and stacked.shape[2] == len(names)
+    fits = fits and stacked.dtype.kind == "f" and stacked.shape[1] > 0 and "train_goal/success_rate" in names
     require(fits, "evaluations", stacked.shape, f"should be those of {len(run.seeds)} seeds; {REMEDY}")
     del about["format"]
     evaluations = {name: stacked[..., place].astype(float) for place, name in enumerate(names)}
@@ -189,8 +240,8 @@ def has_failed(folder: Path, run: Run) -> bool:
 def why_failed(folder: Path, run: Run) -> str:
     """Why a run failed."""
     try:
-        return str(json.loads(path_of(folder, run, "failed.json").read_text())["why"])
-    except (OSError, ValueError, KeyError) as error:
+        return str(from_json(read_bytes(path_of(folder, run, "failed.json")))["why"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         return f"its report cannot be read ({error})"
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import from_json
 from infogoal_jax.runs import disk
 from infogoal_paper import files, plan
 from infogoal_paper.files import Result
@@ -95,7 +96,7 @@ def entries(archive: archives.Archive, name: str) -> list:
     """What one of `TEXTS` has of each run."""
     text = archives.member(archive, name, REMEDY).tobytes()
     try:
-        found = json.loads(text)
+        found = from_json(text)
     except ValueError as error:
         raise UserError(f"{name} = unreadable ({error}); {REMEDY}") from error
     require(isinstance(found, list), name, type(found).__name__, f"should be a list; {REMEDY}")

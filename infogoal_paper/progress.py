@@ -1,5 +1,6 @@
 """How far a reproduction is, a page that can be looked at while it runs, FOLDER/progress.html; and what it cost."""
 
+import dataclasses
 import html
 import json
 import math
@@ -11,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.data.archives import has_no_locks, try_lock
+from infogoal_jax.files import append, from_json, has_no_locks, open_lock, read_bytes, try_lock
 from infogoal_jax.runs import disk
 from infogoal_paper import checkpoints, files, plan
 from infogoal_paper.files import Result
@@ -52,14 +53,32 @@ def forget(folder: Path, run: Run) -> None:
 
 def keep_times(folder: Path, task: str, runs: int, seconds: float) -> None:
     """Keep what a batch of runs took, so that the time to go can be told."""
-    with open(folder / TIMES, "a") as file:
-        file.write(json.dumps({"task": task, "runs": runs, "seconds": seconds}) + "\n")
+    append_times(folder, json.dumps({"task": task, "runs": runs, "seconds": seconds}) + "\n")
+
+
+def append_times(folder: Path, lines: str) -> None:
+    """Add lines to the file of times. Raises `UserError` if the disk refuses."""
+    try:
+        append(folder / TIMES, lines.encode())
+    except OSError as error:
+        raise disk.disk_error(folder / TIMES, error) from error
+
+
+@dataclasses.dataclass(frozen=True)
+class Took:
+    """A line of the file of times: what a batch of so many runs of a task took."""
+
+    task: str
+    runs: int
+    seconds: float
 
 
 def seconds_a_run(folder: Path) -> dict[str, float]:
     """Mean seconds of a run of each task, and under "" of all, of those that are known."""
     path = folder / TIMES
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    place = disk.Place(path, remedy="delete it: only the time to go is told by it")
+    content = disk.read_bytes(place, "") if path.exists() else b""
+    rows = [vars(disk.decode(Took, values, at)) for at, values in disk.parse_lines(content, place)]
     found = {}
     for task in {row["task"] for row in rows} | ({""} if rows else set()):
         own = [row for row in rows if task in ("", row["task"])]
@@ -70,7 +89,7 @@ def seconds_a_run(folder: Path) -> dict[str, float]:
 def is_locked(path: Path) -> bool:
     """Whether a process holds the lock of this file."""
     try:
-        with open(path, "r+") as file:
+        with open_lock(path, make=False) as file:
             return not try_lock(file)
     except FileNotFoundError:
         return False
@@ -85,9 +104,9 @@ def state_of(folder: Path, run: Run) -> State:
     noted = files.path_of(folder, run, "progress.json")
     if is_locked(files.path_of(folder, run, "lock")):
         try:
-            known = json.loads(noted.read_text())
+            known = from_json(read_bytes(noted))
             return State("running", f"evaluation {known['evaluations']} of at most {known['of']}")
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, TypeError):
             return State("running", "compiling, or being measured")
     if files.has_failed(folder, run):
         return State("failed", files.why_failed(folder, run))

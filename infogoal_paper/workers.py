@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import infogoal_jax
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runs import disk
 from infogoal_jax.stopping import stop_on_signal
@@ -249,8 +249,14 @@ def stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
 
 
 def write(folder: Path, path: str, content: bytes | None) -> None:
-    """Write a file that was sent, or delete it. Raises `UserError` if the disk refuses."""
+    """Write a file that was sent, or delete it. Raises `UserError` if the disk refuses, and for a path that is not
+    within `SENT`: whoever sends may be another machine."""
+    parts = Path(path).parts
+    within = len(parts) > 1 and parts[0] in SENT and ".." not in parts
+    require(within, "path", path, f"a worker sends files below {', '.join(SENT)} alone")
     there = folder / path
+    for place in (there, *there.parents[: len(parts) - 1]):
+        require(not place.is_symlink(), "path", path, f"{place} is a link, through which nothing is written")
     if content is None:
         there.unlink(missing_ok=True)
     else:

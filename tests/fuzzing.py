@@ -3,12 +3,15 @@ flag or a command that is added is fuzzed without a line here."""
 
 import contextlib
 import dataclasses
+import hashlib
 import inspect
 import json
 import typing
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import hand_made
 import numpy as np
 from hypothesis import strategies as st
 from tyro.conf import Positional
@@ -18,6 +21,10 @@ from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK
 from infogoal_jax.cli.main import commands as all_commands
 from infogoal_jax.errors import UserError
+from infogoal_jax.runs import checkpoint, search, tables
+from infogoal_jax.runs.configuration import Description
+from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
+from infogoal_jax.runs.tables import Timing
 
 WHOLE = st.sampled_from([0, -1, 1, 2, 7, 2**31 - 1, 2**31, 2**32, 2**63, 10**20]) | st.integers()
 REAL = st.sampled_from([0.0, -1.0, 1.0, 1e39, 1e308, float("inf"), float("nan")]) | st.floats()
@@ -160,3 +167,38 @@ def command_lines(draw) -> list[str]:
     for _ in range(draw(st.integers(0, 3)) if flags else 0):
         line += [draw(st.sampled_from(flags)), *draw(st.lists(WORDS, max_size=2))]
     return line
+
+
+TREE = {"weight": np.arange(4.0)}
+"""What the checkpoints of `write_run` hold."""
+
+
+def write_run(folder: Path) -> None:
+    """A folder with a file of every kind: of a run, and of a search."""
+    config = hand_made.config(num_epochs=2, epochs_per_evaluation=1)
+    about = Description(config, [1000, 1001], "rooms", {"jax": "1"}, "cpu")
+    rows = [
+        {"seed": seed, "epoch": epoch, "loss": 0.5, "agent/loss": 1.0, "agent/gradient_norm": 1.0, "steps": [1, 2]}
+        for epoch in (1, 2)
+        for seed in (1000, 1001)
+    ]
+    folder.mkdir()
+    values = {"discount": 0.9}
+    search.write_plan(folder, about, Plan(1, {"discount": {"low": 0.5}}, [Drawn(0, values)]))
+    line = TrialLine(0, True, values, [1000, 1001], "train", [1, 2], [[0.0, 1.0]] * 2, [[0.1, 0.2]] * 2, 0.5, [])
+    best = Best(0, 0.5, 0.5, "train", 2, True, values, config.task, [], "", 1.0, 1.0)
+    search.write_scores(folder, [line], best)
+    for table in tables.TABLES:
+        tables.append_rows(folder, table, rows)
+    tables.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))
+    checkpoint.save(folder / "checkpoint", {"epoch": 2, **about.values()}, TREE)
+    checkpoint.save(folder / "policy", {"epoch": 2, **about.values()}, TREE)
+
+
+def digest(folder: Path) -> str:
+    """What tells a folder, with all that is in it, from another."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        found.update(f"{path.relative_to(folder)} {path.is_file()}".encode())
+        found.update(path.read_bytes() if path.is_file() else b"")
+    return found.hexdigest()

@@ -14,7 +14,7 @@ import hand_made
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.data import archives
+from infogoal_jax import files
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import tuning
@@ -174,7 +174,7 @@ def child(kind: str, folder: str, shared) -> None:
         training.make_train = search.make_train = small_train
     watched(jax.stages.Lowered, "compile", COMPILING, afterwards=TRAINING)
     watched(tables, "append_rows", WRITING)
-    watched(archives, "replace_file", WRITING)
+    watched(files, "replace_file", WRITING)
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
         try:
             finished = globals()[kind](Path(folder))

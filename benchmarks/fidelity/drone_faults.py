@@ -87,6 +87,7 @@ MORE_FAULTS = (
 def write_policy(path: Path, values=(0.3, 0.4, 0.2, 0.1), objects=(NOWHERE,), size=(48, 64)) -> Path:
     """A policy whose actions always have these values, in the format of `infogoal export`."""
     about = {
+        "format_version": 1,
         "task": "embodied_qa",
         "method": "to and fro",
         "actions": ["left", "right", "up", "down"],

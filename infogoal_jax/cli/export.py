@@ -1,5 +1,6 @@
 """`infogoal export`: a policy as a file that runs elsewhere."""
 
+import os
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -19,6 +20,7 @@ def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: s
     from infogoal_jax.report.export import export as write
     from infogoal_jax.report.export import export_orbax
     from infogoal_jax.report.runs import load_run
+    from infogoal_jax.runs import disk
 
     require(Path(out).suffix in (".npz", ".orbax"), "out", out, "let it end in .npz, or in .orbax")
     if Path(out).suffix == ".orbax":
@@ -29,8 +31,9 @@ def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: s
         print(f"{out}: {of}; orbax.checkpoint.StandardCheckpointer().restore reads them")
         return 0
     require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
+    disk.check_out(Path(out))
     if stablehlo:
-        require(not Path(stablehlo).exists(), "stablehlo", stablehlo, "is there already; give a new file")
+        require(not os.path.lexists(stablehlo), "stablehlo", stablehlo, "is there already; give a new file")
         require(Path(stablehlo) != Path(out), "stablehlo", stablehlo, "give another file than --out")
     policy = write(load_run(run), Path(out), seed, Path(stablehlo) if stablehlo else None)
     about, size = policy.about, Path(out).stat().st_size / 1e6

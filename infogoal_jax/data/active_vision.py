@@ -9,16 +9,15 @@ small grey square and cached, so that a training run holds a kilobyte an image.
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data.archives import regular
 from infogoal_jax.data.pictures import CHECK_HINT, scene_pictures
 from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.files import from_json, read_text
 
 ACTIONS = ("forward", "backward", "left", "right", "rotate_ccw", "rotate_cw")
 # A box counts as a clear view where its shorter side is this share of the image height (119 pixels of the real 1080).
@@ -127,11 +126,7 @@ def read_instance_map(root: Path) -> dict[str, int]:
     for name in ("all_instance_id_map.txt", "instance_id_map.txt"):
         if (root / name).is_file():
             try:
-                pairs = [
-                    line.split()
-                    for line in regular(root / name).read_text(encoding="utf-8").splitlines()
-                    if line.strip()
-                ]
+                pairs = [line.split() for line in read_text(root / name).splitlines() if line.strip()]
                 return {object_name: int(identity) for object_name, identity in pairs}
             except (OSError, ValueError) as error:
                 raise UserError(
@@ -154,8 +149,7 @@ def read_annotations(scene: Path) -> dict[str, dict]:
     """Image name -> moves and boxes of one scene, checked for the fields that are used."""
     path = scene / "annotations.json"
     try:
-        with open(regular(path), encoding="utf-8") as file:
-            annotations = json.load(file)
+        annotations = from_json(read_text(path))
         for record in annotations.values():
             for action in ACTIONS:
                 record[action].startswith("")
@@ -207,7 +201,7 @@ def _in_clear_view(
 def _origin(root: Path) -> str:
     """What a dataset is, for reports: the builder of the synthetic house leaves a note at its root."""
     try:
-        note = json.loads(regular(root / "synthetic.json").read_text(encoding="utf-8"))
+        note = from_json(read_text(root / "synthetic.json"))
         return f"synthetic house, seed {note['seed']} (a stand-in for the Active Vision Dataset)"
     except (OSError, ValueError, KeyError, TypeError):
         return "Active Vision Dataset"

@@ -1,34 +1,25 @@
-"""Files of arrays (npz) that are read without pickles and are always whole: the old one or the new one. Locks on open
-files, and the user's cache folder.
+"""Files of arrays (npz): read without pickles and within limits, written whole; and the user's cache folder.
 
 A reader wraps its work in `naming`, so that whatever is wrong with a file is one `UserError` that names it and says
-what to do. A lock is of one process at a time, and gone with it, however it ends.
+what to do.
 """
 
 import contextlib
 import dataclasses
-import errno
 import hashlib
 import io
 import os
-import stat
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import platformdirs
 
+from infogoal_jax import files
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.stopping import temporary
-
-try:
-    import fcntl
-except ImportError:  # Windows.
-    fcntl = None
-
-NOT_SUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,18 +33,12 @@ class Archive:
 
 MOST_UNPACKED, MOST_RATIO = 2**30, 100
 """Bytes that an archive may unpack to however small it is, and times its own size beyond that."""
-
-
-def regular(path: str | os.PathLike) -> Path:
-    """The path of a file that can be read to its end. Raises `OSError` for a folder, or a pipe, which would wait for a
-    writer for ever."""
-    path = Path(path)
-    kind = path.stat().st_mode
-    if stat.S_ISDIR(kind):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-    if not stat.S_ISREG(kind):
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-    return path
+MOST_MEMBERS, LONGEST_NAME = 2**16, 200
+"""Members of an archive, and letters of a member's name."""
+MOST_FILES, METHODS = 100, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Files of a zip that is unpacked whole, and the ways in which they are packed."""
+FORMAT = "format_version"
+"""The member that says which version of its format an archive has; one without it has the first."""
 
 
 @contextlib.contextmanager
@@ -71,10 +56,18 @@ def naming(what: str, path: str | os.PathLike, remedy: str) -> Iterator[None]:
         raise UserError(f"{name}: {error}") from error
 
 
-def read(path: str | os.PathLike, remedy: str) -> Archive:
-    """The npz at `path`, its members still packed. Raises `OSError` if it cannot be read, `UserError` if it is no npz
-    or cut short."""
-    content = regular(path).read_bytes()  # From memory: numpy leaves a file open when it finds it damaged.
+def read(path: str | os.PathLike, remedy: str, version: int | None = 1) -> Archive:
+    """The npz at `path`, its members still packed. version: of its format that the caller reads; None: the caller looks
+    at it.
+
+    Raises `OSError` if it cannot be read, `UserError` if it is no npz, cut short, of another version, or larger than
+    any that was meant to be read.
+    """
+    return opened(files.read_bytes(path), remedy, version)  # From memory: numpy leaves a damaged file open.
+
+
+def opened(content: bytes, remedy: str, version: int | None = 1) -> Archive:
+    """The npz that these bytes are, as `read` has it."""
     require(
         zipfile.is_zipfile(io.BytesIO(content)),
         "format",
@@ -83,9 +76,13 @@ def read(path: str | os.PathLike, remedy: str) -> Archive:
     )
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as members:
-            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in members.infolist()}
+            infos = members.infolist()
+            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in infos}
     except Exception as error:  # zipfile raises half a dozen types on a damaged list of members
         raise UserError(f"format = a damaged npz ({error}); {remedy}") from error
+    longest = max((len(name) for name in sizes), default=0)
+    usual = len(sizes) == len(infos) <= MOST_MEMBERS and longest <= LONGEST_NAME
+    require(usual, "members", len(infos), f"too many, equal names, or one of {longest} letters; {remedy}")
     unpacked = sum(sizes.values())
     require(
         unpacked <= max(MOST_UNPACKED, MOST_RATIO * len(content)),
@@ -93,18 +90,53 @@ def read(path: str | os.PathLike, remedy: str) -> Archive:
         f"{len(content):,} bytes that unpack to {unpacked:,}",
         f"no dataset is like this; {remedy}",
     )
-    return Archive(content, sizes)
+    archive = Archive(content, sizes)
+    if version is not None and FORMAT in sizes:
+        found = member(archive, FORMAT, remedy)
+        same = found.shape == () and found.dtype.kind in "iu" and found == version
+        require(same, FORMAT, found.tolist(), f"this program reads {version}: use the one that wrote it, or {remedy}")
+    return archive
 
 
 def member(archive: Archive, name: str, remedy: str) -> np.ndarray:
     """One member, unpacked. Raises `UserError` if it is damaged or holds pickled objects."""
     try:
         with np.load(io.BytesIO(archive.content), allow_pickle=False) as members:
-            return members[name]
+            array = members[name]
+        if not isinstance(array, np.ndarray):
+            raise ValueError("no array")  # NumPy returns the bytes of a member that is something else.
+        if array.size > archive.sizes[name]:
+            raise ValueError(f"{array.size:,} elements of no size")  # Whoever looks at each would never end.
+        return array
     except Exception as error:  # numpy, zipfile and lzma raise a dozen types between them on a damaged file
         raise UserError(
-            f"{name} = unreadable ({error}); the file is damaged or holds pickled objects; {remedy}"
+            f"{name} = unreadable ({error}); the file is damaged, or holds pickled objects, which run code; {remedy}"
         ) from error
+
+
+def unzipped(content: bytes, largest: int) -> dict[str, bytes]:
+    """The members of a zip by name. largest: bytes that one may unpack to.
+
+    Raises `UserError` for what is no zip, damaged, encrypted, packed in other ways than this package packs, or larger:
+    other ways unpack a few bytes to any size at once, and what a zip says of its sizes need not be so.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            infos, found = archive.infolist(), {}
+            names = {info.filename[: LONGEST_NAME + 1] for info in infos}
+            usual = len(names) == len(infos) <= MOST_FILES and all(len(name) <= LONGEST_NAME for name in names)
+            if not usual or any(info.compress_type not in METHODS for info in infos):
+                raise UserError("it is no zip of `infogoal pack`")
+            for info in infos:
+                with archive.open(info) as member:
+                    found[info.filename] = member.read(largest + 1)
+                if len(found[info.filename]) > largest:
+                    raise UserError(f"{info.filename} has more than {largest:,} bytes")
+            return found
+    except UserError:
+        raise
+    except Exception as error:  # zipfile and zlib raise half a dozen types between them on a damaged file
+        raise UserError(f"it is damaged, or no zip ({error})") from error
 
 
 def write(
@@ -125,7 +157,7 @@ def write(
                     np.lib.format.write_array(stream, array, allow_pickle=False)
 
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, write_members)
+    files.replace_file(path, write_members)
 
 
 def save(
@@ -144,30 +176,13 @@ def save(
         ) from error
 
 
-def replace_file(path: str | os.PathLike, write_content: Callable[[object], None]) -> None:
-    """Write a file beside, sync and rename it, so that `path` holds either its old or its whole new content. Raises
-    `OSError`."""
-    path = Path(path)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    with temporary(beside):
-        with open(beside, "wb") as file:
-            with contextlib.suppress(OSError):  # A file system without locks.
-                try_lock(file)  # It says that the writer lives: what killed ones leave is deleted.
-            write_content(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-
-
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike, what: str) -> Iterator[Path]:
     """Give a folder to write into, which becomes `path` (empty or not there) at the end of the block; after an error
     nothing is left of it. An error of the disk is a `UserError` that names the path."""
     path = Path(path)
     there = path.is_dir()
-    beside = (
-        path / f".{os.getpid()}.partial" if there else path.absolute().with_name(f".{path.name}.{os.getpid()}.partial")
-    )
+    beside = files.beside(path / "new" if there else path.absolute())
     with temporary(beside):
         try:
             beside.mkdir(parents=True)
@@ -191,19 +206,3 @@ def content_of(*parts: np.ndarray) -> str:
 def user_cache() -> Path:
     """The user's cache folder of this package, where downloads and generated datasets are kept."""
     return Path(platformdirs.user_cache_dir("infogoal", appauthor=False))
-
-
-def try_lock(file) -> bool:
-    """Take the lock of an open file. False if another process has it. Raises `OSError` where there are no locks."""
-    if fcntl is None:
-        raise OSError(errno.ENOSYS, "no locks on this platform")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
-def has_no_locks(error: OSError) -> bool:
-    """Whether an error of `try_lock` says that the platform or the file system knows no locks."""
-    return error.errno in NOT_SUPPORTED

@@ -9,14 +9,14 @@ import os
 import shutil
 import tarfile
 import tempfile
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data import pictures
-from infogoal_jax.data.archives import regular, user_cache
+from infogoal_jax.data import archives, pictures
+from infogoal_jax.data.archives import user_cache
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import read_bytes
 from infogoal_jax.stopping import temporary
 
 SIZE = 64
@@ -95,14 +95,16 @@ def _chosen(total: int, count: int) -> np.ndarray:
 
 def _read_crops(folder: Path, count: int) -> Backgrounds:
     """Crops of photographs, as `infogoal data build backgrounds` writes them."""
-    try:
-        with np.load(folder / CROPS_FILE) as crops:
-            train, test = crops["train"], crops["test"]
-            photographs = {*crops["train_photographs"].tolist(), *crops["test_photographs"].tolist()}
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(
-            f"backgrounds = {str(folder)!r}: {CROPS_FILE} is not a file of `infogoal data build backgrounds`: {error}"
-        ) from error
+    with archives.naming("backgrounds", folder / CROPS_FILE, REMEDY):
+        archive = archives.read(folder / CROPS_FILE, REMEDY)
+        missing = sorted({"train", "test", "train_photographs", "test_photographs"} - archive.sizes.keys())
+        require(not missing, "arrays", sorted(archive.sizes), f"{', '.join(missing)} missing; {REMEDY}")
+        train, test = (archives.member(archive, name, REMEDY) for name in ("train", "test"))
+        for crops in (train, test):
+            fits = crops.dtype == np.uint8 and crops.ndim == 4 and crops.shape[3] == 3 and crops.size > 0
+            require(fits, "crops", f"{crops.dtype} {crops.shape}", f"should be uint8 [N, H, W, 3]; {REMEDY}")
+        names = (archives.member(archive, f"{use}_photographs", REMEDY) for use in ("train", "test"))
+        photographs = {name for each in names for name in each.ravel().tolist()}
     train, test = (
         np.stack([pictures.resized(crops[index], SIZE, SIZE) for index in _chosen(len(crops), count)])
         for crops in (train, test)
@@ -137,7 +139,7 @@ def _read_images(folder: Path, names: list[str], count: int) -> Backgrounds:
 
 def _read_image(file: Path) -> np.ndarray:
     """One image, uint8 RGB [SIZE, SIZE, 3], whatever its own shape."""
-    image = pictures.decoded(regular(file).read_bytes())
+    image = pictures.decoded(read_bytes(file))
     if image is None:
         raise UserError(
             f"backgrounds = {str(file.parent)!r}: {file.name} cannot be decoded as an image; repair or remove it"
@@ -166,7 +168,7 @@ def _read_cifar10(folder: Path, count: int) -> Backgrounds:
 
 def _read_batch(file: Path) -> np.ndarray:
     """The images of one batch, uint8 RGB [records, 32, 32, 3]."""
-    batch = np.fromfile(file, np.uint8)
+    batch = np.frombuffer(read_bytes(file), np.uint8)
     if batch.size == 0 or batch.size % RECORD:
         raise UserError(
             f"backgrounds = {str(file.parent)!r}: {file.name} has {batch.size} bytes, not a multiple of {RECORD}; "

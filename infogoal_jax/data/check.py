@@ -8,7 +8,6 @@ cannot be undone, for instance) or what costs little (no positions). Each image 
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import re
 from collections.abc import Iterator
@@ -19,8 +18,8 @@ import numpy as np
 
 from infogoal_jax.data import pictures
 from infogoal_jax.data.active_vision import ACTIONS, DEFAULT_MIN_BOX_SIZE, MAX_DIFFICULTY
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
+from infogoal_jax.files import from_json, read_bytes, read_text
 
 OPPOSITE = {
     "forward": "backward",
@@ -73,9 +72,7 @@ def _check_maps(root: Path) -> tuple[dict[str, int], list[Finding]]:
         if not (root / name).exists():
             continue
         entries: dict[str, int] = {}
-        for number, line in enumerate(
-            regular(root / name).read_text(encoding="utf-8", errors="replace").splitlines(), 1
-        ):
+        for number, line in enumerate(read_text(root / name, errors="replace").splitlines(), 1):
             words = line.split()
             if not words:
                 continue
@@ -117,7 +114,7 @@ def _read_annotations(scene: Path) -> tuple[dict[str, dict], list[Finding]]:
     """Records that are at least dictionaries, and what is wrong with the file."""
     where = f"{scene.name}/annotations.json"
     try:
-        content = json.loads(regular(scene / "annotations.json").read_text(encoding="utf-8"))
+        content = from_json(read_text(scene / "annotations.json"))
     except FileNotFoundError:
         return {}, [Finding("error", where, "missing")]
     except (OSError, ValueError) as error:
@@ -144,7 +141,7 @@ def _read_present(scene: Path, names: dict[str, int]) -> tuple[dict[str, int], l
         if not (scene / name).exists()
     ]
     try:
-        listed = regular(scene / "present_instance_names.txt").read_text(encoding="utf-8", errors="replace").split()
+        listed = read_text(scene / "present_instance_names.txt", errors="replace").split()
     except OSError:
         return {}, [*findings, Finding("warning", where, "missing: objects that no image shows cannot be found out")]
     findings += [
@@ -182,7 +179,7 @@ def _decode(path: Path) -> tuple[int, int] | None:
     import cv2  # Only now: it takes a tenth of a second.
 
     try:
-        data = regular(path).read_bytes()
+        data = read_bytes(path)
     except OSError:
         return None
     size = pictures.decode_size(data)

@@ -17,6 +17,7 @@ import numpy as np
 
 from infogoal_jax.data import archives, frames_check, frames_schema
 from infogoal_jax.errors import UserError
+from infogoal_jax.files import from_json
 
 # Measured on 13,824 flat-shaded frames of 64 x 64 x 3 on 2 cores: stored 170 MB, level 1 24 MB, level 6 22 MB and twice
 # as long to write; all are read in 0.4 s or less. Of noisy frames level 1 leaves 124 MB, read in 1 s.
@@ -124,13 +125,13 @@ def load(path: str | os.PathLike) -> FrameDataset:
     """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and
     for its first error."""
     with archives.naming("image dataset", path, frames_schema.GIVE_A_FILE):
-        archive = archives.read(path, frames_schema.REMEDY)
+        archive = archives.read(path, frames_schema.REMEDY, version=None)
     members, unreadable = frames_schema.read_members(archive)
     frames_check.stop_at_first(path, iter(unreadable))
     frames_check.stop_at_first(path, frames_check.member_faults(members, set(archive.sizes)))
     fields = {name: members.get(name) for name in frames_schema.SCHEMA if name != "format_version"}
     fields |= {name: tuple(members[name].tolist()) if name in members else () for name in TEXTS}
-    return FrameDataset(**(fields | {"about": json.loads(str(members["about"]))}))
+    return FrameDataset(**(fields | {"about": from_json(str(members["about"]))}))
 
 
 def cached(name: str, build: Callable[[], FrameDataset], takes: str = "a minute or two") -> FrameDataset:

@@ -7,7 +7,6 @@ frames that look the same.
 """
 
 import hashlib
-import json
 import os
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -26,6 +25,7 @@ from infogoal_jax.data.frames_schema import (
     read_members,
 )
 from infogoal_jax.errors import UserError, nearest, typed
+from infogoal_jax.files import from_json
 
 MOST_FINDINGS = 10
 """Rows that are listed of one kind of fault; the rest is counted."""
@@ -38,7 +38,7 @@ def check_frames(path: str | os.PathLike) -> list[Finding]:
     """Every fault of the file at `path`, errors first; empty if there is none."""
     try:
         with archives.naming("image dataset", path, GIVE_A_FILE):
-            archive = archives.read(path, REMEDY)
+            archive = archives.read(path, REMEDY, version=None)
     except UserError as error:
         return [Finding("error", str(path), str(error).removeprefix(f"image dataset = {str(path)!r}: "))]
     members, unreadable = read_members(archive)
@@ -93,7 +93,7 @@ def text_faults(members: Mapping[str, np.ndarray]) -> Iterator[Fault]:
                 yield f"{name}[{row}]", f"{word!r} is {name}[{names.index(word)}] already; give each a name of its own"
     if "about" in members:
         try:
-            about = json.loads(str(members["about"]))
+            about = from_json(str(members["about"]))
         except ValueError as error:
             yield "about", f"is no JSON ({error}); give the JSON text of a dictionary"
         else:

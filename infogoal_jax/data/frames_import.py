@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from infogoal_jax.data import frames, frames_grid, pictures
-from infogoal_jax.data.archives import regular
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.data.frames_table import (
     MOVES,
@@ -30,6 +29,7 @@ from infogoal_jax.data.frames_table import (
     wants,
 )
 from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.files import read_bytes
 
 MOST_BYTES = 4e9
 """Frames that take more are refused: they would not fit beside a policy on common GPUs, and policies see small
@@ -157,7 +157,7 @@ def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) ->
     """One image as OpenCV decodes it, uint8 RGB [H, W, 3]."""
     name = cells["image"]
     try:
-        content = regular(folder / name).read_bytes()
+        content = read_bytes(folder / name)
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
         raise UserError(

@@ -1,6 +1,7 @@
 """The CSV file of an image folder: its rows, poses and moves, each mistake named with its row and column."""
 
 import csv
+import io
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from infogoal_jax.data import frames_check
-from infogoal_jax.data.archives import regular
 from infogoal_jax.data.frames_grid import Move
 from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.files import read_text
 
 MOVES = ("trajectory", "time", "action")
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -33,8 +34,8 @@ def wants(condition: bool, table: Path, number: int, column: str, value: str, re
 def read_rows(table: Path) -> Rows:
     """The rows of the CSV below its header; blank lines are left out, but counted."""
     try:
-        with open(regular(table), encoding="utf-8-sig", newline="") as file:
-            lines = [[cell.strip() for cell in line] for line in csv.reader(file, strict=True)]
+        content = io.StringIO(read_text(table, encoding="utf-8-sig"), newline="")
+        lines = [[cell.strip() for cell in line] for line in csv.reader(content, strict=True)]
     except FileNotFoundError:
         raise UserError(f"{table}: no such file; give a CSV with a row for each image") from None
     except OSError as error:

@@ -16,6 +16,7 @@ import numpy as np
 
 from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import from_json
 from infogoal_jax.goal_uses import MOST_GOALS
 
 IMAGE_SHAPE = (64, 64, 3)
@@ -209,7 +210,7 @@ def read_fields(archive: archives.Archive, task: str) -> dict:
             f"give numbers of the shape {shape}",
         )
     try:
-        about = json.loads(str(fields["about"]))
+        about = from_json(str(fields["about"]))
     except ValueError as error:
         raise UserError(f"about = {str(fields['about'])[:40]!r}: is no JSON ({error}); {REMEDY}") from error
     return fields | {"task": task, "about": about, "spacing": float(fields["spacing"])}

@@ -6,14 +6,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from infogoal_jax.data import archives
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
+from infogoal_jax.files import read_bytes
 
 CACHE_VERSION = 1
 CHECK_HINT = "`infogoal data check {}` lists everything that is wrong"
@@ -61,11 +60,11 @@ def scene_pictures(
     path = Path(cache_dir or archives.user_cache()) / f"active_vision_{scene.name}_{key}.npz"
     shapes = ((len(names), image_size, image_size), (len(names), 2), (len(names), 3))
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as cached:
-            content = cached["images"], cached["sizes"], cached["position"]
-        if tuple(array.shape for array in content) == shapes:
+        archive = archives.read(path, "it is made again")
+        content = tuple(archives.member(archive, name, "") for name in ("images", "sizes", "position"))
+        if tuple((array.shape, array.dtype.kind) for array in content) == tuple(zip(shapes, "uif", strict=True)):
             return content
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, UserError):
         pass  # absent or damaged: it is made again below
     images, sizes = np.empty(shapes[0], np.uint8), np.empty(shapes[1], np.int32)
     for index, name in enumerate(names):
@@ -81,7 +80,7 @@ def read_grey(path: Path, image_size: int) -> tuple[np.ndarray, tuple[int, int]]
     import cv2  # Only now: it takes a tenth of a second.
 
     try:
-        data = regular(path).read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise UserError(f"{path}: {error.strerror or error}; {CHECK_HINT.format(path.parents[2])}") from error
     size = decode_size(data)

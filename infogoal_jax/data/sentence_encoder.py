@@ -7,7 +7,6 @@ embedded once, before training, so numpy is fast enough (a few milliseconds a te
 import dataclasses
 import hashlib
 import importlib.util
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 from scipy.special import erf, softmax
 
 from infogoal_jax.data import text
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError
+from infogoal_jax.files import from_json, open_to_read, read_text
 
 MODEL = "sentence-transformers/all-MiniLM-L6-v2"
 # model.safetensors and tokenizer.json of the official release; a changed tokenizer would change vectors unnoticed.
@@ -79,7 +78,7 @@ def load_encoder(folder: str | os.PathLike | None = None, allow_other_weights: b
             "get the official files, or allow other weights if you mean to use these"
         )
     try:
-        config = json.loads(regular(files["config.json"]).read_text(encoding="utf-8"))
+        config = from_json(read_text(files["config.json"]))
         tokenizer = tokenizers.Tokenizer.from_file(str(files["tokenizer.json"]))
         weights = safetensors_numpy.load_file(files["model.safetensors"])
     except Exception as error:  # both libraries raise plain Exception on a damaged file
@@ -266,5 +265,5 @@ def _installed_folder() -> Path:
 
 
 def _sha256(path: Path) -> str:
-    with open(path, "rb") as file:
+    with open_to_read(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

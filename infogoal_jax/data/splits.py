@@ -11,15 +11,14 @@ are known while training; the questions about a few objects are training goals, 
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from infogoal_jax.data import text
-from infogoal_jax.data.archives import regular
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import from_json, read_text
 from infogoal_jax.goal_uses import NO_USE, TEST, TRAINING, USES, VALIDATION
 
 SHIPPED_QUESTIONS = Path(__file__).parent / "files" / "shelf" / "questions.json"
@@ -128,8 +127,7 @@ def read_json(what: str, path: str | os.PathLike, remedy: str = "") -> object:
     """The content of a JSON file in which no name is given twice. Raises UserError, which begins with what the file is
     and where."""
     try:
-        with open(regular(path), encoding="utf-8") as file:
-            return json.load(file, object_pairs_hook=without_repeats)
+        return from_json(read_text(path), object_pairs_hook=without_repeats)
     except OSError as error:
         raise UserError(f"{what} {path}: {error.strerror or error}; give the path of a readable JSON file") from error
     except ValueError as error:

@@ -6,6 +6,7 @@ screen.
 """
 
 import dataclasses
+import os
 import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from matplotlib.patheffects import withStroke
 
 from infogoal_jax import presets
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.files import regular
 from infogoal_jax.report.runs import Run, RunTable
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runs import disk
@@ -64,6 +66,8 @@ def figure_style(own: str | Path = "") -> Iterator[None]:
     """Draw and write figures in the style of `figures.mplstyle`, and of a style sheet of one's own after it. Raises
     `UserError` where that cannot be read."""
     try:
+        if own and os.path.exists(own):
+            regular(own)  # A pipe would be waited for.
         with matplotlib.style.context([STYLE, *([own] if own else [])]):
             yield
     except UnicodeDecodeError as error:
@@ -78,6 +82,7 @@ def check_format(path: Path, field: str = "out") -> None:
     """Raise `UserError` unless the file's ending is one that figures can be written in."""
     endings = [f".{name}" for name in FORMATS]
     require(path.suffix in endings, field, str(path), f"give a file that ends in {', '.join(endings)}")
+    disk.check_out(path, field)
 
 
 def room_colour(region: int) -> str:

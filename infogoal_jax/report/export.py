@@ -24,7 +24,6 @@ from infogoal_jax.runs import disk
 from infogoal_jax.train.parts import tests_on_means
 from infogoal_jax.train.program import Train
 
-FORMAT_VERSION = 1
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that hold a program of their own, and the name of the setting that it is."""
 
@@ -53,7 +52,7 @@ def export_params(
     vectors = env.goals.inputs.dtype == jnp.float32
     acted = env.env if isinstance(env, SubgoalEnv) else env
     about = about | {
-        "format_version": FORMAT_VERSION,
+        "format_version": policy_file.FORMAT,
         "task": config.task,
         "method": presets.name_of(config),
         "action_size": int(acted.action_size),

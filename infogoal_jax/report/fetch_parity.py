@@ -99,7 +99,9 @@ def check_recordings(
     Returns {task: [over all episodes, of each kind]}. Raises `UserError` if `out` cannot be written.
     """
     console = console or Console()
-    if out is not None and (not out.parent.is_dir() or out.is_dir()):
+    if out is not None:
+        disk.check_out(out)
+    if out is not None and not out.parent.is_dir():
         raise UserError(f"out = {str(out)!r}: cannot be written; give a file in a folder that is there")
     for name in recordings.skipped:
         console.print(

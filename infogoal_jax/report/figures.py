@@ -37,7 +37,7 @@ from infogoal_jax.report.image_goals import draw_image_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.runner.compilation import jit
-from infogoal_jax.runs.folder import remove_abandoned
+from infogoal_jax.runs.folder import check_own, remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
 from infogoal_jax.train.program import make_train
 
@@ -67,6 +67,7 @@ def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> lis
     figures = {draw.__name__: draw(subject) for draw in drawings}
     for draw_more in (draw_plans, draw_shelves, draw_image_goals):
         figures |= draw_more(subject)
+    check_own(folder, ["figures"])
     remove_abandoned(folder)
     drawn = {name: figure for name, figure in figures.items() if figure is not None}
     paths = {folder / "figures" / f"{name}.{format}": figure for name, figure in drawn.items()}

@@ -11,10 +11,11 @@ import jax
 import numpy as np
 from PIL import Image
 
+from infogoal_jax import files
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.runs.disk import disk_error
+from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
 
 Policy = Callable[[FetchState, jax.Array], jax.Array]
@@ -66,7 +67,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
     """
     path = check_path(path)
     require(fps > 0, "fps", fps, "give a number greater than 0")
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    beside = files.beside(path, path.suffix)
     writer, count = None, 0
     with temporary(beside):
         try:
@@ -94,6 +95,7 @@ def check_path(path: str | Path, field: str = "path") -> Path:
     path = Path(path)
     require(path.suffix in ENDINGS, field, str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
     require(path.parent.is_dir(), field, str(path), "its folder is not there; make it first, or give another")
+    check_out(path, field)
     return path
 
 

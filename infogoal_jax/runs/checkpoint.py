@@ -18,7 +18,7 @@ from infogoal_jax.errors import UserError, require
 from infogoal_jax.keys import is_key, written_out
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import DATA, Description, located, to_dict
-from infogoal_jax.runs.disk import Place, decode, decode_value, parse, read_bytes, write_atomically
+from infogoal_jax.runs.disk import MOST_OF_ARRAYS, Place, decode, decode_value, parse, read_bytes, write_atomically
 from infogoal_jax.runs.tables import Row
 
 FORMAT = "infogoal-jax checkpoint 2"
@@ -65,7 +65,7 @@ def read_header(path: Path) -> tuple[dict[str, Any], bytes]:
     that is not what was written."""
     place = Place(path, remedy=REMEDY)
     missing = f"{path}: there is no checkpoint; give the folder of a run that got past its first evaluation"
-    first_line, _, payload = read_bytes(place, missing).partition(b"\n")
+    first_line, _, payload = read_bytes(place, missing, MOST_OF_ARRAYS).partition(b"\n")
     header = parse(first_line, place)
     seal = decode(Seal, header, place)
     if seal.format == EARLIER:

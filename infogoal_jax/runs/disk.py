@@ -8,14 +8,12 @@ remedy.
 import dataclasses
 import errno
 import json
-import os
 import reprlib
-import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from infogoal_jax.data import archives
+from infogoal_jax import files
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import WrongTypeError, converted, hints_of
 
@@ -29,7 +27,9 @@ REMEDIES = {
     errno.EEXIST: "choose another folder; a file stands there",
     errno.EISDIR: "choose another folder; a folder stands there",
     errno.ENAMETOOLONG: "choose a shorter path",
-    errno.ELOOP: "choose a path that does not lead through a circle of links",
+    errno.ELOOP: "put the file itself in the place of the link, or choose another path",
+    errno.EMLINK: "work on a copy, as cp -r makes it",
+    errno.EINVAL: "choose the path of a file",
 }
 
 
@@ -37,9 +37,18 @@ def write_atomically(path: Path, write: Callable[[Any], None]) -> None:
     """Write a file so that `path` holds either its old or its whole new content, whatever happens. Raises `UserError`
     if the disk refuses."""
     try:
-        archives.replace_file(path, write)
+        files.replace_file(path, write)
     except OSError as error:
         raise disk_error(path, error) from error
+
+
+def check_out(path: Path, field: str = "out") -> None:
+    """Raise `UserError`, naming the field, where a file is to be written and something stands that is none: said before
+    the work, and not after it."""
+    try:
+        files.check_writable(path)
+    except OSError as error:
+        raise UserError(f"{field} = {str(path)!r}: {error.strerror}; give the path of a file") from error
 
 
 def write_json(path: Path, values: Any, indent: int | None = None) -> None:
@@ -61,17 +70,12 @@ def make_folder(folder: Path) -> None:
         raise disk_error(folder, error) from error
 
 
-def sync(file) -> None:
-    """Bring a file's content to the disk."""
-    file.flush()
-    os.fsync(file.fileno())
-
-
 def disk_error(path: Path, error: OSError) -> UserError:
     """The refusal of a disk in words: what was not written, why, and what is still there."""
+    goes_on = f"; what has its checkpoint in {path.parent} goes on from there with --resume"
     return UserError(
         f"{path}: could not be written ({error.strerror or error}): {REMEDIES.get(error.errno, 'look at the disk')}. "
-        "What was there before is unchanged; a run with a checkpoint goes on with --resume"
+        f"This file is as it was before{goes_on if (path.parent / 'checkpoint').exists() else ''}"
     )
 
 
@@ -97,16 +101,24 @@ class Place(NamedTuple):
         return self.refusal(f"{self.prefix}{name} = {reprlib.repr(value)}: {problem}")
 
 
-def read_bytes(place: Place, missing: str) -> bytes:
-    """The content of a file. Raises `UserError` if it cannot be read; missing: what is said where nothing is there."""
+MOST_OF_TEXTS, MOST_OF_ARRAYS = 2**28, 2**40
+"""Bytes of a file of JSON values or of a table, and of one that holds arrays too."""
+
+
+def read_bytes(place: Place, missing: str, most: int = MOST_OF_TEXTS) -> bytes:
+    """The content of a file. most: bytes that it may have. Raises `UserError` if it cannot be read; missing: what is
+    said where nothing is there."""
     try:
-        kind = place.path.stat().st_mode
-        if not stat.S_ISREG(kind):  # Reading a pipe would wait for ever.
-            raise place.refusal(f"it is {'a folder' if stat.S_ISDIR(kind) else 'no regular file'}")
-        return place.path.read_bytes()
+        return files.read_bytes(place.path, most)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise UserError(missing) from error
+    except IsADirectoryError as error:
+        raise place.refusal("it is a folder") from error
+    except MemoryError as error:
+        raise place.refusal("it does not fit into the memory of this machine") from error
     except OSError as error:
+        if error.errno in (errno.EINVAL, errno.EFBIG):
+            raise place.refusal(error.strerror) from error
         raise UserError(
             f"{place.path}: could not be read ({error.strerror or error}); give files that you may read"
         ) from error

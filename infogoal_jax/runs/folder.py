@@ -9,24 +9,23 @@ other there, save that they hold no checkpoint to go on from.
 import contextlib
 import dataclasses
 import hashlib
-import io
 import os
 import platform
-import shutil
+import stat
 import sys
 import tempfile
 import zipfile
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import flax.serialization
 import jax
 
+from infogoal_jax import files
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
-from infogoal_jax.data.archives import has_no_locks, try_lock
 from infogoal_jax.errors import UserError, nearest, require, typed
+from infogoal_jax.files import has_no_locks, open_lock, try_lock
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import to_dict
 from infogoal_jax.runs.disk import disk_error, make_folder
@@ -47,6 +46,8 @@ SEARCH = ("config.json", "checkpoint", "trials.jsonl", "best.json")
 """What `infogoal tune` and `infogoal final` write."""
 LOW_LEVEL = ("low_level", *tables.file_names("curve"))
 """What `infogoal pretrain` writes."""
+APPENDED = {LOCK, *(name for table in (*tables.TABLES, "curve") for name in tables.file_names(table))}
+"""What is changed in place, so that a second name of such a file would show the change too."""
 
 
 class BeingWrittenError(UserError):
@@ -84,6 +85,30 @@ def newest_run(parent: Path, config: TrainConfig, seeds: Sequence[int]) -> Path 
     return max(found)[1] if found else None
 
 
+def check_own(folder: Path, names: Iterable[str]) -> None:
+    """Raise `UserError` if what is written to these files, and into folders of these names, would reach what lies
+    outside of `folder`: for a link, or a file that is changed in place and has a second name. Whoever made the folder
+    may have been somebody else."""
+    for name in names:
+        path = folder / name
+        for found in (path, *(path.iterdir() if path.is_dir() and not path.is_symlink() else ())):
+            try:
+                about = found.lstat()
+            except OSError:
+                continue  # It is not there, or what is tried with it will say why not.
+            kind = stat.S_IFMT(about.st_mode)
+            if kind not in (stat.S_IFREG, stat.S_IFDIR):
+                raise UserError(
+                    f"{found}: is {'a link' if kind == stat.S_IFLNK else 'no regular file'}, through which nothing is "
+                    f"written; put the file itself there, or go on with a copy: cp -rL {typed(folder)} COPY"
+                )
+            if kind == stat.S_IFREG and about.st_nlink > 1 and found.name in APPENDED:
+                raise UserError(
+                    f"{found}: has a second name elsewhere (a hard link), which would change with it; go on with a "
+                    f"copy: cp -r {typed(folder)} COPY"
+                )
+
+
 @contextlib.contextmanager
 def only_writer(folder: Path, new: Sequence[str] = ()) -> Iterator[None]:
     """Inside, no other process writes the run in this folder, which is made if it is not there.
@@ -92,6 +117,7 @@ def only_writer(folder: Path, new: Sequence[str] = ()) -> Iterator[None]:
     of these files. The lock goes with the process, so that a killed one leaves none behind.
     """
     make_folder(folder)
+    check_own(folder, {LOCK, *RUN, *SEARCH, *LOW_LEVEL})
     with locked(folder / LOCK, folder):
         check_new(folder, new)
         remove_abandoned(folder)
@@ -103,7 +129,7 @@ def locked(path: Path, folder: Path) -> Iterator[None]:
     """Hold the lock of this file, which is there as long as it is held."""
     while True:
         try:
-            file = open(path, "a+")  # noqa: SIM115 (closed below; the lock is that of the open file)
+            file = open_lock(path)
         except OSError as error:
             raise disk_error(path, error) from error
         with file:
@@ -120,16 +146,16 @@ def locked(path: Path, folder: Path) -> Iterator[None]:
                 mine = True
             if not mine:
                 file.seek(0)
+                by = file.read(200).decode(errors="replace").strip()
                 raise BeingWrittenError(
-                    f"{folder}: is being written by another process ({file.read(200).strip() or 'just started'}); wait "
-                    "for its end, or give another folder"
+                    f"{folder}: is being written by another process ({by or 'just started'}); wait for its end, or "
+                    "give another folder"
                 )
             if not is_at(file, path):
                 continue  # The process that had it deleted it between our two steps.
             with temporary(path):
                 file.truncate(0)
-                file.write(f"process {os.getpid()} on {platform.node()}")
-                file.flush()
+                file.write(f"process {os.getpid()} on {platform.node()}".encode())
                 yield
             return
 
@@ -146,7 +172,7 @@ def is_at(file, path: Path) -> bool:
 def remove_abandoned(folder: Path) -> None:
     """Delete what killed processes were writing beside a file. Whoever is still writing holds the lock of its file."""
     for path in (*folder.glob(".*.partial"), *folder.glob("figures/.*.partial")):
-        with contextlib.suppress(OSError), open(path, "r+b") as file:
+        with contextlib.suppress(OSError), open_lock(path, make=False) as file:
             if try_lock(file):
                 path.unlink(missing_ok=True)
 
@@ -157,8 +183,6 @@ SUFFIX = ".zip"
 NAMES = ("config.json", "policy", *(name for table in tables.TABLES for name in tables.file_names(table)))
 LARGEST = 2**28
 """Bytes of an unpacked file."""
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Of compression that are read: others unpack a few bytes to any size at once."""
 DATE = (1980, 1, 1, 0, 0, 0)
 """Of all files in a zip, so that the same run makes the same file."""
 
@@ -176,6 +200,7 @@ def pack(folder: Path, out: Path, seed: int) -> None:
     """
     about = configuration.read(folder)
     require(out.suffix == SUFFIX, "out", str(out), f"give a file that ends in {SUFFIX}")
+    disk.check_out(out)
     require(may_be_replaced(out), "out", str(out), "is there already and is no packed run; give a new file")
     require(seed in about.seeds, "seed", seed, f"the run has the seeds {', '.join(map(str, about.seeds))}")
     evaluations = [row for row in tables.read_table(folder, "evaluations") if row["seed"] == seed]
@@ -199,12 +224,13 @@ def pack(folder: Path, out: Path, seed: int) -> None:
 
 def may_be_replaced(out: Path) -> bool:
     """Whether nothing but an earlier packed run is lost where a run is packed."""
-    if not out.exists():
-        return True
     try:
-        with zipfile.ZipFile(out) as archive:
-            return set(archive.namelist()) == set(NAMES)
-    except (zipfile.BadZipFile, OSError):
+        return set(archives.unzipped(files.read_bytes(out), LARGEST)) == set(NAMES)
+    except FileNotFoundError:
+        return not out.is_symlink()
+    except NotADirectoryError:
+        return True  # What is written will say so.
+    except (OSError, UserError):
         return False
 
 
@@ -212,7 +238,7 @@ def write_zip(file, folder: Path) -> None:
     """Write the files of a packed run, in their order and without dates."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in NAMES:
-            archive.writestr(zipfile.ZipInfo(name, DATE), (folder / name).read_bytes(), zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name, DATE), files.read_bytes(folder / name), zipfile.ZIP_DEFLATED)
 
 
 def find_run(run: str | Path) -> Path:
@@ -236,27 +262,35 @@ def unpacked(path: Path) -> Path:
     folder = archives.user_cache() / "runs" / f"{path.stem}-{hashlib.sha256(content).hexdigest()[:12]}"
     if folder.is_dir():
         return folder
-    wrong = UserError(f"run = {str(path)!r}: is no file of `infogoal pack`; give one, or the folder of a run")
+    with archives.naming("run", path, "give a file of `infogoal pack`, or the folder of a run"):
+        found = archives.unzipped(content, LARGEST)
+        require(
+            set(found) == set(NAMES), "files", sorted(found), "it is no file of `infogoal pack`; pack the run again"
+        )
     disk.make_folder(folder.parent)
-    beside = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".unpacking-"))
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            infos = {info.filename: info for info in archive.infolist()}
-            if set(infos) != set(NAMES) or any(info.compress_type not in METHODS for info in infos.values()):
-                raise wrong
-            for name in NAMES:
-                with archive.open(name) as member:
-                    found = member.read(LARGEST + 1)  # What it says of its size need not be so.
-                if len(found) > LARGEST:
-                    raise wrong
-                (beside / name).write_bytes(found)
-        if not folder.is_dir():  # Another process may have been faster.
-            os.replace(beside, folder)
-    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, zlib.error) as error:
-        raise wrong from error  # Damaged, or encrypted, or packed in a way that `pack` does not know.
-    except OSError as error:
-        if not folder.is_dir():
-            raise disk.disk_error(folder, error) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
+    beside = files.beside(folder)
+    with temporary(beside):
+        try:
+            beside.mkdir()
+            for name, member in found.items():
+                (beside / name).write_bytes(member)
+            check_packed(beside, path)
+            if not folder.is_dir():  # Another process may have been faster.
+                os.replace(beside, folder)
+        except OSError as error:
+            if not folder.is_dir():
+                raise disk.disk_error(folder, error) from error
     return folder
+
+
+def check_packed(folder: Path, path: Path) -> None:
+    """Raise `UserError`, which names the packed file, if what was unpacked is damaged: nothing of it stays then."""
+    try:
+        about = configuration.read(folder)
+        checkpoint.read_header(folder / "policy")
+        for table in tables.TABLES:
+            tables.read_table(folder, table)
+        require(len(about.seeds) == 1, "seeds", about.seeds, "a packed run has one")
+    except UserError as error:
+        reason = str(error).replace(f"{folder}{os.sep}", "").replace(str(folder), "its folder")
+        raise UserError(f"run = {str(path)!r}: {reason}") from error

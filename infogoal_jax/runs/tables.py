@@ -13,18 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from infogoal_jax import files
 from infogoal_jax.errors import UserError
-from infogoal_jax.runs.disk import (
-    Place,
-    decode,
-    disk_error,
-    parse,
-    parse_lines,
-    read_bytes,
-    sync,
-    write_json,
-    write_text,
-)
+from infogoal_jax.runs.disk import Place, decode, disk_error, parse, parse_lines, read_bytes, write_json, write_text
 
 TABLES = ("epochs", "evaluations")
 Row = dict[str, Any]
@@ -53,16 +44,13 @@ def append_rows(folder: Path, table: str, rows: list[Row]) -> None:
     files. Raises `UserError` if the disk refuses."""
     if not rows:
         return
-    csv_path, lines_path = (folder / name for name in file_names(table))
-    try:
-        with open(csv_path, "a", newline="") as file:
-            file.write(csv_text(rows, header=file.tell() == 0))
-            sync(file)
-        with open(lines_path, "a") as file:
-            file.write(lines_text(rows))
-            sync(file)
-    except OSError as error:
-        raise disk_error(csv_path, error) from error
+    header, _, lines = csv_text(rows).partition("\r\n")
+    csv_name, lines_name = file_names(table)
+    for name, first, text in ((csv_name, f"{header}\r\n", lines), (lines_name, "", lines_text(rows))):
+        try:
+            files.append(folder / name, text.encode(), first.encode())
+        except OSError as error:
+            raise disk_error(folder / name, error) from error
 
 
 def lines_text(rows: list[Row]) -> str:
@@ -70,13 +58,12 @@ def lines_text(rows: list[Row]) -> str:
     return "".join(json.dumps(row) + "\n" for row in rows)
 
 
-def csv_text(rows: list[Row], header: bool = True) -> str:
-    """The rows as CSV, or nothing where there are none."""
+def csv_text(rows: list[Row]) -> str:
+    """The rows as CSV with a header, or nothing where there are none."""
     text = io.StringIO(newline="")
     if rows:
         writer = csv.DictWriter(text, scalar_columns(rows), extrasaction="ignore")
-        if header:
-            writer.writeheader()
+        writer.writeheader()
         writer.writerows(rows)
     return text.getvalue()
 
@@ -129,7 +116,7 @@ def replace_table(folder: Path, table: str, rows: list[Row]) -> None:
     """Make these the rows of a table that is there: files that hold something else are written anew."""
     for name, text in zip(file_names(table), (csv_text(rows), lines_text(rows)), strict=True):
         path = folder / name
-        if (rows or path.exists()) and not (path.exists() and path.read_bytes() == text.encode()):
+        if (rows or path.exists()) and not (path.exists() and files.read_bytes(path) == text.encode()):
             write_text(path, text)
 
 

@@ -27,7 +27,7 @@ from infogoal_jax.stand_ins import cube
 def test_a_pipe_in_the_place_of_a_dataset_is_refused(read, tmp_path):
     """Reading it would wait for a writer for ever."""
     os.mkfifo(tmp_path / "pipe.npz")
-    with pytest.raises(UserError, match="pipe.npz.*not a regular file"):
+    with pytest.raises(UserError, match="pipe.npz.*no regular file"):
         read(str(tmp_path / "pipe.npz"))
     with pytest.raises(UserError, match="/dev/zero"):
         read("/dev/zero")

@@ -249,10 +249,16 @@ def test_a_picture_that_the_disk_refuses_is_an_error_that_ends_the_flight(tmp_pa
 
 
 def test_a_disk_that_is_full_leaves_no_half_row(tmp_path, monkeypatch):
-    """/dev/full takes what is buffered and refuses to keep it."""
+    """It takes half of what it is given."""
     assert record(tmp_path, "monday", [("right", "made")]) == 1
-    (tmp_path / TABLE).unlink()
-    (tmp_path / TABLE).symlink_to("/dev/full")
-    monkeypatch.setattr("infogoal_drone.records.check_recordings", lambda folder, trajectory: None)
+    before, write = (tmp_path / TABLE).read_bytes(), os.write
+
+    def half(descriptor, content):
+        if len(content) < 50:
+            raise OSError(28, "No space left on device")
+        return write(descriptor, content[: len(content) // 2])
+
+    monkeypatch.setattr(os, "write", half)
     with pytest.raises(UserError, match="record = .*cannot be written .No space left"):
         record(tmp_path, "tuesday", [("right", "made")])
+    assert (tmp_path / TABLE).read_bytes() == before

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from infogoal_jax.cli.main import main
-from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import compilation
 from infogoal_paper import command, files, numbers, progress, work, workers
@@ -257,7 +256,7 @@ def test_a_disk_that_refuses_compact_numbers_is_one_sentence(results, tmp_path, 
     def full(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(archives, "replace_file", full)
+    monkeypatch.setattr("infogoal_jax.files.replace_file", full)
     with pytest.raises(UserError, match="paper.npz: could not be written .No space left"):
         numbers.save(results, tmp_path)
 

@@ -148,13 +148,13 @@ def test_an_operation_may_have_several_results(name, settings, tmp_path):
     """Newer versions of jax take arrays apart by `unstack`."""
     program = {
         "constants": 0,
-        "inputs": [[0], [[[2, 3], "float32"]]],
-        "operations": [[name, [0], [1, 2], settings], ["sub", [2, 1], [3], {}]],
-        "outputs": [3],
+        "inputs": [[0, 1, 2], [[[2, 3], "float32"]] * 3],
+        "operations": [[name, [0], [3, 4], settings], ["sub", [4, 3], [5], {}]],
+        "outputs": [5],
     }
-    np.savez(tmp_path / "policy.npz", about="{}", program=json.dumps(program))
+    np.savez(tmp_path / "policy.npz", about='{"format_version": 1, "code_size": 0}', program=json.dumps(program))
     rows = np.arange(6, dtype=np.float32).reshape(2, 3)
-    (difference,) = policy_file.ExportedPolicy(tmp_path / "policy.npz").run(rows)
+    (difference,) = policy_file.ExportedPolicy(tmp_path / "policy.npz").run(rows, rows, rows)
     assert np.array_equal(difference.ravel(), [3, 3, 3])
 
 

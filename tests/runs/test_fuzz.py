@@ -3,7 +3,6 @@
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import shutil
 from datetime import timedelta
@@ -12,7 +11,7 @@ from pathlib import Path
 import hand_made
 import numpy as np
 import pytest
-from fuzzing import command_lines, configurations, damaged, replaced
+from fuzzing import TREE, command_lines, configurations, damaged, digest, replaced, write_run
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -27,16 +26,13 @@ from infogoal_jax.low_level import pretraining as low_level
 from infogoal_jax.report import figures, runs, summary, tuning
 from infogoal_jax.runner import search as searching
 from infogoal_jax.runner import training
-from infogoal_jax.runs import checkpoint, configuration, search, tables
-from infogoal_jax.runs.configuration import Description, from_dict, to_dict
-from infogoal_jax.runs.search import Best, Drawn, Plan, TrialLine
-from infogoal_jax.runs.tables import Timing
+from infogoal_jax.runs import checkpoint, configuration, tables
+from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.stand_ins import cube, photographs, shelf
 from infogoal_paper import command, numbers
 
 SHORT, LONG = 100, 2000
 SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}
-TREE = {"weight": np.arange(4.0)}
 
 
 def examples(what: str, count: int) -> settings:
@@ -71,42 +67,11 @@ def test_a_configuration_is_one_or_is_refused(count):
     check()
 
 
-def write_run(folder: Path) -> None:
-    """A folder with a file of every kind: of a run, and of a search."""
-    config = hand_made.config(num_epochs=2, epochs_per_evaluation=1)
-    about = Description(config, [1000, 1001], "rooms", {"jax": "1"}, "cpu")
-    rows = [
-        {"seed": seed, "epoch": epoch, "loss": 0.5, "agent/loss": 1.0, "agent/gradient_norm": 1.0, "steps": [1, 2]}
-        for epoch in (1, 2)
-        for seed in (1000, 1001)
-    ]
-    folder.mkdir()
-    values = {"discount": 0.9}
-    search.write_plan(folder, about, Plan(1, {"discount": {"low": 0.5}}, [Drawn(0, values)]))
-    line = TrialLine(0, True, values, [1000, 1001], "train", [1, 2], [[0.0, 1.0]] * 2, [[0.1, 0.2]] * 2, 0.5, [])
-    best = Best(0, 0.5, 0.5, "train", 2, True, values, config.task, [], "", 1.0, 1.0)
-    search.write_scores(folder, [line], best)
-    for table in tables.TABLES:
-        tables.append_rows(folder, table, rows)
-    tables.write_timing(folder, Timing(1.0, 2.0, 3.0, 4.0))
-    checkpoint.save(folder / "checkpoint", {"epoch": 2, **about.values()}, TREE)
-    checkpoint.save(folder / "policy", {"epoch": 2, **about.values()}, TREE)
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("fuzz") / "a_run"
     write_run(folder)
     return folder
-
-
-def digest(folder: Path) -> str:
-    """What tells a folder, with all that is in it, from another."""
-    found = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        found.update(f"{path.relative_to(folder)} {path.is_file()}".encode())
-        found.update(path.read_bytes() if path.is_file() else b"")
-    return found.hexdigest()
 
 
 def go_on(folder: Path) -> None:

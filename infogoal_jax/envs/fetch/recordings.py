@@ -7,19 +7,19 @@ Texts beside them (`source`, `mujoco`) say where they are from.
 """
 
 import dataclasses
-import io
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from infogoal_jax.data.archives import regular
+from infogoal_jax.data import archives
 from infogoal_jax.envs.fetch.tasks import TASKS, Task
 from infogoal_jax.errors import UserError, nearest
 
 ARRAYS = ("observation", "achieved_goal", "desired_goal", "action", "reward")
 NOTES = ("source", "mujoco")
 """Texts in a file that say where its episodes are from."""
+REMEDY = "give an npz of episodes, as benchmarks/fidelity/record_fetch_reference.py writes it"
 ROUNDING = 1e-4
 """Achieved goals may differ this much (m) from the position in the observation."""
 
@@ -104,39 +104,9 @@ def load_recordings(path: str | Path) -> Recordings:
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an npz. Raises `UserError` if it cannot be read; pickled objects are never loaded, because they can
     run code."""
-    try:
-        content = regular(path).read_bytes()
-    except FileNotFoundError:
-        raise UserError(
-            f"file = {str(path)!r}: is not there; give an npz of episodes, "
-            "such as benchmarks/fidelity/record_fetch_reference.py writes"
-        ) from None
-    except OSError as error:
-        raise UserError(f"file = {str(path)!r}: cannot be read ({error.strerror})") from error
-    if content[:2] != b"PK":
-        raise UserError(f"file = {str(path)!r}: is no npz file; write it with numpy.savez or numpy.savez_compressed")
-    arrays = {}
-    try:
-        # From memory: numpy leaves a file open when it finds it damaged.
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            for name in archive.files:
-                arrays[name] = refuse_objects(path, name, archive)
-    except UserError:
-        raise
-    except Exception as error:  # numpy and zipfile raise a dozen types between them on a damaged file.
-        raise UserError(f"file = {str(path)!r}: is damaged ({error}); copy or record it again") from error
-    return arrays
-
-
-def refuse_objects(path: Path, name: str, archive: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The archive's array of this name, or a `UserError` if it was pickled."""
-    try:
-        return archive[name]
-    except ValueError as error:
-        remedy = "such arrays are not loaded, because they can run code; save an array of numbers"
-        if "allow_pickle" in str(error):
-            raise UserError(f"{path}: {name} = an array of Python objects: {remedy}") from None
-        raise
+    with archives.naming("file", path, REMEDY):
+        archive = archives.read(path, REMEDY)
+        return {name: archives.member(archive, name, REMEDY) for name in archive.sizes}
 
 
 def read_task(path: Path, arrays: Mapping[str, np.ndarray], task: Task) -> Recording:
