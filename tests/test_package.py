@@ -22,6 +22,7 @@ LAYERS = (
     {
         "errors",
         "stopping",
+        "files",
         "field_types",
         "config",
         "registry",
@@ -45,7 +46,7 @@ LAYERS = (
 )
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {
-    "data": {"goals", "goal_uses", "errors", "stopping"},
+    "data": {"goals", "goal_uses", "errors", "stopping", "files"},
     "envs": {"goals", "goal_uses", "errors", "field_types", "replay", "registry", "angles"},
 }
 """What data and environments may know of the lowest layer."""

@@ -249,11 +249,11 @@ def test_what_is_no_packed_run_is_refused(sweep, packed, tmp_path, capsys):
     with pytest.raises(UserError, match=r"out = .* ends in \.zip"):
         pack(sweep.folder, tmp_path / "four.tar", 4)
     (tmp_path / "damaged.zip").write_bytes(packed.read_bytes()[:-100])
-    with pytest.raises(UserError, match=r"damaged.zip': is no file of `infogoal pack`"):
+    with pytest.raises(UserError, match=r"damaged.zip': it is damaged"):
         load_run(tmp_path / "damaged.zip")
     with zipfile.ZipFile(tmp_path / "other.zip", "w") as other:
         other.writestr("../outside", "no")
-    with pytest.raises(UserError, match="is no file of"):
+    with pytest.raises(UserError, match="other.zip.*is no file of"):
         load_run(tmp_path / "other.zip")
     foreign = (tmp_path / "other.zip").read_bytes()
     with pytest.raises(UserError, match="is there already and is no packed run"):
@@ -271,8 +271,22 @@ def test_what_is_no_packed_run_is_refused(sweep, packed, tmp_path, capsys):
             content[6] |= 1
             content[content.rindex(b"PK\x01\x02", 0, content.index(b"PK\x01\x02") + 4) + 8] |= 1
         (tmp_path / f"{damage}.zip").write_bytes(content)
-        with pytest.raises(UserError, match="is no file of"):
+        with pytest.raises(UserError, match=f"{damage}.zip': it is (damaged|no zip of `infogoal pack`)"):
             load_run(tmp_path / f"{damage}.zip")
+    before = {path.name for path in (archives.user_cache() / "runs").glob("*")}
+    for damage, message in {
+        "config.json": (b"{", "damaged_inside.zip': config.json: is damaged"),
+        "policy": (None, "damaged_inside.zip': policy: is damaged.*checksum"),
+        "evaluations.jsonl": (b"junk\n", "damaged_inside.zip': evaluations.jsonl, line 1: is damaged"),
+    }.items():
+        content, words = message
+        with zipfile.ZipFile(packed) as whole, zipfile.ZipFile(tmp_path / "damaged_inside.zip", "w") as other:
+            for name in whole.namelist():
+                own = whole.read(name) if name != damage else whole.read(name)[:-1] if content is None else content
+                other.writestr(name, own, zipfile.ZIP_DEFLATED)
+        with pytest.raises(UserError, match=words):
+            load_run(tmp_path / "damaged_inside.zip")
+    assert {path.name for path in (archives.user_cache() / "runs").glob("*")} == before  # Nothing damaged stays.
     assert main(["evaluate", "shipped/object_serch"]) == 2
     assert "Did you mean 'shipped/object_search'" in capsys.readouterr().err
 
