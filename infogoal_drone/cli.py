@@ -1,4 +1,4 @@
-"""Commands of the drone: export, fly, record (docs/drone.md)."""
+"""Commands of the drone: export, fly, record (docs/guides/drone.md)."""
 
 import dataclasses
 import sys
@@ -70,7 +70,7 @@ def fly(
     out: str = "",
     drone: Flags = DroneFlags(),
 ) -> int:
-    """Fly a policy of embodied question answering on a Tello, or on a simulated one (docs/drone.md).
+    """Fly a policy of embodied question answering on a Tello, or on a simulated one (docs/guides/drone.md).
 
     Args:
         policy: File of `infogoal export`, or folder of a run, whose first policy is exported.
@@ -103,7 +103,7 @@ def record(
     out: str = "",
     drone: Flags = DroneFlags(),
 ) -> int:
-    """Fly to and fro and record pictures and moves for `infogoal data import` (docs/drone.md).
+    """Fly to and fro and record pictures and moves for `infogoal data import` (docs/guides/drone.md).
 
     Args:
         folder: Folder of the recordings; every flight adds a folder of images, and rows to its moves.csv.

@@ -1,6 +1,6 @@
 """What a flight leaves behind: its log, a line of JSON for every image, command, answer, decision and fault, flushed as
-it happens; and recordings in the form that `infogoal data import` takes (docs/datasets.md), with a policy that
-explores."""
+it happens; and recordings in the form that `infogoal data import` takes (docs/reference/datasets.md), with a policy
+that explores."""
 
 import csv
 import dataclasses

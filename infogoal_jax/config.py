@@ -1,9 +1,9 @@
 """What a run is made of: `TrainConfig` (static: names, sizes, switches) and `Hyperparameters` (floats, never static).
 
 `[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project
-(docs/object_search.md). Each part of the program (environment, learner, agent, relabelling, explorer) declares its
-configuration and its floats beside its code; `TrainConfig` and `Hyperparameters` hold one of each and know none of
-them.
+(docs/reference/object_search.md). Each part of the program (environment, learner, agent, relabelling, explorer)
+declares its configuration and its floats beside its code; `TrainConfig` and `Hyperparameters` hold one of each and know
+none of them.
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ class Hyperparameters:
     """Gradients are scaled down to this global norm."""
     learner_weight: Annotated[float, Number("[0, inf)", Search(0.01, 10.0, "log", is_term=True))] = 1.0
     """Weight of the goal-representation loss beside the loss of the agent [A]; searched from where it acts;
-    docs/tuning.md names the exceptions."""
+    docs/research/tuning.md names the exceptions."""
     intrinsic_weight: Annotated[float, Number("[0, inf)", Search(0.1, 10.0, "log", is_term=True))] = 5.0
     """Weight of the intrinsic reward: that of an episode spent at the mean distance from the goal, in successes; 0
     turns it off."""

@@ -18,7 +18,7 @@ class MLP(nn.Module):
     hidden: tuple[int, ...]
     out: int
     layer_norm: bool = False
-    """Normalise over the layer what each ReLU gets, so that few of its units die (docs/all_goals.md)."""
+    """Normalise over the layer what each ReLU gets, so that few of its units die (docs/research/all_goals.md)."""
 
     @nn.compact
     def __call__(self, inputs):

@@ -1,1 +1,2 @@
-"""The paper's tables and figures from training to the finished page: `infogoal reproduce` (docs/reproduction.md)."""
+"""The paper's tables and figures from training to the finished page: `infogoal reproduce`
+(docs/research/reproduction.md)."""

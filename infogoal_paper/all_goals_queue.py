@@ -1,5 +1,5 @@
-"""The queue of the trials on all goals at once (docs/all_goals.md): what is run by trials.py, and why, in order of what
-it would tell."""
+"""The queue of the trials on all goals at once (docs/research/all_goals.md): what is run by trials.py, and why, in
+order of what it would tell."""
 
 from infogoal_paper.trial_queue import (
     COARSE,

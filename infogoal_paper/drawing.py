@@ -32,8 +32,8 @@ BY_HAND = "<!-- by hand -->"
 ABOUT = """# The paper, reproduced
 
 Written by `infogoal reproduce` from the numbers of the runs: a verdict on each claim of the paper, and those of its
-tables and figures that there are runs for. A verdict says so where runs are missing. [reproducing.md](reproducing.md)
-says how runs are made and repeated. Datasets are stand-ins (README), so that numbers compare methods on them.
+tables and figures that there are runs for. A verdict says so where runs are missing. docs/guides/reproducing.md says
+how runs are made and repeated. Datasets are stand-ins (README), so that numbers compare methods on them.
 """
 
 

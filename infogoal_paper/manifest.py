@@ -2,7 +2,7 @@
 
 A run is a method on a task and one of its goal sets, with all its seeds. Table I has two variants: the
 paper's, in which only HER, CHER and GHRL relabel, and one in which every learner is given HER besides. Beside the paper
-stands the study of learning from all goals at once (docs/all_goals.md), under two protocols of known goals.
+stands the study of learning from all goals at once (docs/research/all_goals.md), under two protocols of known goals.
 """
 
 import dataclasses

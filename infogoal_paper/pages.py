@@ -2,13 +2,13 @@
 
     python -m infogoal_paper.pages [SOURCE ...] [--take FOLDER] [--pictures]
 
-A table stands in README.md or docs/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between them
-is replaced by what the numbers of the source give. Sources:
+A table stands in README.md or docs/*/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between
+them is replaced by what the numbers of the source give. Sources:
 
-    paper     Table I of the runs in paper.npz; docs/reproduction.md has all that is made of them
+    paper     Table I of the runs in paper.npz; docs/research/reproduction.md has all that is made of them
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     trials    the trials of trials.py, in trials/numbers.csv.gz
-    all_goals the study of docs/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
+    all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json
@@ -40,7 +40,7 @@ from infogoal_paper.table_formats import markdown_cell, markdown_lines
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*/*.md"))]
 MARKED = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.S)
 SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "none": ("DQN", "tab:orange")}
 """Methods of the picture, with name and colour."""

@@ -91,7 +91,8 @@ FOUND_ON_CUBE = {
     "vae+her": SEARCH_TRIAL_3 | {"learner_weight": 0.143},
     "dgrl+her": SEARCH_TRIAL_3 | {"learner_weight": 0.143},
 }
-"""Winners of the finals on the cube, after 20,000 updates, that are clear of their presets (docs/tuning.md)."""
+"""Winners of the finals on the cube, after 20,000 updates, that are clear of their presets
+(docs/research/tuning.md)."""
 FORMER_PRESETS: dict[tuple[str, str], dict[str, float]] = {
     (PICK_AND_PLACE, "her"): FORMER,
     **{(task, "infogoal+her"): FORMER | COARSE for task in (PUSH, PICK_AND_PLACE)},
@@ -222,7 +223,7 @@ TRIALS = {
     },
     # SSE-DB changes nothing with the preset's weights (loss 0.01, bonus 0.05). Does more help, and is it loss or bonus?
     "house_sse_db": Trial(HOUSE_TASK, "sse_db", HOUSE, PRESET | NO_EXPLORER | BONUSES, seeds=2),
-    # Under DQN normalised layers lift HER and save seeds of InfoGoal's head (docs/all_goals.md). And under HRAC?
+    # Under DQN normalised layers lift HER and save seeds of the head (docs/research/all_goals.md). And under HRAC?
     **{
         f"cube_{short}_norm": Trial(CUBE_TASK, method, CUBE | settings | NORMALISED, lanes)
         for short, method, settings, lanes in (

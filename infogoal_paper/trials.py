@@ -10,8 +10,8 @@ it, and *lanes*: settings of the float hyperparameters that are trained in the s
 of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
 FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
-writes the tables of docs/trials.md, which says what came of it. --list prints the queue, and how far each trial has
-come in that file.
+writes the tables of docs/research/trials.md, which says what came of it. --list prints the queue, and how far each
+trial has come in that file.
 """
 
 import argparse
@@ -47,9 +47,9 @@ TABLES = {
     "house": (("object_search",), None),
     "shelf": (("embodied_qa",), None),
 }
-"""Tables of docs/trials.md: tasks, and the unit of the code's error with its decimals."""
+"""Tables of docs/research/trials.md: tasks, and the unit of the code's error with its decimals."""
 ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
-"""Tables of docs/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+"""Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -215,7 +215,7 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
 
 
 def tables(rows: list[Row]) -> dict[str, str]:
-    """The tables that docs/trials.md shows: of each group of tasks the trials that were run."""
+    """The tables that docs/research/trials.md shows: of each group of tasks the trials that were run."""
     done = {row["trial"] for row in rows}
     all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
     others = [trial for trial in QUEUE if trial not in all_goals]

@@ -8,10 +8,10 @@ is reported on.
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
 objects are given the names of objects that the task does not have, and are the validation goals. The cube and the shelf
 are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a
-search (docs/tuning.md); what is there is not run again, so that searches may come from several machines and several
-processes. With --final the preset and the three best of each search run again with eight other seeds, into
+search (docs/research/tuning.md); what is there is not run again, so that searches may come from several machines and
+several processes. With --final the preset and the three best of each search run again with eight other seeds, into
 FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl.gz, a line a search;
-`tables.py tuning` then writes the tables of docs/tuning.md.
+`tables.py tuning` then writes the tables of docs/research/tuning.md.
 """
 
 import argparse
@@ -171,7 +171,7 @@ def merge(folder: Path, path: Path) -> list[str]:
 
 
 def tables(searches: dict[str, Search]) -> dict[str, str]:
-    """The tables that docs/tuning.md shows: the searches of each task, and the finals."""
+    """The tables that docs/research/tuning.md shows: the searches of each task, and the finals."""
     shown = {}
     for task in presets.TASKS:
         for ending in ("", "/final"):

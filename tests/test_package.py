@@ -1,6 +1,6 @@
-"""Who may import whom, as docs/architecture.md says it: no file of the package imports from a layer above its own; and
-what benchmarks import of the package is there. And the wheel, installed where the repository is not: everything a user
-does first works."""
+"""Who may import whom, as docs/reference/architecture.md says it: no file of the package imports from a layer above its
+own; and what benchmarks import of the package is there. And the wheel, installed where the repository is not:
+everything a user does first works."""
 
 import ast
 import importlib

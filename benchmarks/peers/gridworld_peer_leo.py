@@ -7,10 +7,11 @@ updates.
 
 Their `leo.py` runs as it is, with its own defaults, flat network and sweep's walls. Its imports of wandb and craftax,
 which the gridworld does not need, are answered by empty modules. Ours is `--method leo` on a task of one's own
-(docs/own_task.md) that is made of their map: the same moves, start, observation (two coordinates), goals (every free
-cell), batch, number of environments and updates for each step. What differs: a goal that is reached ends our episode,
-and the next one starts at the start; theirs goes on from there. Theirs has a network of four layers of 1,024 and takes
-targets from the trajectories just collected; ours has `--hidden` and a replay buffer. Both normalise their layers.
+(docs/guides/own_task.md) that is made of their map: the same moves, start, observation (two coordinates), goals (every
+free cell), batch, number of environments and updates for each step. What differs: a goal that is reached ends our
+episode, and the next one starts at the start; theirs goes on from there. Theirs has a network of four layers of 1,024
+and takes targets from the trajectories just collected; ours has `--hidden` and a replay buffer. Both normalise their
+layers.
 
 Success is over all goals, from the start, within 200 steps, acting greedily. Seconds are of the second run: compiling
 is apart.

@@ -24,11 +24,11 @@ class DQNConfig:
     """Huber loss with threshold 1 instead of the squared error."""
     head: value_heads.Kind = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features and code; `product`: the all-goals head;
-    `index`: LEO (docs/all_goals.md)."""
+    `index`: LEO (docs/research/all_goals.md)."""
     head_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
-    """Normalise what each ReLU of the head gets, as LEO's authors do (docs/all_goals.md)."""
+    """Normalise what each ReLU of the head gets, as LEO's authors do (docs/research/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
 

@@ -53,11 +53,11 @@ class HRACConfig:
     """Side of the cells of the adjacency matrix, in m or radians."""
     critic: Literal["concatenated", "product"] = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
-    head (docs/all_goals.md)."""
+    head (docs/research/all_goals.md)."""
     critic_size: int = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
-    """Normalise what each ReLU of the critics gets, as LEO's authors do (docs/all_goals.md)."""
+    """Normalise what each ReLU of the critics gets, as LEO's authors do (docs/research/all_goals.md)."""
     bounded: bool = False
     """Keep values between 0 and 1 by a sigmoid, for `product` alone. Not for rewards other than 1 at the goal."""
     low_level: str = ""

@@ -54,7 +54,7 @@ def fetch(
     path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
 ) -> int:
     """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
-    docs/goal_inputs.md).
+    docs/reference/goal_inputs.md).
 
     Args:
         path: Folder to write to, one file a task; files that are there already are never overwritten.
@@ -84,7 +84,7 @@ def fetch(
 
 
 def cube(path: Positional[str], seed: int = 0, physical_limits: FlagCreatePairsOff[bool] = False) -> int:
-    """Draw the stand-in for the object-manipulation data: an arm turns a Rubik's cube (docs/datasets.md).
+    """Draw the stand-in for the object-manipulation data: an arm turns a Rubik's cube (docs/reference/datasets.md).
 
     Args:
         path: File to write, an npz; must not exist yet.
@@ -103,7 +103,8 @@ def shelf(
     hovering: FlagCreatePairsOff[bool] = False,
     gathered: FlagCreatePairsOff[bool] = False,
 ) -> int:
-    """Draw the stand-in for the embodied question answering data: a drone flies along a shelf (docs/datasets.md).
+    """Draw the stand-in for the embodied question answering data: a drone flies along a shelf
+    (docs/reference/datasets.md).
 
     Args:
         path: File to write, an npz; must not exist yet.
@@ -171,7 +172,7 @@ def check(path: Positional[str]) -> int:
     """List everything that is wrong with a dataset.
 
     Args:
-        path: Folder of scenes of the Active Vision Dataset, or the npz of an image dataset (docs/datasets.md).
+        path: Folder of scenes of the Active Vision Dataset, or npz of an image dataset (docs/reference/datasets.md).
 
     Returns:
         1 if anything is an error.
@@ -207,7 +208,7 @@ def import_images(
     Args:
         images: Folder of the images.
         table: CSV that says what each shows, with a header: image, trajectory, time, action; or image and joint_NAME
-            (docs/datasets.md).
+            (docs/reference/datasets.md).
         out: File to write, an npz.
         size: Height and width to shrink the images to; None: as they are, then all must have one size.
         wrap: Joints of a grid of poses that go round a full turn.
@@ -246,7 +247,7 @@ def export_minari(path: Positional[str], out: str) -> int:
 
 
 def cifar10(path: Positional[str] = "", url: str = "") -> int:
-    """Download CIFAR-10, 170 MB, as background images (docs/goal_inputs.md).
+    """Download CIFAR-10, 170 MB, as background images (docs/reference/goal_inputs.md).
 
     Args:
         path: Folder to unpack into; empty: the user's cache, where `cifar10` as the path of the backgrounds finds it.
@@ -264,7 +265,7 @@ def embed(
     weights: str = "",
     allow_other_weights: FlagCreatePairsOff[bool] = False,
 ) -> int:
-    """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/goal_inputs.md).
+    """Embed the text of goals with the real weights of all-MiniLM-L6-v2 (docs/reference/goal_inputs.md).
 
     Args:
         texts: The texts.

@@ -247,10 +247,12 @@ def pretraining_tasks(arguments: list[str]) -> TaskCommands:
         preset(task)  # Refuses a name that is none.
     written = " ".join(["infogoal pretrain", *arguments])
     commands = {
-        task: named(pretrain, f"The low level of {task} (docs/low_level.md).", config=preset(task), command=written)
+        task: named(
+            pretrain, f"The low level of {task} (docs/reference/low_level.md).", config=preset(task), command=written
+        )
         for task in TASKS
     }
-    help = "The low level of object manipulation (docs/object_manipulation.md)."
+    help = "The low level of object manipulation (docs/reference/object_manipulation.md)."
     commands[JOINTS] = named(pretrain, help, config=preset(JOINTS), command=written, seeds=1, evaluation_episodes=4000)
     group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)
     return TaskCommands(group, arguments, configuration_flags(brief=False))

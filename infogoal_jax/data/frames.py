@@ -1,5 +1,5 @@
 """Image datasets of moves: every frame stored once, what is known of each, and the recorded moves between them as
-indices (docs/datasets.md).
+indices (docs/reference/datasets.md).
 
 The object that an arm turns and the shelf that a drone flies along are both such datasets, generated or recorded by a
 laboratory.

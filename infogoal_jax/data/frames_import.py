@@ -1,5 +1,5 @@
-"""A laboratory's folder of images and a CSV file of what each shows, as an image dataset (frames.py; docs/datasets.md
-has both kinds of CSV).
+"""A laboratory's folder of images and a CSV file of what each shows, as an image dataset (frames.py;
+docs/reference/datasets.md has both kinds of CSV).
 
 With the columns trajectory, time and action the CSV lists recorded moves. Without them it lists poses, joints on a
 regular grid, and the moves are the steps between neighbours. Rows are numbered as a spreadsheet does: the header is row

@@ -1,6 +1,6 @@
 """The members of a file of an image dataset: their types and shapes, and which of a file have them.
 
-What each means is in docs/datasets.md; what else can be wrong with their values is in frames_check.py.
+What each means is in docs/reference/datasets.md; what else can be wrong with their values is in frames_check.py.
 """
 
 from collections.abc import Mapping
@@ -11,9 +11,9 @@ from infogoal_jax.data import archives
 from infogoal_jax.errors import UserError
 
 FORMAT_VERSION = 1
-REMEDY = "write it again with infogoal_jax.data.frames.save or infogoal data import (docs/datasets.md)"
+REMEDY = "write it again with infogoal_jax.data.frames.save or infogoal data import (docs/reference/datasets.md)"
 """What helps where a file is damaged."""
-GIVE_A_FILE = "give an npz of `infogoal data import` (docs/datasets.md)"
+GIVE_A_FILE = "give an npz of `infogoal data import` (docs/reference/datasets.md)"
 """What helps where there is no file that can be read."""
 
 # Member -> type, shape, whether it must be there. A letter stands for a length that all members share; a tuple for

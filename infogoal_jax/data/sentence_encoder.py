@@ -1,4 +1,4 @@
-"""SBERT all-MiniLM-L6-v2 in numpy: text goals that the shipped file does not have (docs/goal_inputs.md).
+"""SBERT all-MiniLM-L6-v2 in numpy: text goals that the shipped file does not have (docs/reference/goal_inputs.md).
 
 A BERT of 6 layers, mean pooling and length 1, from the published weights and without PyTorch. Goals are
 embedded once, before training, so numpy is fast enough (a few milliseconds a text) and needs no device.

@@ -26,8 +26,8 @@ class EmbodiedQAConfig:
     """Source of images and questions, and length of an episode."""
 
     dataset: str = ""
-    """File of an image dataset with detections and trajectories (docs/datasets.md); empty: a generated shelf (a
-    stand-in), built once and kept in the user's cache."""
+    """File of an image dataset with detections and trajectories (docs/reference/datasets.md); empty: a generated shelf
+    (a stand-in), built once and kept in the user's cache."""
     generator_seed: int = 0
     """Seed of the generated dataset."""
     hovering: bool = False
@@ -35,8 +35,8 @@ class EmbodiedQAConfig:
     gathered: bool = False
     """Generate a shelf on which the objects of a region stand together, so that an image shows several."""
     questions: str = ""
-    """JSON file of objects, their use and the questions about them (docs/embodied_qa.md); empty: those of the generated
-    shelf."""
+    """JSON file of objects, their use and the questions about them (docs/reference/embodied_qa.md); empty: those of the
+    generated shelf."""
     text_embeddings: str = ""
     """Sentence embeddings of names and questions, an npz of `infogoal data embed`; empty: those that the project
     ships."""

@@ -3,8 +3,8 @@ no default.
 
 An environment is a pytree (`flax.struct.dataclass`): its arrays travel to compiled programs as arguments. Its functions
 are pure, and take one state; `jax.vmap` batches them. Functions of *stored* observations and records take any leading
-axes, because they are also applied to the replay buffer. docs/own_task.md makes a task of one's own, from nothing to a
-trained policy.
+axes, because they are also applied to the replay buffer. docs/guides/own_task.md makes a task of one's own, from
+nothing to a trained policy.
 """
 
 from typing import Any, NamedTuple

@@ -33,8 +33,8 @@ class ObjectManipulationConfig:
     """Source of the images, choice of the goals, and length of an episode."""
 
     dataset: str = ""
-    """File of an image dataset with poses (docs/datasets.md); empty: a generated arm with a cube (a stand-in), built
-    once and kept in the user's cache."""
+    """File of an image dataset with poses (docs/reference/datasets.md); empty: a generated arm with a cube (a
+    stand-in), built once and kept in the user's cache."""
     generator_seed: int = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
@@ -44,10 +44,10 @@ class ObjectManipulationConfig:
     num_goals: tuple[int, int, int] = (8, 8, 32)
     """Numbers of training [P], validation and test poses [P]."""
     backgrounds: str = ""
-    """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/goal_inputs.md)."""
+    """Images that corrupt goals: cifar10, a folder, or empty for the shipped crops (docs/reference/goal_inputs.md)."""
     privileged: bool = False
-    """Show poses in place of images, which is what perfect perception could tell (docs/trials.md): a goal as its
-    rotation matrix, a state as that of the object and the cosines and sines of the joints."""
+    """Show poses in place of images, which is what perfect perception could tell (docs/research/trials.md): a goal as
+    its rotation matrix, a state as that of the object and the cosines and sines of the joints."""
     episode_length: int = 30
     """Steps after which an episode is truncated."""
 

@@ -28,8 +28,8 @@ class ObjectSearchConfig:
     scenes: tuple[str, ...] = ()
     """Scenes to use, such as Home_001_1; empty: all that the folder holds."""
     split: str = ""
-    """JSON file that names the objects, their rooms and their use (docs/object_search.md); empty: the authors'
-    split."""
+    """JSON file that names the objects, their rooms and their use (docs/reference/object_search.md); empty: the
+    authors' split."""
     text_embeddings: str = ""
     """Sentence embeddings of the object names, an npz of `infogoal data embed`; empty: those that the project ships."""
     image_size: int = 32

@@ -3,8 +3,8 @@ lie close together.
 
 The loss pulls together codes of goals achieved within a window of one trajectory, and pushes away codes of random
 goals. It is InfoGoal's contrastive bound without noise, without compression and without a dissimilarity matrix
-(docs/infogoal.md explains the bound). It follows the description in the later paper, because the full text was not
-available.
+(docs/reference/infogoal.md explains the bound). It follows the description in the later paper, because the full text
+was not available.
 """
 
 import dataclasses

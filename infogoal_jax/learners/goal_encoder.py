@@ -20,7 +20,7 @@ class GoalEncoderConfig:
     """Widths of the goal encoder's layers [A]. A decoder has them in reverse order."""
     standardise_images: bool = False
     """Give every goal image the same mean and contrast before it is encoded. This makes codes robust to corruption
-    (docs/fetch.md)."""
+    (docs/reference/fetch.md)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""

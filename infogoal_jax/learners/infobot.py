@@ -47,7 +47,7 @@ class InfoBotHyperparameters:
     """Float hyperparameters of InfoBot."""
 
     beta: Annotated[float, Number("[0, 1]", Search(1e-5, 1e-2, "log", is_term=True))] = 0.01
-    """Weight of the KL in bits, after the warm-up [A]; searched from where it acts (docs/tuning.md)."""
+    """Weight of the KL in bits, after the warm-up [A]; searched from where it acts (docs/research/tuning.md)."""
 
 
 @flax.struct.dataclass

@@ -1,5 +1,5 @@
 """Training the low level of HRAC, which drives a robot or an arm to target states: `infogoal pretrain`
-(docs/low_level.md).
+(docs/reference/low_level.md).
 
 trainer.py   the training program, as pure functions, of any agent for target states; and the file that HRAC loads
 fetch.py     the agent of the Fetch robot: TD3 with hindsight

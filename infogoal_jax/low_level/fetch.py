@@ -2,7 +2,7 @@
 
 An eighth of the environments act without noise: their success is the learning curve, and costs no episode of its own.
 The others explore, half of them under targets that move as the high level will move them: without those it takes twice
-as long (docs/low_level.md).
+as long (docs/reference/low_level.md).
 """
 
 import dataclasses
@@ -79,7 +79,7 @@ class FetchPretrainConfig(PretrainConfig):
     episode_length: int = 50
     """Steps of 40 ms in an episode, always run to its end."""
     faithful: bool = False
-    """Simulate as finely as the reference does (docs/fetch.md)."""
+    """Simulate as finely as the reference does (docs/reference/fetch.md)."""
     hyper: FetchHyperparameters = dataclasses.field(default_factory=FetchHyperparameters)
     """Default values of the compiled program's arguments."""
 

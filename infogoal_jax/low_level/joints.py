@@ -43,7 +43,7 @@ class JointHyperparameters:
 
 @dataclasses.dataclass(frozen=True)
 class JointPretrainConfig(PretrainConfig):
-    """Train the low level of object manipulation (docs/object_manipulation.md)."""
+    """Train the low level of object manipulation (docs/reference/object_manipulation.md)."""
 
     task: str = "object_manipulation"
     """Name of the task."""

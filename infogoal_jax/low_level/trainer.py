@@ -3,8 +3,8 @@
 epoch = run every environment for one episode, remember it, scan over updates
 
 And the file of a trained low level: what `infogoal pretrain` writes and HRAC loads. Those of four tasks are shipped
-(docs/low_level.md). The header names the task and the widths of the layers, and how it was trained; the arrays are
-those of the policy, without critics.
+(docs/reference/low_level.md). The header names the task and the widths of the layers, and how it was trained; the
+arrays are those of the policy, without critics.
 """
 
 import dataclasses

@@ -24,7 +24,7 @@ PRESET = Preset(
     },
     hyper={"discount": 0.95, "intrinsic_weight": 0.0, "agent.conservative_weight": 0.02},  # [M]
     methods={
-        "infogoal": Changes(  # [M], the threshold in docs/trials.md
+        "infogoal": Changes(  # [M], the threshold in docs/research/trials.md
             learner=SIMILAR,
             hyper={"intrinsic_weight": 1.0, "agent.conservative_weight": 0.01, "learner.beta_threshold": 0.999},
         ),

@@ -1,5 +1,5 @@
 """The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats on validation goals of goal set
-0, by searches [T] (docs/tuning.md) and by trials [M] (docs/trials.md)."""
+0, by searches [T] (docs/research/tuning.md) and by trials [M] (docs/research/trials.md)."""
 
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
@@ -32,7 +32,7 @@ def preset(description: str, window: int, num_pairs: int, training: dict, found:
         description=description,
         agent="hrac",  # [P]
         env={"goals": "images"},
-        learner={"standardise_images": True},  # For corrupted goals (docs/fetch.md).
+        learner={"standardise_images": True},  # For corrupted goals (docs/reference/fetch.md).
         # Under HRAC each goal takes an action of its own, and with it a pass of actor and critics.
         relabellings={"ghrl": {"share": 0.8}, "all_goals": {"num_goals": 32}},
         state_encoder={"features": 128},
@@ -79,7 +79,7 @@ HER = {"learning_rate": 1.167e-3, "discount": 0.9479, "target_rate": 0.03919}
 
 WITH_HER = dict.fromkeys(("infobot+her", "gcb+her", "vae+her", "dgrl+her", "rad+her"), HER)
 """Learners with HER: most learn faster with its settings on PickAndPlace, and none is slower that could be told [M],
-docs/trials.md."""
+docs/research/trials.md."""
 
 FOUND_FOR_PUSH = {
     **WITH_HER,

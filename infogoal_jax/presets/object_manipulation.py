@@ -8,7 +8,7 @@ SIMILAR = {"window": 3, "num_pairs": 256}
 """Which goals count as similar [M]: those at most 3 steps apart, so 45 degrees; a test goal may lie 90 degrees from the
 nearest training goal."""
 FINE_CODE = Changes(learner=SIMILAR | {"window": 1}, hyper={"intrinsic_weight": 3.0, "learner.beta_threshold": 0.999})
-"""InfoGoal with a code that is finer than the 10 degrees of success [M], docs/trials.md."""
+"""InfoGoal with a code that is finer than the 10 degrees of success [M], docs/research/trials.md."""
 FAST_TARGETS = {"learning_rate": 1.161e-3, "discount": 0.9127, "target_rate": 0.05128, "learner_weight": 0.143}
 """What the search found for VAE and DGRL with HER: a short horizon, and targets that follow fast [T]. Like all that was
 found for learners with HER on the cube, under HRAC; under DQN it was not tried."""
@@ -17,7 +17,7 @@ PRESET = Preset(
     description="An arm turns a cube to the pose that an image shows; --agent dqn does without subgoals.",
     agent="hrac",  # [P]
     env={"episode_length": 100},  # With 30 every method stays at the floor [M].
-    agents={  # [M]; layers are normalised by docs/trials.md and, for DQN, docs/all_goals.md.
+    agents={  # [M]; layers are normalised by docs/research/trials.md and, for DQN, docs/research/all_goals.md.
         "hrac": {"interval": 3, "subgoal_scale": math.pi / 4, "cell": math.pi / 6, "layer_norm": True},
         "dqn": {"layer_norm": True},
     },

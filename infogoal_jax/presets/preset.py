@@ -1,7 +1,7 @@
 """What a preset is: the tuned configuration of a task, with what each method changes in it.
 
 `[P]` marks a value of the paper, `[A]` one of its authors' code, `[M]` one measured for this project, `[T]` one that
-`infogoal tune` found to be better on validation goals, by the rule of docs/tuning.md.
+`infogoal tune` found to be better on validation goals, by the rule of docs/research/tuning.md.
 """
 
 import dataclasses
@@ -54,4 +54,5 @@ class Preset:
 INFOBOT = {"intrinsic_weight": 1.0, "learner.beta": 3e-5}
 """InfoBot's floats: the authors' beta of 0.01 stands beside rewards of 10, squared [M]."""
 MEAN = {"code": "mean"}
-"""On object search the all-goals head learns less under the noise of InfoGoal's codes [M], docs/all_goals.md."""
+"""On object search the all-goals head learns less under the noise of InfoGoal's codes [M],
+docs/research/all_goals.md."""

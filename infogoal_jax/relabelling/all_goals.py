@@ -1,5 +1,5 @@
 """All goals at once: in place of one hindsight goal, each transition is learned from under every known goal, or under a
-subset drawn for each update (docs/all_goals.md)."""
+subset drawn for each update (docs/research/all_goals.md)."""
 
 import dataclasses
 from typing import Literal

@@ -3,7 +3,7 @@
 In the original, `choice = "best"`, an episode gets the goal that it demonstrates best: not the goal that it reached
 first, but the goal that it reached sooner than most other episodes. The agent learns from its own goal and from this
 one. InfoGoal's authors compare with something simpler under this name, which reaches more validation goals here
-(docs/trials.md): any goal of the episode, at its first occurrence.
+(docs/research/trials.md): any goal of the episode, at its first occurrence.
 """
 
 import dataclasses

@@ -26,7 +26,7 @@ from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK, commands, main
 from infogoal_jax.train.program import make_train
 
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*/*.md"))]
 # It may name flags and files that are no more; its links lead somewhere all the same.
 CHANGELOG = ROOT / "CHANGELOG.md"
 LONGEST_README = 150
@@ -135,7 +135,7 @@ def test_every_file_that_is_named_is_there(page):
         ROOT,
         ROOT / "infogoal_jax",
         page.parent,
-        *(path for path in (ROOT / "infogoal_jax").iterdir() if path.is_dir()),
+        *(path for folder in ("infogoal_jax", "docs") for path in (ROOT / folder).iterdir() if path.is_dir()),
     )
     folders = {path.name for place in places[:2] for path in place.iterdir() if path.is_dir() and path.name != "runs"}
     names = {name.rstrip("./") for name in re.findall(r"(?<![\w./*~$-])[A-Za-z_][\w.-]*(?:/[\w.*-]+)*/?", text)}
@@ -211,12 +211,14 @@ def test_every_page_and_every_notebook_is_in_the_navigation():
     named = re.findall(r"[\w/]+\.md", json.dumps(configuration()["nav"]))
     notebooks = {f"notebooks/{path.stem}.md" for path in (ROOT / "notebooks").glob("*.ipynb")}
     assert sorted(named) == sorted(
-        {page.name for page in PAGES[2:]} | notebooks | {"index.md", "contributing.md", "changelog.md"}
+        {page.relative_to(ROOT / "docs").as_posix() for page in PAGES[2:]}
+        | notebooks
+        | {"index.md", "contributing.md", "changelog.md"}
     )
 
 
 def test_the_api_has_everything_that_the_package_exports():
-    page = (ROOT / "docs" / "api.md").read_text()
+    page = (ROOT / "docs" / "reference" / "api.md").read_text()
     named = {line.rsplit(".", 1)[1] for line in page.splitlines() if line.startswith(":::")}
     assert set(infogoal_jax.__all__) - {"envs", "presets"} <= named
     exported = page[page.index("`infogoal_jax` itself") : page.index("\n## ")]
@@ -250,10 +252,10 @@ def site(tmp_path_factory):
 @pytest.mark.long
 def test_pages_hold_what_they_are_for(site):
     """Equations with their code, the API with signatures, notebooks with pictures."""
-    equations = (site / "infogoal.html").read_text()
+    equations = (site / "reference" / "infogoal.html").read_text()
     assert equations.count("<math") > 10 and "$$" not in equations and "<!-- lines" not in equations
     assert "remove_similar" in equations and "next_beta" in equations
-    assert "make_train" in (site / "api.html").read_text()
+    assert "make_train" in (site / "reference" / "api.html").read_text()
     assert len(list((site / "notebooks").glob("quickstart_*.png"))) == 5
 
 

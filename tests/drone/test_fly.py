@@ -2,7 +2,7 @@
 
 With every fault the drone ends on the ground, inside of its envelope, and the log says why; a policy answers as many
 test questions as in the evaluation inside of the program. The long tests fly a few of the flights that the scripts of
-benchmarks/fidelity fly (docs/drone.md).
+benchmarks/fidelity fly (docs/guides/drone.md).
 """
 
 import json
@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
-pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/drone.md)")
-pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/drone.md)")
+pytest.importorskip("djitellopy", reason="needs the extra drone and djitellopy (docs/guides/drone.md)")
+pytest.importorskip("av", reason="needs the extra drone and djitellopy (docs/guides/drone.md)")
 
 from infogoal_drone import records, simulated_tello
 from infogoal_drone.records import TABLE
@@ -66,7 +66,8 @@ def infogoal(*words) -> int:
 
 @pytest.mark.long
 def test_record_train_and_fly(tmp_path):
-    """The way of docs/drone.md, with two short recordings of the same place and a policy that has hardly learned."""
+    """The way of docs/guides/drone.md, with two short recordings of the same place and a policy that has hardly
+    learned."""
     recordings, mine, run, policy = (tmp_path / name for name in ("recordings", "mine.npz", "run", "policy.npz"))
     place = ("--simulate", "--start", 26, 7, "--speed", 4, "--left", 2, "--right", 2, "--up", 1, "--down", 1)
     for seed in range(2):

@@ -86,8 +86,8 @@ def trained(explorer, params, state, world: World, share: jax.Array, key: jax.Ar
 
 @pytest.mark.long
 def test_bonus_falls_with_familiarity():
-    """Early in training (docs/methods.md says what becomes of it): made often, a move ends with less of a bonus
-    than it began with, and than moves that are never made.
+    """Early in training (docs/reference/methods.md says what becomes of it): made often, a move ends with less of a
+    bonus than it began with, and than moves that are never made.
 
     Never made are an action, wherever it is possible, and half of the states with the other actions; on the mean of
     each of four worlds.

@@ -1,5 +1,5 @@
-"""InfoGoal's loss, multiplier and intrinsic reward are those of the paper, in the readings that docs/infogoal.md
-states."""
+"""InfoGoal's loss, multiplier and intrinsic reward are those of the paper, in the readings that
+docs/reference/infogoal.md states."""
 
 import itertools
 

@@ -287,9 +287,9 @@ def test_everything_is_drawn(folder, tmp_path):
 
 
 def test_the_docs_say_what_the_numbers_give():
-    """If not, `infogoal reproduce all --from docs/results --out docs/results --page docs/reproduction.md` writes
-    them."""
-    folder, page = ROOT / "docs" / "results", ROOT / "docs" / "reproduction.md"
+    """If not, `infogoal reproduce all --from docs/results --out docs/results --page docs/research/reproduction.md`
+    writes them."""
+    folder, page = ROOT / "docs" / "results", ROOT / "docs" / "research" / "reproduction.md"
     results = numbers.load(folder)
     shown = tables.all_tables(results)
     pictures = drawing.current_figures(results, folder / "figures")

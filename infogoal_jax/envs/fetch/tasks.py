@@ -186,7 +186,7 @@ class FetchConfig:
 
     faithful: bool = False
     """20 physics steps of 2 ms and the whole body, as the reference has them; otherwise 8 steps of 5 ms without what
-    seldom matters (docs/fetch.md)."""
+    seldom matters (docs/reference/fetch.md)."""
     episode_length: int = 50
     """Steps of 40 ms after which an episode is truncated."""
     ends_at_goal: bool = True
