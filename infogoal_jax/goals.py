@@ -100,4 +100,4 @@ def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float
 def draw_backgrounds(key: jax.Array, bank: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     """Draw backgrounds uint8 [*shape, H, W, C] with replacement from a bank of M images, uint8 [M, H, W, C] (Sec.
     V-A)."""
-    return bank[jax.random.randint(key, shape, 0, bank.shape[0])]
+    return bank[jax.random.randint(key, shape, 0, bank.shape[0], jnp.int32)]

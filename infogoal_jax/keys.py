@@ -25,6 +25,12 @@ def written_out(key: jax.Array) -> jax.Array:
     return jax.random.wrap_key_data(jax.random.key_data(key), impl=WRITTEN_OUT)
 
 
+def draw_chance(key: jax.Array, probability, shape: tuple[int, ...] = ()) -> jax.Array:
+    """Draw True with this probability, bool [*shape]: as `jax.random.bernoulli`, from float32 wherever jax would take
+    another type."""
+    return jax.random.uniform(key, shape, jnp.float32) < probability
+
+
 def is_key(leaf: jax.Array) -> bool:
     """Whether a leaf is an array of typed PRNG keys."""
     return jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)

@@ -49,7 +49,8 @@ def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Arra
 
     def remove_at_lag(lag, matrix):
         later = jnp.roll(goals, -lag, axis=1)
-        together = (jnp.roll(episode, -lag, axis=1) == episode) & (jnp.arange(steps) + lag < steps)
+        within_row = jnp.arange(steps, dtype=jnp.int32)[None] + lag < steps
+        together = (jnp.roll(episode, -lag, axis=1) == episode) & within_row
         later = jnp.where(together[..., None], later, num_goals)
         first, second = jnp.broadcast_arrays(goals[..., :, None], later[..., None, :])
         return matrix.at[first, second].set(False, mode="drop")
@@ -63,12 +64,13 @@ def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen:
     geometry."""
     same_region = regions[:, None] == regions[None, :]
     upper = jnp.triu(dissimilarity & seen[:, None] & seen[None, :])
-    return {"dissimilar_within": (upper & same_region).sum(), "dissimilar_between": (upper & ~same_region).sum()}
+    counted = {"dissimilar_within": upper & same_region, "dissimilar_between": upper & ~same_region}
+    return {name: found.sum(dtype=jnp.int32) for name, found in counted.items()}
 
 
 def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
     """Draw one of the goals [..., K] that are not -1, uniformly; -1 where there is none."""
-    preference = jnp.where(goals >= 0, jax.random.uniform(key, goals.shape), -1.0)
+    preference = jnp.where(goals >= 0, jax.random.uniform(key, goals.shape, jnp.float32), -1.0)
     return jnp.take_along_axis(goals, preference.argmax(-1)[..., None], axis=-1)[..., 0]
 
 
@@ -76,7 +78,7 @@ def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) ->
     """Draw indices uniformly among the true entries of mask [N], by inverting the running count. Meaningless if no
     entry is true."""
     count = jnp.cumsum(mask.astype(jnp.int32))
-    rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1))
+    rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1), jnp.int32)
     return jnp.minimum(jnp.searchsorted(count, rank, side="right"), mask.shape[0] - 1).astype(jnp.int32)
 
 

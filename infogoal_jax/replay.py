@@ -79,7 +79,7 @@ def running_count(mask: jax.Array) -> jax.Array:
 def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Array, jax.Array]:
     """Draw `num` positions (row, column) uniformly among the true entries of a mask [R, width]. count: its
     `running_count`."""
-    rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1))
+    rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1), jnp.int32)
     flat = jnp.minimum(jnp.searchsorted(count, rank, side="right"), count.shape[0] - 1)
     return flat // width, flat % width
 
@@ -94,20 +94,21 @@ def transitions_at(
     decides where an episode terminates.
     """
     length = buffer.valid.shape[1]
-    step = first[:, None] + jnp.arange(num_steps)
+    step = first[:, None] + jnp.arange(num_steps, dtype=jnp.int32)[None]
     inside = step < length
     step = jnp.minimum(step, length - 1)
     going_on = inside & buffer.valid[row[:, None], step]
-    mask = jnp.cumprod(going_on, axis=1)
+    mask = jnp.cumprod(going_on, axis=1, dtype=jnp.int32)
     records = jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record)
     if goal is None:
         goal = buffer.goal[row, first]
-        last = first + mask.sum(1) - 1
+        last = first + mask.sum(1, dtype=jnp.int32) - 1
         terminated = buffer.terminated[row, last]
     else:
         hit = reached(records, goal[:, None]) & (mask > 0)
-        mask = mask * (jnp.cumsum(hit, axis=1) - hit == 0)  # Nothing counts after the first hit.
-        last, terminated = first + mask.sum(1) - 1, hit.any(1)
+        earlier = jnp.cumsum(hit, axis=1, dtype=jnp.int32) - hit.astype(jnp.int32)
+        mask = mask * (earlier == 0).astype(jnp.int32)  # Nothing counts after the first hit.
+        last, terminated = first + mask.sum(1, dtype=jnp.int32) - 1, hit.any(1)
     return Transitions(
         observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
         next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),
@@ -145,13 +146,15 @@ def sample_within_window(
     choose_first, choose_second = jax.random.split(key)
     width = achieved.shape[1]
     row, first = draw(choose_first, count, num, width)
-    around = first[:, None] + jnp.arange(-window, window + 1)
+    around = first[:, None] + jnp.arange(-window, window + 1, dtype=jnp.int32)[None]
     inside = (around >= 0) & (around < width)
     around = jnp.clip(around, 0, width - 1)
-    breaks = jnp.pad(jnp.cumsum(~buffer.valid[row], axis=1), ((0, 0), (1, 0)))  # [num, T + 1] number of the episode
+    breaks = jnp.pad(
+        jnp.cumsum(~buffer.valid[row], axis=1, dtype=jnp.int32), ((0, 0), (1, 0))
+    )  # [num, T + 1] number of the episode
     same_episode = jnp.take_along_axis(breaks, around, axis=1) == jnp.take_along_axis(breaks, first[:, None], axis=1)
     possible = inside & same_episode & achieved[row[:, None], around]
-    preference = jnp.where(possible, jax.random.uniform(choose_second, around.shape), -1.0)
+    preference = jnp.where(possible, jax.random.uniform(choose_second, around.shape, jnp.float32), -1.0)
     second = jnp.take_along_axis(around, preference.argmax(1)[:, None], axis=1)[:, 0]
     return (
         jax.tree.map(lambda leaf: leaf[row, first], buffer.record),

@@ -53,7 +53,9 @@ class Point:
 
     def begin_anew(self, key: jax.Array, goal: jax.Array) -> PointState:
         """A new episode, from near the start of the grip."""
-        position = jnp.array(self.task.start_grip) + jax.random.uniform(key, (3,), minval=-0.05, maxval=0.05)
+        position = jnp.array(self.task.start_grip, jnp.float32) + jax.random.uniform(
+            key, (3,), jnp.float32, -0.05, 0.05
+        )
         false = jnp.zeros((), bool)
         return PointState(jnp.pad(position, (0, 7)), goal, jnp.zeros((), jnp.int32), false, false, false)
 
@@ -70,7 +72,7 @@ class Point:
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Within 5 cm."""
-        return jnp.sqrt(((record - goal) ** 2).sum(-1)) < DISTANCE_THRESHOLD
+        return jnp.sqrt(((record - jax.lax.broadcast_to_rank(goal, record.ndim)) ** 2).sum(-1)) < DISTANCE_THRESHOLD
 
 
 @flax.struct.dataclass
@@ -131,7 +133,7 @@ def points(train_backgrounds: np.ndarray | None = None, test_backgrounds: np.nda
 def steered(env: ImageGoals | None = None, interval: int = INTERVAL) -> SubgoalEnv:
     """The task as HRAC acts in it."""
     env = points() if env is None else env
-    return SubgoalEnv(env, Straight(jnp.ones(())), env.space, interval, HRACConfig.subgoal_scale)
+    return SubgoalEnv(env, Straight(jnp.ones((), jnp.float32)), env.space, interval, HRACConfig.subgoal_scale)
 
 
 def config(method: str = "infogoal", **changes) -> TrainConfig:

@@ -104,8 +104,10 @@ def value_agent(config: DQNConfig, env, regulariser=None) -> Agent:
         """Epsilon-greedy among the legal actions."""
         choose, pick = jax.random.split(key)
         best = greedy(values(params, features, code), action_mask)
-        random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape), -1.0).argmax(-1)
-        return jnp.where(jax.random.uniform(choose, best.shape) < exploration.epsilon, random, best).astype(jnp.int32)
+        random = jnp.where(action_mask, jax.random.uniform(pick, action_mask.shape, jnp.float32), -1.0).argmax(-1)
+        return jnp.where(
+            jax.random.uniform(choose, best.shape, jnp.float32) < exploration.epsilon, random, best
+        ).astype(jnp.int32)
 
     def value(params, features, code, action_mask):
         """The value of the greedy action."""

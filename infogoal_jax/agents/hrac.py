@@ -152,8 +152,8 @@ def make(config: HRACConfig, env) -> Agent:
 
     def init(key, features, code):
         keys = jax.random.split(key, 2 + space.components)
-        inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size)
-        seen = space.network_input(space.parts(jnp.zeros(space.size)), config.subgoal_scale)
+        inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size, jnp.float32)
+        seen = space.network_input(space.parts(jnp.zeros(space.size, jnp.float32)), config.subgoal_scale)
         params = {
             "actor": actor.init(keys[0], inputs),
             "critic": product.init(keys[1], features, action, code)
@@ -191,7 +191,7 @@ def make(config: HRACConfig, env) -> Agent:
         first = jnp.concatenate([state, state])
         second = jnp.concatenate([following, jnp.roll(state, 1, axis=0)])
         here, there = cells.of(space.parts(first)), cells.of(space.parts(second))
-        component = jnp.arange(space.components)[:, None]
+        component = jnp.arange(space.components, dtype=jnp.int32)[:, None]
         adjacent = ~apart[component, here, there]
         weight = ((here >= 0) & (there >= 0)).astype(jnp.float32)
         return adjacency_loss(length(embed(params, first) - embed(params, second)), adjacent, weight)

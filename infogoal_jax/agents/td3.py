@@ -89,15 +89,17 @@ def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: j
     """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is
     uniform in [-1, 1] instead."""
     noise_key, choose_key, random_key = jax.random.split(key, 3)
-    noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape), -1.0, 1.0)
-    random = jax.random.uniform(random_key, action.shape, minval=-1.0)
-    return jnp.where(jax.random.uniform(choose_key, (*action.shape[:-1], 1)) < random_share, random, noisy)
+    noisy = jnp.clip(action + noise * jax.random.normal(noise_key, action.shape, jnp.float32), -1.0, 1.0)
+    random = jax.random.uniform(random_key, action.shape, minval=-1.0, dtype=jnp.float32)
+    return jnp.where(jax.random.uniform(choose_key, (*action.shape[:-1], 1), jnp.float32) < random_share, random, noisy)
 
 
 def smoothed(key: jax.Array, action: jax.Array, noise: jax.Array, largest: float = 2.5) -> jax.Array:
     """Target policy smoothing (Eq. 14): actions [..., A] with noise of this standard deviation, clipped at `largest`
     standard deviations."""
-    return jnp.clip(action + noise * jnp.clip(jax.random.normal(key, action.shape), -largest, largest), -1.0, 1.0)
+    return jnp.clip(
+        action + noise * jnp.clip(jax.random.normal(key, action.shape, jnp.float32), -largest, largest), -1.0, 1.0
+    )
 
 
 def next_value(
@@ -150,5 +152,5 @@ def losses(
     inputs = jax.lax.stop_gradient(inputs)
     own = actor.apply(params["actor"], inputs)
     expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0].mean()
-    metrics = {"td_error": jnp.abs(values - target).mean(), "value": values.mean()}
+    metrics = {"td_error": jnp.abs(values - target[None]).mean(), "value": values.mean()}
     return Losses(critic_loss(values, target, huber), -expected, own, metrics)

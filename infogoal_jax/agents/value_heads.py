@@ -22,6 +22,7 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import AgentBatch
+from infogoal_jax.shapes import with_rank
 
 Kind = Literal["concatenated", "product", "index"]
 
@@ -127,11 +128,11 @@ def index(hidden: tuple[int, ...], layer_norm: bool, num_actions: int, num_goals
 
     def init(key, features, code):
         layer_key, output_key = jax.random.split(key)
-        weights = starting_weights(output_key, (hidden[-1], num_actions * num_goals))
+        weights = starting_weights(output_key, (hidden[-1], num_actions * num_goals), jnp.float32)
         return {
             "layers": layers.init(layer_key, features),
             "weights": weights.reshape(hidden[-1], num_actions, num_goals),
-            "biases": jnp.zeros((num_actions, num_goals)),
+            "biases": jnp.zeros((num_actions, num_goals), jnp.float32),
         }
 
     def outputs(params, codes):
@@ -153,7 +154,7 @@ def index(hidden: tuple[int, ...], layer_norm: bool, num_actions: int, num_goals
 
     def values_of_all(params, features, codes):
         weights, biases = outputs(params, codes)
-        return jnp.einsum("bh,hag->bag", of_states(params, features), weights) + biases
+        return jnp.einsum("bh,hag->bag", of_states(params, features), weights) + biases[None]
 
     def taken_of_all(params, features, actions, codes):
         return of_actions(values_of_all(params, features, codes), actions)
@@ -168,10 +169,10 @@ def returns_of_all(hit: jax.Array, mask: jax.Array, discount: jax.Array) -> tupl
     hit of a goal is worth 1 and ends the transition for that goal.
     """
     hit = hit & (mask > 0)[..., None]
-    first = hit & (jnp.cumsum(hit, axis=1) == 1)
-    powers = discount ** jnp.arange(mask.shape[1])
+    first = hit & (jnp.cumsum(hit, axis=1, dtype=jnp.int32) == 1)
+    powers = discount ** jnp.arange(mask.shape[1], dtype=jnp.int32).astype(jnp.float32)
     reward = jnp.einsum("bng,n->bg", first.astype(jnp.float32), powers)
-    return reward, (discount ** mask.sum(1))[:, None] * ~hit.any(1)
+    return reward, (discount ** mask.sum(1))[:, None] * (~hit.any(1)).astype(jnp.float32)
 
 
 def target_of_all(
@@ -187,7 +188,7 @@ def target_of_all(
 
 def mean_over_goals(values: jax.Array, share: jax.Array) -> jax.Array:
     """The mean of values [..., G] over all axes; goals count by their share [G]."""
-    return (values * share).sum(-1).mean()
+    return (values * with_rank(share, values.ndim)).sum(-1).mean()
 
 
 def td_loss_of_all(

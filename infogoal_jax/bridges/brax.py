@@ -123,9 +123,9 @@ class FetchBrax(Env):
         return State(
             pipeline_state=self._pipeline(fetch),
             obs=self._observation(fetch),
-            reward=jnp.zeros(()),
-            done=jnp.zeros(()),
-            metrics={name: jnp.zeros(()) for name in ("success", "distance_per_step", "diverged")},
+            reward=jnp.zeros((), jnp.float32),
+            done=jnp.zeros((), jnp.float32),
+            metrics={name: jnp.zeros((), jnp.float32) for name in ("success", "distance_per_step", "diverged")},
             info={"key": jax.random.key_data(key)},
         )
 

@@ -83,13 +83,15 @@ class GraphWalk(Environment):
     def reset(self, key: jax.Array) -> GraphState:
         """A new episode: a training goal and a start from which it is not reached, both uniform."""
         choose_goal, choose_start = jax.random.split(key)
-        goal = self.goals.training_goals[jax.random.randint(choose_goal, (), 0, self.goals.training_goals.shape[0])]
+        goal = self.goals.training_goals[
+            jax.random.randint(choose_goal, (), 0, self.goals.training_goals.shape[0], jnp.int32)
+        ]
         return self.reset_to(choose_start, goal)
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> GraphState:
         """A new episode for this evaluated goal (int32), from a start drawn uniformly from `starts`."""
         row = self.place[goal]
-        node = self.starts[row, jax.random.randint(key, (), 0, self.num_starts[row])]
+        node = self.starts[row, jax.random.randint(key, (), 0, self.num_starts[row], jnp.int32)]
         false, key = jnp.zeros((), bool), None if self.views is None else key
         return GraphState(
             node=node,

@@ -21,6 +21,7 @@ from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS, NO_USE, USES
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.shapes import aligned
 
 REACHED = np.deg2rad(10.0)
 """Largest angle between the pose and the goal at which the goal is reached, in radians [P]."""
@@ -137,8 +138,9 @@ class ObjectManipulation(GraphWalk):
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the image shows the object within 10 degrees of the goal, bool [...], for records and goals int32
         [...]."""
-        cosine_of_half = jnp.abs((self.quaternion[record] * self.goal_quaternion[goal]).sum(-1))
-        return cosine_of_half > np.cos(REACHED / 2)
+        shown, desired = self.quaternion[record], self.goal_quaternion[goal]
+        shown, desired = aligned(shown, desired)
+        return jnp.abs((shown * desired).sum(-1)) > float(np.cos(REACHED / 2))
 
     @property
     def goal_positions(self) -> jax.Array:

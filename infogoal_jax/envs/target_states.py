@@ -13,6 +13,7 @@ import numpy as np
 from infogoal_jax.angles import on_circles, wrapped
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.shapes import with_rank
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,8 +52,11 @@ class Cells:
 
     def of(self, position: jax.Array) -> jax.Array:
         """The cell of each position [..., D], int32 [...]; -1 outside the grid."""
-        place = jnp.floor((position - self.low) / self.side).astype(jnp.int32)
-        shape = jnp.array(self.shape)
+        low, shape = (
+            with_rank(jnp.asarray(value, kind), position.ndim)
+            for value, kind in ((self.low, jnp.float32), (self.shape, jnp.int32))
+        )
+        place = jnp.floor((position - low) / self.side).astype(jnp.int32)
         place = place % shape if self.periodic else place
         inside = ((place >= 0) & (place < shape)).all(-1)
         return jnp.where(inside, flattened(place, self.shape), -1)
@@ -62,7 +66,7 @@ def flattened(place: jax.Array, shape: tuple[int, ...]) -> jax.Array:
     """The numbers of cells, int32 [...], that stand at these places int32 [..., D] of a grid, counted along its last
     axis first."""
     steps = np.cumprod([1, *shape[:0:-1]])[::-1].astype(np.int32)
-    return (place * steps).sum(-1)
+    return (place * with_rank(steps, place.ndim)).sum(-1, dtype=jnp.int32)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from infogoal_jax.exploration.explorer import Explorer, Moves
 from infogoal_jax.learners.goal_encoder import kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.shapes import with_rank
 
 NUM_BLOCKS = 2
 MINIMUM_SCALE = 0.1  # Standard deviation of predictions: without it exact ones would make the likelihood unbounded.
@@ -79,7 +80,8 @@ class MoveLayer(nn.Module):
 
     @nn.compact
     def __call__(self, inputs, action):
-        return nn.Dense(self.width)(inputs) + nn.Dense(self.width, use_bias=False)(action)
+        seen, moved = nn.Dense(self.width)(inputs), nn.Dense(self.width, use_bias=False)(action)
+        return seen + with_rank(moved, seen.ndim)
 
 
 class Transition(nn.Module):
@@ -125,7 +127,7 @@ def discounted_returns(reward: jax.Array, valid: jax.Array, discount: jax.Array 
         total = jnp.where(valid, reward + discount * following, 0.0)
         return total, total
 
-    return jax.lax.scan(back, jnp.zeros(len(reward)), (reward.T, valid.T), reverse=True)[1].T
+    return jax.lax.scan(back, jnp.zeros(len(reward), jnp.float32), (reward.T, valid.T), reverse=True)[1].T
 
 
 def make(config: SSEDBConfig) -> Explorer:
@@ -139,13 +141,13 @@ def make(config: SSEDBConfig) -> Explorer:
     def init(key, features, num_actions):
         keys = jax.random.split(key, 3)
         params = {
-            "transition": transition.init(keys[0], features, jnp.zeros(num_actions)),
-            "decoder": decoder(features.shape[-1]).init(keys[1], jnp.zeros(config.latent_size)),
-            "log_scale": jnp.zeros(()),
+            "transition": transition.init(keys[0], features, jnp.zeros(num_actions, jnp.float32)),
+            "decoder": decoder(features.shape[-1]).init(keys[1], jnp.zeros(config.latent_size, jnp.float32)),
+            "log_scale": jnp.zeros((), jnp.float32),
             "projection": projection.init(keys[2], features),
-            "score": jnp.eye(config.projection_size),
+            "score": jnp.eye(config.projection_size, dtype=jnp.float32),
         }
-        return params, SSEDBState(jnp.zeros(()), jnp.eye(num_actions))
+        return params, SSEDBState(jnp.zeros((), jnp.float32), jnp.eye(num_actions, dtype=jnp.float32))
 
     def code_of(params, features, action):
         return GoalCode(*transition.apply(params["transition"], features, action))

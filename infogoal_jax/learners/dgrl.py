@@ -17,6 +17,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.learners import vae
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
+from infogoal_jax.shapes import with_rank
 
 USAGE_RATE = 0.01  # Rate of the running share of segments that use each code vector.
 PATIENCE = 100  # Updates after which an unused code vector is revived.
@@ -82,7 +83,8 @@ class DGRLState:
 
 def squared_distance(first: jax.Array, second: jax.Array) -> jax.Array:
     """Squared distances [..., N, M] of vectors [..., N, D] to vectors [M, D]."""
-    return ((first[..., :, None, :] - second) ** 2).sum(-1)
+    apart = first[..., :, None, :]
+    return ((apart - with_rank(second, apart.ndim)) ** 2).sum(-1)
 
 
 def nearest(segments: jax.Array, codebook: jax.Array) -> jax.Array:
@@ -113,10 +115,10 @@ def revival_loss(codebook: jax.Array, segments: jax.Array, indices: jax.Array, s
     """
     segments = jax.lax.stop_gradient(segments)
     error = ((segments - jax.lax.stop_gradient(codebook)[indices]) ** 2).sum(-1)
-    home = segments.mean(0) + segments.std(0) * state.home
-    distance = squared_distance(home, segments) / (error + error.mean() + 1e-12)
+    home = segments.mean(0, keepdims=True) + segments.std(0, keepdims=True) * state.home
+    distance = squared_distance(home, segments) / (error + error.mean() + 1e-12)[None]
     pull = ((codebook - segments[distance.argmin(1)]) ** 2).sum(-1)
-    return ((state.idle >= PATIENCE) * pull).mean()
+    return ((state.idle >= PATIENCE).astype(jnp.float32) * pull).mean()
 
 
 def after_use(state: DGRLState, indices: jax.Array) -> DGRLState:
@@ -157,11 +159,13 @@ def make(config: DGRLConfig) -> Learner:
         chosen = segments[
             jax.random.choice(keys[2], len(segments), (config.codes,), replace=len(segments) < config.codes)
         ]
-        noise = INITIAL_NOISE * segments.std(0) * jax.random.normal(keys[3], chosen.shape)
+        noise = INITIAL_NOISE * segments.std(0, keepdims=True) * jax.random.normal(keys[3], chosen.shape, jnp.float32)
         decoder_params = vae.init_decoder(keys[4], config.hidden, config.latent_size, inputs)
         params = {"encoder": encoder_params, "decoder": decoder_params, "codebook": chosen + noise}
         state = DGRLState(
-            jnp.zeros(config.codes), jnp.zeros(config.codes, jnp.int32), jax.random.normal(keys[5], chosen.shape)
+            jnp.zeros(config.codes, jnp.float32),
+            jnp.zeros(config.codes, jnp.int32),
+            jax.random.normal(keys[5], chosen.shape, jnp.float32),
         )
         return params, state
 

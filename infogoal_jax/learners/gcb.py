@@ -161,7 +161,7 @@ def make(config: GCBConfig) -> Learner:
             "paired": paired.init(keys[2], features, goal_inputs),
         }
         if config.reward_hidden:
-            code = jnp.zeros((1, config.latent_size))
+            code = jnp.zeros((1, config.latent_size), jnp.float32)
             params["reward_decoder"] = decoder.init(keys[3], code, code)
         return params, ()
 

@@ -70,4 +70,5 @@ def warmed_up(updates: jax.Array, warm_up: int) -> jax.Array:
 
 def weighted_mean(values: jax.Array, weights: jax.Array) -> jax.Array:
     """Weighted mean; 0 if all weights are 0."""
+    values, weights = values.astype(jnp.float32), weights.astype(jnp.float32)
     return (values * weights).sum() / jnp.maximum(weights.sum(), 1.0)

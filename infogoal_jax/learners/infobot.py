@@ -75,17 +75,17 @@ def make(config: InfoBotConfig) -> Learner:
 
     def init(key, example, hyper):
         goal_key, joint_key = jax.random.split(key)
-        first, scale = example.goal_inputs[:1], jnp.ones(())
+        first, scale = example.goal_inputs[:1], jnp.ones((), jnp.float32)
         params = {"encoder": encoder.init(goal_key, first)}
         if config.state_conditioned:
             params["joint"] = joint_encoder.init(
-                joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size))
+                joint_key, jnp.zeros((1, example.features.shape[-1] + config.latent_size), jnp.float32)
             )
         else:
             scale = kl_to_standard_normal(
                 encode(params, first)
             ).mean()  # Close to that of any goal, so that the running mean starts right.
-        return params, InfoBotState(jnp.zeros(example.num_cells), scale, jnp.zeros((), jnp.int32))
+        return params, InfoBotState(jnp.zeros(example.num_cells, jnp.float32), scale, jnp.zeros((), jnp.int32))
 
     def encode(params, goal_inputs):
         """phi(g). In the state-conditioned form, the part that sees the goal, without noise."""
@@ -105,7 +105,7 @@ def make(config: InfoBotConfig) -> Learner:
         kl = kl_to_standard_normal(code).mean()
         beta = hyper.beta * warmed_up(state.updates, config.warm_up)
         # The KL in nats, as InfoGoal reports it.
-        metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum()}
+        metrics = {"kl": kl, "beta": beta, "visited_cells": (state.counts > 0).sum(dtype=jnp.int32)}
         return beta * kl / jnp.log(2.0), metrics, state.replace(updates=state.updates + 1)
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):

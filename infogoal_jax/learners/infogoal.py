@@ -121,9 +121,9 @@ def make(config: InfoGoalConfig) -> Learner:
     def init(key, example, hyper):
         params = {"encoder": encoder.init(key, example.goal_inputs[:1])}
         if config.score == "bilinear":
-            params["score"] = jnp.eye(config.latent_size)
+            params["score"] = jnp.eye(config.latent_size, dtype=jnp.float32)
         start = 0.0 if config.beta_rule == "fixed" else hyper.beta_start
-        return params, InfoGoalState(beta=jnp.asarray(start, jnp.float32), scale=jnp.ones(()))
+        return params, InfoGoalState(beta=jnp.asarray(start, jnp.float32), scale=jnp.ones((), jnp.float32))
 
     def encode(params, goal_inputs):
         return GoalCode(*encoder.apply(params["encoder"], goal_inputs))
@@ -141,7 +141,7 @@ def make(config: InfoGoalConfig) -> Learner:
         contrast = codes[3].sample(contrast_key) if independent else jnp.broadcast_to(anchor[:, None], negative.shape)
         log_positive, log_negative = log_score(params, anchor, positive), log_score(params, contrast, negative)
         weights = pairs.positive_weight[:, None] * pairs.negative_weight
-        any_negative = pairs.positive_weight * (pairs.negative_weight.sum(1) > 0)
+        any_negative = pairs.positive_weight * (pairs.negative_weight.sum(1) > 0).astype(jnp.float32)
         took_part = list(zip(codes, (pairs.positive_weight, pairs.positive_weight, weights, weights), strict=False))
         kl = sum(weighted_mean(kl_to_standard_normal(code), weight) for code, weight in took_part) / len(took_part)
         if config.loss == "nce":

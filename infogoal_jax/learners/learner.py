@@ -29,7 +29,11 @@ class GoalCode:
 
     def sample(self, key: jax.Array) -> jax.Array:
         """z = mean + std * noise, [..., d], differentiable in both (reparameterisation)."""
-        return self.mean if self.std is None else self.mean + self.std * jax.random.normal(key, self.mean.shape)
+        return (
+            self.mean
+            if self.std is None
+            else self.mean + self.std * jax.random.normal(key, self.mean.shape, jnp.float32)
+        )
 
     def __getitem__(self, goals: jax.Array) -> "GoalCode":
         """Look up the codes of these goals in a table of codes."""
@@ -141,12 +145,12 @@ def no_loss(
     params: Any, state: Any, batch: LearnerBatch, hyper: Any, key: jax.Array
 ) -> tuple[jax.Array, dict[str, jax.Array], Any]:
     """Loss of 0: the agent's loss alone trains the goal encoder."""
-    return jnp.zeros(()), {}, state
+    return jnp.zeros((), jnp.float32), {}, state
 
 
 def no_reward(state: Any, encode: Encode, visited: Visited) -> tuple[jax.Array, Any]:
     """No intrinsic reward."""
-    return jnp.zeros(visited.mask.shape), state
+    return jnp.zeros(visited.mask.shape, jnp.float32), state
 
 
 def keep(state: Any, new: NewSteps) -> Any:
@@ -220,7 +224,7 @@ class GoalEncoding(NamedTuple):
                 params, self.view(jax.random.fold_in(self.key, next(calls)), goals.inputs_of(indices))
             )
         if goals.num_goals <= self.batch_size:
-            return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals))).__getitem__
+            return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals, dtype=jnp.int32))).__getitem__
         return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
     def of_training_goals(self) -> Encode:
@@ -248,12 +252,12 @@ def encode_all(learner: Learner, params: Any, goals: GoalSet) -> GoalCode:
     memory."""
     return jax.lax.map(
         lambda goal: learner.encode(params, goals.inputs_of(goal)),
-        jnp.arange(goals.num_goals),
+        jnp.arange(goals.num_goals, dtype=jnp.int32),
         batch_size=GOALS_AT_ONCE,
     )
 
 
 def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     """Look up codes by goal, where `codes` are those of the goals `which`, in this order."""
-    place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which)))
+    place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which), dtype=jnp.int32))
     return lambda indices: codes[place[indices]]

@@ -50,10 +50,11 @@ def shifted(key: jax.Array, images: jax.Array, shift: int) -> jax.Array:
     translate)."""
     *batch, height, width, channels = images.shape
     padded = jnp.pad(images, [(0, 0)] * len(batch) + [(shift, shift), (shift, shift), (0, 0)])
-    corners = jax.random.randint(key, (*batch, 2), 0, 2 * shift + 1)
+    corners = jax.random.randint(key, (*batch, 2), 0, 2 * shift + 1, jnp.int32)
 
     def cut(image, corner):
-        return jax.lax.dynamic_slice(image, (corner[0], corner[1], 0), (height, width, channels))
+        first_channel = jnp.zeros((), jnp.int32)
+        return jax.lax.dynamic_slice(image, (corner[0], corner[1], first_channel), (height, width, channels))
 
     return jax.vmap(cut)(padded.reshape(-1, *padded.shape[-3:]), corners.reshape(-1, 2)).reshape(images.shape)
 

@@ -48,7 +48,7 @@ class VAEConfig(GoalEncoderConfig):
 
 def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal_inputs: jax.Array):
     """Parameters of a decoder for such goal inputs [M, ...]."""
-    return networks.GoalDecoder(hidden, goal_inputs.shape[1:]).init(key, jnp.zeros((1, latent_size)))
+    return networks.GoalDecoder(hidden, goal_inputs.shape[1:]).init(key, jnp.zeros((1, latent_size), jnp.float32))
 
 
 def squared_error(params, hidden: tuple[int, ...], codes: jax.Array, inputs: jax.Array, standardise: bool) -> jax.Array:

@@ -125,10 +125,13 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
 
     def initial(key, hyper):
         keys = jax.random.split(numbered(key, INITIAL, 0))
-        inputs, action = jnp.zeros(robot.observation_size + space.size), jnp.zeros(robot.action_size)
+        inputs, action = (
+            jnp.zeros(robot.observation_size + space.size, jnp.float32),
+            jnp.zeros(robot.action_size, jnp.float32),
+        )
         params = {"actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], inputs, action)}
         experience = Experience(
-            moments=jnp.zeros((3, robot.observation_size)).at[0].set(1.0).at[2].set(1.0), buffer=None
+            moments=jnp.zeros((3, robot.observation_size), jnp.float32).at[0].set(1.0).at[2].set(1.0), buffer=None
         )
         example = jax.eval_shape(lambda: run(policy(params, experience), key, True, hyper)[0])
         return params, experience.replace(buffer=replay.empty(example, config.buffer_epochs))
@@ -143,7 +146,7 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         `success_any`: that were there at any time; `following_rate`: share of the second half that end at the goal.
         """
         reset_key, act_key = jax.random.split(key)
-        number, explores = jnp.arange(config.num_envs), jnp.asarray(explores)
+        number, explores = jnp.arange(config.num_envs, dtype=jnp.int32), jnp.asarray(explores)
         noisy = explores & (number >= config.num_envs // 8)
         moving_share = jnp.where(explores, hyper.moving_share * noisy, number >= config.num_envs // 2)
         begin = jax.vmap(lambda key, share: env.replace(moving_share=share).reset(key))
@@ -158,16 +161,18 @@ def make(config: FetchPretrainConfig) -> TargetAgent:
         at_target = space.reached(rows.record, rows.goal[:, :1])
         still, led = ~noisy & (moving_share == 0), ~noisy & (moving_share > 0)
         return rows, {
-            "env_steps": rows.valid.sum(),
-            "success_rate": at_target[:, -1].mean(where=still),
-            "success_any": at_target.any(1).mean(where=still),
-            "following_rate": robot.reached(robot.achieved(ends.robot), ends.robot.goal).mean(where=led),
+            "env_steps": rows.valid.sum(dtype=jnp.int32),
+            "success_rate": at_target[:, -1].mean(where=still, dtype=jnp.float32),
+            "success_any": at_target.any(1).mean(where=still, dtype=jnp.float32),
+            "following_rate": robot.reached(robot.achieved(ends.robot), ends.robot.goal).mean(
+                where=led, dtype=jnp.float32
+            ),
         }
 
     def remember(experience: Experience, rows: Trajectories, number) -> Experience:
         seen = rows.observation.reshape(-1, robot.observation_size)
         moments = experience.moments + jnp.stack(
-            [jnp.full(seen.shape[1], float(len(seen))), seen.sum(0), (seen**2).sum(0)]
+            [jnp.full(seen.shape[1], float(len(seen)), jnp.float32), seen.sum(0), (seen**2).sum(0)]
         )
         return Experience(moments, replay.add(experience.buffer, rows, number))
 

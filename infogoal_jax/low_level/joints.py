@@ -88,8 +88,8 @@ def draw_targets(key: jax.Array, joints: jax.Array) -> jax.Array:
     """Target states [B, J] for these joints [B, J]: up to `FARTHEST` away, and often much nearer, so that values spread
     outwards."""
     reach_key, turn_key = jax.random.split(key)
-    reach = FARTHEST * jax.random.uniform(reach_key, (len(joints), 1))
-    return wrapped(joints + reach * jax.random.uniform(turn_key, joints.shape, minval=-1.0))
+    reach = FARTHEST * jax.random.uniform(reach_key, (len(joints), 1), jnp.float32)
+    return wrapped(joints + reach * jax.random.uniform(turn_key, joints.shape, minval=-1.0, dtype=jnp.float32))
 
 
 def key_of(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
@@ -121,8 +121,10 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
         those that some setting of the joints is at; `mean_moves`: in how many moves these do.
         """
         frame_key, target_key = jax.random.split(key)
-        frame = jax.random.randint(frame_key, (config.num_envs,), 0, len(joints))
-        turn = jax.random.uniform(target_key, (config.num_envs, joints.shape[1]), minval=-NEAR, maxval=NEAR)
+        frame = jax.random.randint(frame_key, (config.num_envs,), 0, len(joints), jnp.int32)
+        turn = jax.random.uniform(
+            target_key, (config.num_envs, joints.shape[1]), minval=-NEAR, maxval=NEAR, dtype=jnp.float32
+        )
         target = wrapped(joints[frame] + turn)
         # The joint limits leave some target states out.
         possible = at_target(joints, target[:, None], precision).any(-1)
@@ -135,19 +137,23 @@ def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:
             return (frame, first), None
 
         first = jnp.where(at_target(joints[frame], target, precision), 0, MOST_MOVES + 1)
-        (_, first), _ = jax.lax.scan(step, (frame, first), jnp.arange(MOST_MOVES))
+        (_, first), _ = jax.lax.scan(step, (frame, first), jnp.arange(MOST_MOVES, dtype=jnp.int32))
         reached = (first <= MOST_MOVES) & possible
-        mean_moves = jnp.where(reached, first, 0).sum() / jnp.maximum(reached.sum(), 1)
-        return None, {"success_rate": reached.sum() / possible.sum(), "mean_moves": mean_moves}
+        moves = jnp.where(reached, first, 0).sum(dtype=jnp.int32).astype(jnp.float32)
+        num_reached, num_possible = (found.sum(dtype=jnp.int32).astype(jnp.float32) for found in (reached, possible))
+        mean_moves = moves / jnp.maximum(num_reached, 1.0)
+        return None, {"success_rate": num_reached / num_possible, "mean_moves": mean_moves}
 
     def draw(experience, key, number, hyper):
         """Images, moves and target states: [U, B], [U, B] and [U, B, J]."""
-        keys = jax.vmap(key_of, in_axes=(None, None, 0))(key, UPDATE, number * num_updates + jnp.arange(num_updates))
+        keys = jax.vmap(key_of, in_axes=(None, None, 0))(
+            key, UPDATE, number * num_updates + jnp.arange(num_updates, dtype=jnp.int32)
+        )
 
         def one(key):
             frame_key, move_key, target_key = jax.random.split(key, 3)
-            frame = jax.random.randint(frame_key, (config.batch_size,), 0, len(joints))
-            move = jax.random.randint(move_key, frame.shape, 0, num_moves)
+            frame = jax.random.randint(frame_key, (config.batch_size,), 0, len(joints), jnp.int32)
+            move = jax.random.randint(move_key, frame.shape, 0, num_moves, jnp.int32)
             return frame, move, draw_targets(target_key, joints[frame])
 
         return jax.vmap(one)(keys), keys

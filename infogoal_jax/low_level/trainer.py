@@ -162,7 +162,7 @@ def make_trainer(agent: TargetAgent) -> Trainer:
                 optimizer_state,
             ), metrics
 
-        drawn = batches, keys, number * num_updates + jnp.arange(num_updates)
+        drawn = batches, keys, number * num_updates + jnp.arange(num_updates, dtype=jnp.int32)
         carry, metrics = jax.lax.scan(update, (state.params, state.target_params, state.optimizer_state), drawn)
         params, target_params, optimizer_state = carry
         return PretrainState(params, target_params, optimizer_state, experience, state.key), jax.tree.map(
@@ -225,7 +225,7 @@ def load_joint_level(
                 f"the dataset's has {num_joints} and {num_moves}; train one with `infogoal pretrain {task} "
                 "--env.dataset FILE`, give it with --agent.low-level"
             )
-        hidden, joints = header.hidden, jnp.zeros(num_joints)
+        hidden, joints = header.hidden, jnp.zeros(num_joints, jnp.float32)
         params = jax.eval_shape(networks.MLP(hidden, num_moves).init, jax.random.key(0), joint_input(joints, joints))
         return JointLevel(params, hidden, num_moves)
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
+from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 
@@ -49,7 +50,7 @@ def make(config: AllGoalsConfig) -> Relabelling:
     def relabel(key, known, row, step, goal):
         known_key, choose_key = jax.random.split(key)
         anything = her.any_known(known_key, known, goal)
-        return jnp.where(jax.random.bernoulli(choose_key, 0.5, goal.shape), anything, goal)
+        return jnp.where(draw_chance(choose_key, 0.5, goal.shape), anything, goal)
 
     return Relabelling(
         prepare=lambda context: context.achievements.known,

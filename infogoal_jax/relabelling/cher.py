@@ -64,7 +64,7 @@ class Table:
 def proximity_weight(config: CHERConfig, updates: jax.Array) -> jax.Array:
     """lambda_t = lambda_0 (1 + eta)^t after t updates."""
     # A power of 1.0001 in float32 would drift.
-    return config.proximity_weight * jnp.exp(updates * math.log1p(config.proximity_growth))
+    return config.proximity_weight * jnp.exp(jnp.asarray(updates, jnp.float32) * math.log1p(config.proximity_growth))
 
 
 def squared_distances(positions: jax.Array) -> jax.Array:
@@ -73,10 +73,10 @@ def squared_distances(positions: jax.Array) -> jax.Array:
     Computed as |a|^2 + |b|^2 - 2 a b, which is ten times faster than differences. What float32 cannot tell from 0 this
     way is set to 0.
     """
-    centred = positions - positions.mean(0)
+    centred = positions - positions.mean(0, keepdims=True)
     products = jnp.matmul(centred, centred.T, precision="highest")
     norms = jnp.diagonal(products)
-    largest = norms[:, None] + norms
+    largest = norms[:, None] + norms[None]
     squared = largest - 2.0 * products
     # Otherwise XLA computes it again at each use.
     return jax.lax.optimization_barrier(jnp.where(squared > PRECISION * largest, squared, 0.0))
@@ -93,9 +93,10 @@ def neighbour_weights(positions: jax.Array) -> jax.Array:
     squared = jnp.where(jnp.eye(count, dtype=bool), jnp.inf, squared_distances(positions))
     least = squared.min(0)
     # The first of equals; argmin is slow.
-    nearest = jnp.where(squared == least, jnp.arange(float(count))[:, None], count).min(0).astype(jnp.int32)
+    rows = jnp.arange(count, dtype=jnp.float32)[:, None]
+    nearest = jnp.where(squared == least[None], rows, count).min(0).astype(jnp.int32)
     similarity = jnp.exp(-least / (jnp.sqrt(least).mean() ** 2 + TINY))
-    return jnp.zeros(count).at[nearest].add(similarity)
+    return jnp.zeros(count, jnp.float32).at[nearest].add(similarity)
 
 
 def dense_similarity(positions: jax.Array) -> jax.Array:
@@ -119,16 +120,22 @@ def pick(places: jax.Array, count: int, gain: Callable, cover: jax.Array, take: 
         candidates = left[place]
         best = gain(cover, candidates).argmax()
         # Those behind move up; the last place is not read again.
-        left = jnp.where(jnp.arange(count) < place[best], left, jnp.roll(left, -1))
+        left = jnp.where(jnp.arange(count, dtype=jnp.int32) < place[best], left, jnp.roll(left, -1))
         return (left, take(cover, candidates[best])), candidates[best]
 
-    return jax.lax.scan(step, (jnp.arange(count), cover), places)[1]
+    return jax.lax.scan(step, (jnp.arange(count, dtype=jnp.int32), cover), places)[1]
 
 
 def pick_nearest(weights: jax.Array, cost: jax.Array, places: jax.Array) -> jax.Array:
     """Candidates int32 [p] for F(A) = sum over A of w - cost, both [n]. places: int32 [p, c] of `draw_places`."""
     score = weights - cost
-    return pick(places, score.shape[0], lambda _, candidates: score[candidates], jnp.zeros(()), lambda cover, _: cover)
+    return pick(
+        places,
+        score.shape[0],
+        lambda _, candidates: score[candidates],
+        jnp.zeros((), jnp.float32),
+        lambda cover, _: cover,
+    )
 
 
 def pick_dense(similarity: jax.Array, cost: jax.Array, places: jax.Array) -> jax.Array:
@@ -142,7 +149,7 @@ def pick_dense(similarity: jax.Array, cost: jax.Array, places: jax.Array) -> jax
         places,
         cost.shape[0],
         gain,
-        jnp.zeros(cost.shape[0]),
+        jnp.zeros(cost.shape[0], jnp.float32),
         lambda cover, chosen: jnp.maximum(cover, similarity[chosen]),
     )
 
@@ -150,12 +157,14 @@ def pick_dense(similarity: jax.Array, cost: jax.Array, places: jax.Array) -> jax
 def draw_places(key: jax.Array, count: int, picks: int) -> jax.Array:
     """Draw for each pick different places in the list of candidates not chosen yet ("lazier than lazy" greedy): int32
     [picks, TRIES]."""
-    left = count - jnp.arange(picks)
+    left = count - jnp.arange(picks, dtype=jnp.int32)
     places = []
     for drawn, try_key in enumerate(jax.random.split(key, TRIES)):
-        place = jax.random.randint(try_key, (picks,), 0, jnp.maximum(left - drawn, 1))
+        place = jax.random.randint(try_key, (picks,), 0, jnp.maximum(left - drawn, 1), jnp.int32)
         for earlier in jnp.sort(jnp.array(places), axis=0) if places else ():
-            place = place + (place >= earlier)  # The place among those not drawn yet, counted among all.
+            place = place + (place >= earlier).astype(
+                jnp.int32
+            )  # The place among those not drawn yet, counted among all.
         places.append(jnp.minimum(place, left - 1))
     return jnp.stack(places, axis=1)
 

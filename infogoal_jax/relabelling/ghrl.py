@@ -90,7 +90,9 @@ def best_goals(context: Context) -> Table:
     num_goals = achieved.known.shape[0]
     led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # States that a transition led to.
     begin = her.episode_starts(rows)
-    at_start = jax.tree.map(lambda leaf: leaf[jnp.arange(num_rows)[:, None], begin][:, :, None], rows.record)
+    at_start = jax.tree.map(
+        lambda leaf: leaf[jnp.arange(num_rows, dtype=jnp.int32)[:, None], begin][:, :, None], rows.record
+    )
     again = context.reached(at_start, jnp.maximum(achieved.goals, 0))
     seen = her.occurrences(jnp.where(led_to[..., None] & ~again, achieved.goals, -1), rows, num_goals)
     first, start = seen.size > 0, jnp.repeat(begin, several, axis=1)
@@ -98,13 +100,13 @@ def best_goals(context: Context) -> Table:
     hits = (
         jnp.zeros((num_goals, length), jnp.int32).at[jnp.where(first, seen.goal, num_goals), delay].add(1, mode="drop")
     )
-    num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum()
+    num_episodes = (led_to[:, 1:] & ~led_to[:, :-1]).sum(dtype=jnp.int32)
     # Episodes that were slower, or never got there.
-    rank = num_episodes - jnp.cumsum(hits, axis=1)[jnp.minimum(seen.goal, num_goals - 1), delay]
+    rank = num_episodes - jnp.cumsum(hits, axis=1, dtype=jnp.int32)[jnp.minimum(seen.goal, num_goals - 1), delay]
 
     # Among equal ranks the larger return, which is the shorter delay.
     score = jnp.where(first, rank * length - delay, -length)
-    number = jnp.arange(num_rows)[:, None] * length + begin
+    number = jnp.arange(num_rows, dtype=jnp.int32)[:, None] * length + begin
 
     def over_episodes(reduce, values):
         """Reduce values [R, (T + 1) K], K for each step, over each episode, and repeat the result at every place of the
@@ -118,7 +120,7 @@ def best_goals(context: Context) -> Table:
     goal = over_episodes(jax.ops.segment_min, jnp.where(best, seen.goal, num_goals))  # Then the first goal.
     goal = goal[:, ::several]  # An episode has all places of its steps, in order.
     at_goal = context.reached(rows.record, jnp.minimum(goal, num_goals - 1)) & led_to & (goal < num_goals)
-    hit = over_episodes(jax.ops.segment_min, jnp.where(at_goal, jnp.arange(length), length))
+    hit = over_episodes(jax.ops.segment_min, jnp.where(at_goal, jnp.arange(length, dtype=jnp.int32), length))
     found = hit < length  # The environment may call a goal reached before the record is nearest to it.
     return Table(jnp.where(found, goal, -1), jnp.where(found, hit, -1), achieved.known)
 
@@ -127,11 +129,11 @@ def accepted(context: Context, table: Table) -> jax.Array:
     """Whether an episode's return for its best goal is at least the value of the policy at its start: bool [R, T + 1],
     true at starts only."""
     shape = table.hit.shape
-    starts = her.episode_starts(context.rows) == jnp.arange(shape[1])
+    starts = her.episode_starts(context.rows) == jnp.arange(shape[1], dtype=jnp.int32)
     count = replay.running_count(starts & (table.hit >= 0))
 
     def some(number, passed):
-        rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE)
+        rank = number * VALUES_AT_ONCE + jnp.arange(VALUES_AT_ONCE, dtype=jnp.int32)
         # Beyond the end for ranks that do not exist: dropped below.
         place = jnp.searchsorted(count, rank, side="right")
         row, step = jnp.unravel_index(jnp.minimum(place, count.shape[0] - 1), shape)
@@ -161,7 +163,7 @@ def make(config: GHRLConfig) -> Relabelling:
     def relabel(key, table, row, step, goal):
         random_key, choose_key = jax.random.split(key)
         anything = her.any_known(random_key, table.known, goal)
-        share = jax.random.uniform(choose_key, goal.shape)
+        share = jax.random.uniform(choose_key, goal.shape, jnp.float32)
         goal = jnp.where((share < config.share) & (step < table.hit[row, step]), table.goal[row, step], goal)
         return jnp.where(share >= 1.0 - config.random_share, anything, goal)
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
+from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Trajectories
 
@@ -81,13 +82,13 @@ def future_record(key: jax.Array, buffer: Trajectories, steps_left: jax.Array, r
 
     steps_left: int32 [R, T] of `replay.steps_left`. row, step: int32 [B], valid transitions.
     """
-    ahead = jax.random.randint(key, row.shape, 1, jnp.maximum(steps_left[row, step], 1) + 1)
+    ahead = jax.random.randint(key, row.shape, 1, jnp.maximum(steps_left[row, step], 1) + 1, jnp.int32)
     return jax.tree.map(lambda leaf: leaf[row, step + ahead], buffer.record)
 
 
 def relabel(key: jax.Array, goal: jax.Array, achieved_later: jax.Array, share: float) -> jax.Array:
     """Replace a share of the goals [B, ...] by those achieved later [B, ...]."""
-    chosen = jax.random.bernoulli(key, share, goal.shape[:1]).reshape(-1, *[1] * (goal.ndim - 1))
+    chosen = draw_chance(key, share, goal.shape[:1]).reshape(-1, *[1] * (goal.ndim - 1))
     return jnp.where(chosen, achieved_later, goal)
 
 
@@ -100,7 +101,7 @@ def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step
     width = achievements.goals.shape[1]
     here = row * width + step
     before, until = achievements.count[here], achievements.count[here + achievements.steps_left[row, step]]
-    rank = jax.random.randint(choose_step, row.shape, before, jnp.maximum(until, before + 1))
+    rank = jax.random.randint(choose_step, row.shape, before, jnp.maximum(until, before + 1), jnp.int32)
     place = jnp.minimum(jnp.searchsorted(achievements.count, rank, side="right"), achievements.count.shape[0] - 1)
     goals = achievements.goals.reshape(-1, achievements.goals.shape[-1])[place]
     return jnp.where(until > before, pairs.choose_goal(choose_goal, goals), -1)
@@ -109,7 +110,8 @@ def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step
 def episode_starts(rows: Trajectories) -> jax.Array:
     """The first step of the episode that each observation belongs to, int32 [R, T + 1]."""
     begins = jnp.pad(~rows.valid, ((0, 0), (1, 0)), constant_values=True)
-    return jax.lax.cummax(jnp.where(begins, jnp.arange(begins.shape[1]), 0), axis=1)
+    steps = jnp.arange(begins.shape[1], dtype=jnp.int32)[None]
+    return jax.lax.cummax(jnp.where(begins, steps, 0), axis=1)
 
 
 def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurrences:
@@ -123,9 +125,10 @@ def occurrences(goals: jax.Array, rows: Trajectories, num_goals: int) -> Occurre
     )
     name = rows.episode()[..., None] * (num_goals + 1) + jnp.where(goals < 0, num_goals, goals)
     # One number sorts faster than two.
-    ordered = jnp.sort((name * length + jnp.arange(length)[:, None]).reshape(-1, length * several), axis=1)
+    steps = jnp.arange(length, dtype=jnp.int32)[None, :, None]
+    ordered = jnp.sort((name * length + steps).reshape(-1, length * several), axis=1)
     name, step = ordered // length, ordered % length
-    place, goal = jnp.arange(length * several), name % (num_goals + 1)
+    place, goal = jnp.arange(length * several, dtype=jnp.int32)[None], name % (num_goals + 1)
     first = jnp.pad(name[:, 1:] != name[:, :-1], ((0, 0), (1, 0)), constant_values=True)
     following = jnp.pad(
         jnp.where(first, place, length * several)[:, 1:], ((0, 0), (0, 1)), constant_values=length * several
@@ -145,10 +148,10 @@ def prefix_goal(
     begin = row * width + seen.start[row, step] * several
     end = row * width + (step + table.steps_left[row, step] + 1) * several
     before, until = jnp.where(begin > 0, table.count[begin - 1], 0), table.count[end - 1]
-    rank = jax.random.randint(choose_goal, row.shape, before, jnp.maximum(until, before + 1))
+    rank = jax.random.randint(choose_goal, row.shape, before, jnp.maximum(until, before + 1), jnp.int32)
     first = jnp.minimum(jnp.searchsorted(table.count, rank, side="right"), table.count.shape[0] - 1)
     size = jnp.maximum(seen.size.reshape(-1)[first], 1)
-    place = first if first_occurrence else first + jax.random.randint(choose_occurrence, row.shape, 0, size)
+    place = first if first_occurrence else first + jax.random.randint(choose_occurrence, row.shape, 0, size, jnp.int32)
     return jnp.where((until > before) & (seen.step.reshape(-1)[place] > step), seen.goal.reshape(-1)[place], -1)
 
 
@@ -172,7 +175,7 @@ def relabel_shares(later_goal: Callable, share: float, random_share: float) -> C
         later_key, random_key, choose_key = jax.random.split(key, 3)
         later = later_goal(later_key, table, row, step)
         anything = any_known(random_key, table.known, goal)
-        drawn = jax.random.uniform(choose_key, goal.shape)
+        drawn = jax.random.uniform(choose_key, goal.shape, jnp.float32)
         goal = jnp.where((drawn < share) & (later >= 0), later, goal)
         return jnp.where(drawn >= 1.0 - random_share, anything, goal)
 

@@ -16,6 +16,7 @@ import numpy as np
 from infogoal_jax.errors import check_count, require
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
 from infogoal_jax.keys import written_out
+from infogoal_jax.shapes import with_rank
 from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
@@ -113,7 +114,9 @@ def score(env, starts: Any, episodes: Episodes) -> Scores:
     if not env.has_shortest_path:
         return Scores(episodes.success, episodes.steps, spl=None)
     shortest = jax.vmap(jax.vmap(env.shortest_path))(starts)
-    spl = episodes.success * shortest / jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
+    shortest = with_rank(shortest, episodes.steps.ndim)
+    longer = jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
+    spl = (episodes.success.astype(jnp.int32) * shortest).astype(jnp.float32) / longer.astype(jnp.float32)
     return Scores(episodes.success, episodes.steps, spl)
 
 
@@ -121,9 +124,15 @@ def group_means(scores: Scores, goals: GoalSet) -> dict[str, dict[str, jax.Array
     """The mean of each score over the goals of each group, {"train", "validation" or "test": {score: [...]}}, of scores
     [..., M, S] of all evaluated goals."""
     masks = jnp.stack([getattr(goals, f"{group}_mask") for group in goals.groups])[:, goals.evaluated]
-    means = {
-        name: (value.mean(-1)[..., None, :] * masks).sum(-1) / masks.sum(-1) for name, value in scores.by_name().items()
-    }
+    counts = masks.sum(-1, dtype=jnp.int32).astype(jnp.float32)
+
+    def mean_of_groups(value):
+        of_goals = value.mean(-1, dtype=jnp.float32)[..., None, :]
+        weights = with_rank(masks.astype(jnp.float32), of_goals.ndim)
+        sums = (of_goals * weights).sum(-1)
+        return sums / with_rank(counts, sums.ndim)
+
+    means = {name: mean_of_groups(value) for name, value in scores.by_name().items()}
     return {group: {name: mean[..., place] for name, mean in means.items()} for place, group in enumerate(goals.groups)}
 
 
@@ -151,7 +160,7 @@ def random_policy(env) -> Policy:
 
     def act(observation, goal, key):
         mask = env.action_mask(observation)
-        return jnp.where(mask, jax.random.uniform(key, mask.shape), -1.0).argmax(-1).astype(jnp.int32)
+        return jnp.where(mask, jax.random.uniform(key, mask.shape, jnp.float32), -1.0).argmax(-1).astype(jnp.int32)
 
     return act
 

@@ -55,12 +55,13 @@ def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainSt
     state = update_statistics(
         parts, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env
     )
-    ended = jnp.maximum(rows.terminated.sum() + rows.truncated.sum(), 1)
+    terminated, truncated = (ends.sum(dtype=jnp.int32) for ends in (rows.terminated, rows.truncated))
+    ended = jnp.maximum(terminated + truncated, 1)
     return state, {
-        "collect/success_rate": rows.terminated.sum() / ended,
-        "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(),
-        "collect/valid": rows.valid.mean(),
-        "collect/goals_seen": state.seen.sum(),
+        "collect/success_rate": terminated.astype(jnp.float32) / ended.astype(jnp.float32),
+        "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(dtype=jnp.float32),
+        "collect/valid": rows.valid.mean(dtype=jnp.float32),
+        "collect/goals_seen": state.seen.sum(dtype=jnp.int32),
     }
 
 
@@ -70,7 +71,7 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
     learner, achieved = parts.learner, env.goals_of(rows.record)
     state = state.replace(
         agent=parts.agent.observe(state.agent, rows),
-        env_steps=state.env_steps + rows.valid.sum(),
+        env_steps=state.env_steps + rows.valid.sum(dtype=jnp.int32),
         learner=learner.observe(
             state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
         ),
@@ -113,7 +114,7 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
     offline, usable = env.recorded is not None, usable_mask(parts.config, env)
     buffer = env.recorded if offline else state.buffer
-    written = jnp.arange(buffer.valid.shape[0]) < (
+    written = jnp.arange(buffer.valid.shape[0], dtype=jnp.int32) < (
         buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs
     )
     goals = usable_goals(env, buffer.record, usable)
@@ -133,7 +134,9 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         table = None if parts.relabelling is None else parts.relabelling.prepare(context)
         learner_table = None if learner_relabelling is None else learner_relabelling.prepare(context)
     if parts.explorer is not None:
-        features = encode_states(parts, state.params, env, env.num_observations)(jnp.arange(env.num_observations))
+        features = encode_states(parts, state.params, env, env.num_observations)(
+            jnp.arange(env.num_observations, dtype=jnp.int32)
+        )
         bonus, explored = parts.explorer.compute_bonus(
             state.params["explorer"], state.explorer, features, buffer, written, hyper.discount
         )
@@ -158,8 +161,8 @@ def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Arra
     """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
     padded with -1."""
     seen = occurrences(goals, rows, num_goals)
-    row = jnp.arange(goals.shape[0])[:, None]
-    return jnp.zeros(goals.shape[:2]).at[row, seen.step].add(seen.size > 0)
+    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
+    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))
 
 
 def relabelling_context(

@@ -153,7 +153,9 @@ def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
     Every image once if there are fewer than will be asked for, else only those asked for.
     """
     if env.num_observations is not None and env.num_observations <= asked:
-        return parts.state_encoder.apply(params["state"], env.render(jnp.arange(env.num_observations))).__getitem__
+        return parts.state_encoder.apply(
+            params["state"], env.render(jnp.arange(env.num_observations, dtype=jnp.int32))
+        ).__getitem__
     return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
 
 

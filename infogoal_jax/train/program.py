@@ -84,7 +84,7 @@ class Train:
             state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
             return state, (epoch_metrics, metrics)
 
-        epochs = jnp.arange(self.config.num_epochs).reshape(self.config.num_evaluations, -1)
+        epochs = jnp.arange(self.config.num_epochs, dtype=jnp.int32).reshape(self.config.num_evaluations, -1)
         state, (epoch_metrics, metrics) = jax.lax.scan(step, self.initial(key, hyper, env), epochs)
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), epoch_metrics)
         return TrainResult(metrics=metrics, epochs=flat, params=state.params, state=state)
@@ -113,7 +113,10 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
             keys[0], InputSpec(env.goals.inputs_of(env.goals.training_goals), features, env.num_cells), hyper.learner
         )
         code = conditioned(
-            learner, params["goal"], learner.encode(params["goal"], env.goals.inputs_of(jnp.arange(1))), features[None]
+            learner,
+            params["goal"],
+            learner.encode(params["goal"], env.goals.inputs_of(jnp.arange(1, dtype=jnp.int32))),
+            features[None],
         ).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
         if parts.explorer is not None:

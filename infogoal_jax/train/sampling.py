@@ -85,7 +85,8 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         goals = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], goals_key)
         drawn = drawn.replace(all_goals=goals, goal_share=shares(known if goals is None else known[goals]))
     if spec.first_seen:
-        led_to = jnp.minimum(step[:, None] + 1 + jnp.arange(num_steps), buffer.valid.shape[1])
+        ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
+        led_to = jnp.minimum(step[:, None] + 1 + ahead, buffer.valid.shape[1])
         drawn = drawn.replace(first_seen=experience.first_seen[row[:, None], led_to])
     if spec.relabelling is not None:
         other = spec.relabelling.relabel(
@@ -99,7 +100,8 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         }
         drawn = drawn.replace(relabelled=RelabelledBatch(**kept, external=relabelled.external))
     if parts.explorer is not None:
-        taken = jnp.minimum(step[:, None] + jnp.arange(num_steps), buffer.valid.shape[1] - 1)
+        ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
+        taken = jnp.minimum(step[:, None] + ahead, buffer.valid.shape[1] - 1)
         place = row[:, None], taken
         bonus = experience.bonus[buffer.observation[place], buffer.action[place]]
         drawn = drawn.replace(
@@ -149,8 +151,8 @@ def draw_goals(
     num_achieved = round(spec.achieved_share * spec.num_goals)
     num_desired = min(round(spec.desired_share * spec.num_goals), spec.num_goals - num_achieved)
     of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
-    found = of_transition[jax.random.randint(which_key, (num_achieved,), 0, achieved.shape[0])]
-    wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired))]
+    found = of_transition[jax.random.randint(which_key, (num_achieved,), 0, achieved.shape[0], jnp.int32)]
+    wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired), jnp.int32)]
     anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
     found = jnp.where(found >= 0, found, anything[:num_achieved])
     return jnp.concatenate([found, wanted, anything[num_achieved + num_desired :]])
@@ -162,7 +164,8 @@ def shares(known: jax.Array) -> jax.Array:
     Drawn with the goals, not in the loss: there XLA sums it again for every tile of the values on a GPU, which took a
     fifth of an update of the cube.
     """
-    return known / jnp.maximum(known.sum(), 1)
+    count = jnp.maximum(known.sum(dtype=jnp.int32), 1)
+    return known.astype(jnp.float32) / count.astype(jnp.float32)
 
 
 def with_relabelled_goals(

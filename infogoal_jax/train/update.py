@@ -46,12 +46,13 @@ def returns(
 
 def discounted(step_reward: jax.Array, batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     """Discounted sum of the rewards [B, n] of each transition's steps, float32 [B]."""
-    return (step_reward * batch.mask * hyper.discount ** jnp.arange(batch.mask.shape[1])).sum(1)
+    steps = jnp.arange(batch.mask.shape[1], dtype=jnp.int32).astype(jnp.float32)
+    return (step_reward * batch.mask * (hyper.discount**steps)[None]).sum(1)
 
 
 def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     """Discount of what follows each transition, float32 [B]: 0 after termination."""
-    return hyper.discount ** batch.mask.sum(1) * ~batch.terminated
+    return hyper.discount ** batch.mask.sum(1) * (~batch.terminated).astype(jnp.float32)
 
 
 def goal_encoding(parts, params, env, view_key: jax.Array) -> GoalEncoding:
@@ -114,7 +115,7 @@ def under_all_goals(
 
     share: float32 [G]; view_key: of how goal inputs are varied; key: of the noise of codes.
     """
-    goals = jnp.arange(env.goals.num_goals) if goals is None else goals
+    goals = jnp.arange(env.goals.num_goals, dtype=jnp.int32) if goals is None else goals
     records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
     reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
     code, target_code = (
@@ -165,8 +166,10 @@ def positive_regions(pairs: GoalPairs, regions: jax.Array) -> dict[str, jax.Arra
     regions."""
     total = jnp.maximum(pairs.positive_weight.sum(), 1.0)
     same = regions[pairs.anchor] == regions[pairs.positive]
-    within = ((same & (pairs.anchor != pairs.positive)) * pairs.positive_weight).sum() / total
-    return {"positives_within": within, "positives_between": (~same * pairs.positive_weight).sum() / total}
+    found = {"positives_within": same & (pairs.anchor != pairs.positive), "positives_between": ~same}
+    return {
+        name: (of_kind.astype(jnp.float32) * pairs.positive_weight).sum() / total for name, of_kind in found.items()
+    }
 
 
 @flax.struct.dataclass
@@ -245,7 +248,9 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
     gradient, restore = ravel_pytree(gradient)
     norm = jnp.linalg.norm(gradient)
     scale = jnp.minimum(1.0, hyper.max_gradient_norm / (norm + 1e-6))
-    direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
+    # optax mixes counts with floats, which a user may have forbidden to the code of his own.
+    with jax.numpy_dtype_promotion("standard"):
+        direction, optimizer_state = parts.optimizer.update(gradient * scale, state.optimizer_state)
     params = jax.tree.map(jnp.subtract, state.params, restore(hyper.learning_rate * direction))
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)

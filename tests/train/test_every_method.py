@@ -30,7 +30,9 @@ import numpy as np
 import pytest
 from places import FIXTURES
 
-from infogoal_jax import make_train, presets
+from infogoal_jax import envs, make_train, presets
+from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
+from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.train.combinations import reasons_against
 
@@ -116,6 +118,57 @@ def test_trains_without_a_number_that_is_not_finite(task, method):
     for leaf in jax.tree.leaves((result.metrics, result.epochs, result.params)):
         assert np.isfinite(leaf).all()
     assert not np.array_equal(*result.epochs["agent/loss"])
+
+
+MODES = {
+    "64 bits": lambda: jax.enable_x64(True),
+    "ranks": lambda: jax.numpy_rank_promotion("raise"),
+    "types": lambda: jax.numpy_dtype_promotion("strict"),
+}
+"""What a user may have set for code of his own: 64 bits, or nothing that NumPy does without being asked."""
+TWO = (("object_search", "infogoal"), ("fetch_reach", "her"))
+in_each_mode = pytest.mark.parametrize("mode", list(MODES))
+
+
+@in_each_mode
+@pytest.mark.parametrize(
+    ("task", "method"), [pytest.param(*pair, marks=[] if pair in TWO else [pytest.mark.long]) for pair in working()]
+)
+def test_every_program_is_the_same_whatever_jax_is_set_to(task, method, mode):
+    """Traced: what is carried from epoch to epoch and what comes out has the types that it has without."""
+
+    def traced():
+        train = train_of(task, method)
+
+        def chunk(key, env):
+            numbers = jnp.arange(1, dtype=jnp.int32)
+            return train.chunk(train.initial(key, train.config.hyper, env), numbers, train.config.hyper, env)
+
+        return jax.eval_shape(chunk, jax.random.key(0), train.env)
+
+    with MODES[mode]():
+        found = traced()
+    assert found == traced()
+
+
+@in_each_mode
+@pytest.mark.parametrize(
+    "task",
+    ["fetch_reach", *(pytest.param(task, marks=pytest.mark.long) for task in FETCH_TASKS if task != "fetch_reach")],
+)
+def test_the_physics_is_the_same_whatever_jax_is_set_to(task, mode):
+    """Traced: the state after a step has the types of the one before it, and those that it has without the mode."""
+
+    def stepped(key):
+        env = envs.load(task, FetchConfig(goals="positions"))
+        before = env.reset(key)
+        after = env.step(before, jnp.zeros(4, jnp.float32))
+        return before, after, env.observe(after), env.reached(env.achieved(after), after.goal)
+
+    with MODES[mode]():
+        found = jax.eval_shape(stepped, jax.random.key(0))
+    assert found == jax.eval_shape(stepped, jax.random.key(0))
+    assert jax.tree.map(lambda leaf: leaf.dtype, found[0]) == jax.tree.map(lambda leaf: leaf.dtype, found[1])
 
 
 RECORD = FIXTURES / "same_numbers.json"

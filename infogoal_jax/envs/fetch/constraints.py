@@ -182,7 +182,7 @@ class Limits:
     def jacobian_and_violation(self, position: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Jacobian [nv, L] and violation [L], negative beyond the limit, at this position [nq]."""
         above, below = position[self.joints] - self.low, self.high - position[self.joints]
-        return self.unit * jnp.where(above < below, 1.0, -1.0), jnp.minimum(above, below)
+        return self.unit * jnp.where(above < below, 1.0, -1.0)[None], jnp.minimum(above, below)
 
 
 class FrictionPyramids:
@@ -191,7 +191,7 @@ class FrictionPyramids:
 
     def __init__(self, kinds: list[ContactKind]):
         """kinds: of each of n points, of which s resist spinning."""
-        self.spinning = np.flatnonzero([kind.torsion for kind in kinds])
+        self.spinning = np.flatnonzero([kind.torsion for kind in kinds]).astype(np.int32)
         points = np.concatenate([np.tile(np.arange(len(kinds)), 4), np.tile(self.spinning, 2)])
         self.dofs = np.stack([kinds[point].dofs for point in points], axis=1)
         self.kinds = [kinds[point].row for point in points]

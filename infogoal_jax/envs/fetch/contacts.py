@@ -102,7 +102,11 @@ def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contact
     middle = apart + outward * thickness
     edges = [edge * half for edge, half in zip(edges, spans, strict=True)]
 
-    # From here on by the reference face's axes, with the four corners [4, P].
+    # From here on by the reference face's axes, with the four corners: [4, P] or, where they share it, [1, P].
+    normal, across, along, depth, width, length, side, outward, middle, edges, spans, center = jax.tree.map(
+        lambda leaf: leaf[None],
+        (normal, across, along, depth, width, length, side, outward, middle, edges, spans, reference.center),
+    )
     up, right, ahead = (axis.dot(middle) for axis in (normal, across, along))
     tilt, lean, slope = (axis.dot(outward) for axis in (normal, across, along))
     places = [[axis.dot(edge) for axis in (normal, across, along)] for edge in edges]
@@ -120,7 +124,7 @@ def face_contacts(reference: Box, incident: Box, separations: Vector) -> Contact
     within = (jnp.abs(spread[0]) < 1.01) & (jnp.abs(spread[1]) < 1.01)
     distance = jnp.where(within, side * (up + rise) - depth, FAR)
     normal = normal * side
-    position = reference.center + normal * (depth + 0.5 * distance) + across * moved[0] + along * moved[1]
+    position = center + normal * (depth + 0.5 * distance) + across * moved[0] + along * moved[1]
     return jax.tree.map(
         lambda leaf: jnp.broadcast_to(leaf, distance.shape).reshape(-1), Contacts(distance, position, normal)
     )

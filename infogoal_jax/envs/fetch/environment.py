@@ -16,6 +16,8 @@ from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
 from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.keys import draw_chance
+from infogoal_jax.shapes import aligned
 
 DISTANCE_THRESHOLD = 0.05
 """Distance, in m, below which a goal is reached."""
@@ -30,6 +32,12 @@ WORLD = 5.0
 FASTEST = 1000.0
 """Speed (m/s or rad/s) beyond which the simulation counts as diverged. A puck that slips from under the fingers may
 spin at a few hundred."""
+
+
+def distances(record: jax.Array, goal: jax.Array) -> jax.Array:
+    """Metres between positions [..., 3], float32 [...]. One of them may lack leading axes of the other."""
+    record, goal = aligned(record, goal)
+    return jnp.sqrt(((record - goal) ** 2).sum(-1))
 
 
 @flax.struct.dataclass
@@ -112,17 +120,18 @@ class Fetch(Environment):
         """A goal [3] as the reference draws it."""
         around, height_key, air_key = jax.random.split(key, 3)
         task = self.task
-        goal = jnp.array(task.start_grip) + jax.random.uniform(
-            around, (3,), minval=-task.goal_range, maxval=task.goal_range
+        goal = jnp.array(task.start_grip, jnp.float32) + jax.random.uniform(
+            around, (3,), jnp.float32, minval=-task.goal_range, maxval=task.goal_range
         )
         if task.object_height is None:
             return goal
         lifted = (
-            jax.random.bernoulli(air_key) * jax.random.uniform(height_key, maxval=HIGHEST_GOAL)
+            draw_chance(air_key, 0.5).astype(jnp.float32)
+            * jax.random.uniform(height_key, dtype=jnp.float32, maxval=HIGHEST_GOAL)
             if task.goals_in_air
             else 0.0
         )
-        return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted])
+        return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted], jnp.float32)
 
     def sample_object(self, key: jax.Array) -> jax.Array:
         """Draw the object's start, [2] in m: uniform in a square around the grip, but not near it.
@@ -130,9 +139,13 @@ class Fetch(Environment):
         The reference draws until a place is far enough. Of 128 draws one is, but for one episode in 10^13 of
         fetch_slide; the last stands then.
         """
-        places = jax.random.uniform(key, (128, 2), minval=-self.task.object_range, maxval=self.task.object_range)
+        reach = self.task.object_range
+        places = jax.random.uniform(key, (128, 2), jnp.float32, minval=-reach, maxval=reach)
         far = jnp.sqrt((places**2).sum(-1)) >= NEAREST_START
-        return jnp.array(self.task.start_grip[:2]) + places[jnp.where(far.any(), jnp.argmax(far), len(places) - 1)]
+        return (
+            jnp.array(self.task.start_grip[:2], jnp.float32)
+            + places[jnp.where(far.any(), jnp.argmax(far), len(places) - 1)]
+        )
 
     def begin_anew(self, key: jax.Array, goal: jax.Array) -> FetchState:
         """A new episode for this goal [3] (m), without a check of the goal."""
@@ -201,11 +214,11 @@ class Fetch(Environment):
 
     def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """Whether the position is at the goal, bool [...], for records and goals [..., 3]."""
-        return jnp.sqrt(((record - goal) ** 2).sum(-1)) < DISTANCE_THRESHOLD
+        return distances(record, goal) < DISTANCE_THRESHOLD
 
     def reward(self, record: jax.Array, goal: jax.Array) -> jax.Array:
         """The reference's sparse reward: 0 at the goal and -1 elsewhere, float32 [...]."""
-        return -(jnp.sqrt(((record - goal) ** 2).sum(-1)) > DISTANCE_THRESHOLD).astype(jnp.float32)
+        return -(distances(record, goal) > DISTANCE_THRESHOLD).astype(jnp.float32)
 
     def _observation(self, motion: Motion, pose: Pose) -> jax.Array:
         """The reference's vector: grip, object, object - grip, fingers, object's Euler angles, its velocities

@@ -19,6 +19,7 @@ from infogoal_jax.envs.fetch import environment, targets
 from infogoal_jax.envs.fetch.tasks import FetchConfig, Task
 from infogoal_jax.envs.target_states import Cells, flattened
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.shapes import with_rank
 
 POSITION_SCALE = 0.1
 """Unit, in m, of positions relative to the grip's start in the input of networks."""
@@ -109,7 +110,9 @@ class ImageGoals(Environment):
 
     def render(self, observation: jax.Array) -> jax.Array:
         """The input of the network: the observation, centred and scaled so that each number is of the order of 1."""
-        centre, scale = observation_units(self.robot)
+        centre, scale = (
+            with_rank(jnp.asarray(unit, jnp.float32), observation.ndim) for unit in observation_units(self.robot)
+        )
         return (observation - centre) / scale
 
     def achieved(self, state: ImageGoalState) -> jax.Array:
@@ -149,8 +152,11 @@ class ImageGoals(Environment):
     def goals_of(self, record: jax.Array) -> jax.Array:
         """The grid goal nearest to each position, int32 [..., 1]; -1 for positions more than a step outside the
         grid."""
-        place = (record - self.grid_low) / self.spacing
-        last = jnp.array(self.grid_shape) - 1
+        low, spacing, last = (
+            with_rank(jnp.asarray(value, jnp.float32), record.ndim)
+            for value in (self.grid_low, self.spacing, np.array(self.grid_shape) - 1)
+        )
+        place = (record - low) / spacing
         near = ((place > -1.0) & (place < last + 1.0)).all(-1)
         nearest = jnp.clip(jnp.round(place), 0, last).astype(jnp.int32)
         return jnp.where(near, flattened(nearest, self.grid_shape), -1)[..., None]

@@ -77,7 +77,7 @@ class Physics:
         if timestep != model.REFERENCE_TIMESTEP:
             weld = constraints.lengthened(weld, timestep, model.CONTROL_STEP)
         self.weld = Weld(moving_dofs(mj, mj.body("wrist_roll").id), weld, model.INVERSE_WEIGHT["gripper"])
-        limited = np.flatnonzero(mj.jnt_limited)
+        limited = np.flatnonzero(mj.jnt_limited).astype(np.int32)
         self.limits = Limits(
             limited,
             mj.jnt_range[limited],
@@ -144,7 +144,7 @@ class Physics:
         """Positions [2] (m) and velocities [2] (m/s) of the right and the left finger; zero for fingers that are one
         block."""
         if self.shapes.one_hand:
-            return jnp.zeros(2), jnp.zeros(2)
+            return jnp.zeros(2, jnp.float32), jnp.zeros(2, jnp.float32)
         return motion.position[self.fingers], motion.velocity[self.fingers]
 
     def hand(self, frames: Frames) -> tuple[Frames, Vector]:
@@ -186,8 +186,8 @@ class Physics:
     def thing_pose(self, motion: Motion, age: float) -> tuple[jax.Array, ...]:
         """The object's part of `Pose`, `age` seconds ago."""
         if not self.has_object:
-            zero = jnp.zeros(3)
-            return zero, jnp.eye(3), zero, zero
+            zero = jnp.zeros(3, jnp.float32)
+            return zero, jnp.eye(3, dtype=jnp.float32), zero, zero
         velocity = motion.velocity[self.joints :]
         place = integrate(motion.position[self.joints :], velocity, -age) if age else motion.position[self.joints :]
         rotation = Quaternion.of(place[3:]).rotation()

@@ -74,7 +74,7 @@ def solve(
     inertia: M [nv, nv]; damping: joint damping times timestep [nv]; force: all other generalised forces [nv], so that
     a_free = M^-1 force; start: acceleration to begin from [nv].
     """
-    problem = (inertia, jnp.asarray(damping), force, rows.jacobian, rows.stiffness, rows.reference, start)
+    problem = (inertia, jnp.asarray(damping, jnp.float32), force, rows.jacobian, rows.stiffness, rows.reference, start)
     return jax.lax.platform_dependent(
         *problem,
         cuda=functools.partial(solve_on_gpu, lengths=TRIAL_LENGTHS, equalities=EQUALITIES, steps=steps),
@@ -91,7 +91,7 @@ def solve_anywhere(
     def newton_step(_, carried):
         acceleration, residual = carried
         weight = rows.weights(residual)
-        curvature = times(rows.jacobian * weight, rows.jacobian.T)
+        curvature = times(rows.jacobian * weight[None], rows.jacobian.T)
         pull = times(rows.jacobian, weight * residual)
         smooth = times(inertia, acceleration) - force
         direction = -positive_definite_solve(inertia + curvature, smooth + pull)
@@ -125,13 +125,13 @@ def line_search(
     value, growth = quadratic
 
     def derivative(lengths):
-        moved = residual + lengths[:, None] * change
+        moved = residual[None] + lengths[:, None] * change[None]
         return value + lengths * growth + times(jax.vmap(rows.weights)(moved) * moved, change)
 
     def bracket(lengths, values):
         """The neighbouring trial lengths between which the derivative turns positive, and its values there."""
         last = jnp.clip((jnp.cumprod(values < 0)).sum() - 1, 0, len(lengths) - 2)
-        pick = jax.nn.one_hot(last, len(lengths) - 1)
+        pick = jax.nn.one_hot(last, len(lengths) - 1, dtype=jnp.float32)
         return tuple((pick * part).sum() for part in (lengths[:-1], lengths[1:], values[:-1], values[1:]))
 
     lengths = jnp.asarray(TRIAL_LENGTHS)

@@ -14,6 +14,8 @@ import numpy as np
 from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.tasks import Task
 from infogoal_jax.envs.target_states import Cells
+from infogoal_jax.keys import draw_chance
+from infogoal_jax.shapes import with_rank
 
 REACHED = environment.DISTANCE_THRESHOLD
 """Distance, in m, of grip (fetch_reach) or object below which a target state is reached: that of goals."""
@@ -51,8 +53,8 @@ class TargetSpace:
         """Whether the state [..., S] is at the target, bool [...]: `precision` for grip or object, `BESIDE` for a grip
         that has an object."""
         distance = jnp.linalg.norm((state - target).reshape(*state.shape[:-1], self.components, 3), axis=-1)
-        tolerance = jnp.array([precision] if self.components == 1 else [BESIDE, precision])
-        return (distance < tolerance).all(-1)
+        tolerance = jnp.array([precision] if self.components == 1 else [BESIDE, precision], jnp.float32)
+        return (distance < with_rank(tolerance, distance.ndim)).all(-1)
 
     def reward(self, state: jax.Array, target: jax.Array) -> jax.Array:
         """The low level's reward [...] for the state [..., S] that a step led to: 0 within `PRECISE` of the target, -1
@@ -81,7 +83,8 @@ class TargetSpace:
     def network_input(self, part: jax.Array, scale: float) -> jax.Array:
         """A position [..., 3] as input of a network: relative to the middle of the goal space, in units of `scale`
         m."""
-        return (part - self.bounds.mean(0)) / scale
+        middle = jnp.asarray(self.bounds.mean(0), jnp.float32)
+        return (part - with_rank(middle, part.ndim)) / scale
 
     def cells(self, side: float) -> Cells:
         """Cells of this side (m) over the space of goals, for grip and object alike."""
@@ -94,7 +97,7 @@ class TargetSpace:
         The object's target stays inside of the space of goals, the grip's beside the object's: other target states
         cannot be reached in time.
         """
-        low, high = self.bounds
+        low, high = jax.lax.expand_dims(jnp.asarray(self.bounds, jnp.float32), range(1, observation.ndim))
         subgoal = jnp.clip(subgoal, -1.0, 1.0)
         moved = jnp.clip(observation[..., self.size - 3 : self.size] + scale * subgoal[..., -3:], low, high)
         if self.components == 1:
@@ -149,9 +152,7 @@ class TargetReaching:
         """A new episode."""
         start_key, choose_key, key = jax.random.split(key, 3)
         robot = self.robot.reset(start_key)
-        state = TargetState(
-            robot, self.space.at_goal(robot.goal), jax.random.bernoulli(choose_key, self.moving_share), key
-        )
+        state = TargetState(robot, self.space.at_goal(robot.goal), draw_chance(choose_key, self.moving_share), key)
         return self._aim(state)
 
     def step(self, state: TargetState, action: jax.Array) -> TargetState:
@@ -165,8 +166,8 @@ class TargetReaching:
         ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(
             0.0
         ) / FARTHEST  # The grip's share stays beside the object.
-        drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0)
-        subgoal = jnp.where(jax.random.bernoulli(choose_key, self.random_share), drawn, ahead)
+        drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0, dtype=jnp.float32)
+        subgoal = jnp.where(draw_chance(choose_key, self.random_share), drawn, ahead)
         due = state.moving & (state.robot.time % HELD == 0)
         return state.replace(
             goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal)

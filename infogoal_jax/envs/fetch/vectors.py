@@ -9,6 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.shapes import aligned
+
+
+def multiplied(first, second):
+    """The product of two arrays, one of which may lack leading axes of the other."""
+    first, second = aligned(first, second)
+    return first * second
+
 
 @flax.struct.dataclass
 class Vector:
@@ -38,14 +46,14 @@ class Vector:
         return Vector(-self.x, -self.y, -self.z)
 
     def __mul__(self, factor) -> "Vector":
-        return Vector(self.x * factor, self.y * factor, self.z * factor)
+        return Vector(*(multiplied(part, factor) for part in (self.x, self.y, self.z)))
 
     def __getitem__(self, index) -> "Vector":
         return Vector(*(entries(part, index) for part in (self.x, self.y, self.z)))
 
     def dot(self, other: "Vector") -> jax.Array:
         """Inner products."""
-        return self.x * other.x + self.y * other.y + self.z * other.z
+        return multiplied(self.x, other.x) + multiplied(self.y, other.y) + multiplied(self.z, other.z)
 
     def cross(self, other: "Vector") -> "Vector":
         """Vector products."""
