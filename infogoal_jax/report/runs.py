@@ -9,7 +9,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from infogoal_jax.errors import check_count, require
+from infogoal_jax import checks
+from infogoal_jax.errors import require
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
@@ -44,6 +45,7 @@ class Run(Description):
 
         Raises `UserError` for a seed that the run does not have, or a damaged file.
         """
+        use_mean = checks.flag(use_mean, "use_mean")
         return self.train.policy(self.params(seed), self.config.hyper, self.env, use_mean)
 
     def params(self, seed: int | None = None) -> dict[str, Any]:
@@ -53,7 +55,7 @@ class Run(Description):
 
     def seed_of(self, seed: int | None = None) -> int:
         """A seed of the run; None: its first. Raises `UserError` for one that the run does not have."""
-        found = self.seeds[0] if seed is None else seed
+        found = self.seeds[0] if seed is None else checks.whole(seed, "seed")
         several = "seed" if len(self.seeds) == 1 else "seeds"
         require(found in self.seeds, "seed", found, f"the run has the {several} {', '.join(map(str, self.seeds))}")
         return found
@@ -64,8 +66,8 @@ class Run(Description):
         for what are no goals, starts or weight, and as `policy` does.
         """
         goals = numbers_of_goals(self.env, goals, "goals", axes=1)
-        check_count(num_starts, "num_starts")
-        require(0 <= weight <= 1, "weight", weight, "give a number from 0 (clean) to 1 (the background alone)")
+        num_starts = checks.whole(num_starts, "num_starts", 1)
+        weight = checks.number(weight, "weight", 0, 1, "give a number from 0 (clean) to 1 (the background alone)")
         require(
             has_image_goals(self.env), "task", self.config.task, "its goals are not images; evaluate goals as they are"
         )
@@ -78,7 +80,9 @@ def load_run(folder: str | Path, **moved: str) -> Run:
     moved: where its data lie on this machine, by the fields of the task's configuration: `dataset="photographs"`.
     Raises `UserError` if there is no run, its config.json cannot be read, or these are other data.
     """
-    found = find_run(folder)
+    found = find_run(
+        checks.path(folder, "run", "give a folder of a run, a packed file, or a name such as shipped/NAME")
+    )
     run = Run(**vars(configuration.read(found)), folder=found, name=str(folder))
     if moved:
         for name in moved:

@@ -13,10 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.errors import check_count, require
+from infogoal_jax import checks
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
 from infogoal_jax.keys import written_out
 from infogoal_jax.shapes import with_rank
+from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
 from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
@@ -56,10 +57,15 @@ class Scores:
         return jnp.where(self.success, self.steps, episode_length + 1)
 
 
+def seed_key(seed: int, number: int = 0) -> jax.Array:
+    """The key of an evaluation's seed for the purpose of this number: 0 for starts, 1 for noise, 2 for backgrounds."""
+    return written_out(jax.random.key(np.uint32((seed + number) % checks.MOST_SEEDS)))
+
+
 def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:
     """Draw start states for each goal: goals int32 [M] to states [M, num_starts]."""
     desired = jnp.repeat(goals, num_starts)
-    states = jax.vmap(env.reset_to)(jax.random.split(written_out(jax.random.key(seed)), desired.shape[0]), desired)
+    states = jax.vmap(env.reset_to)(jax.random.split(seed_key(seed), desired.shape[0]), desired)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, num_starts, *leaf.shape[1:]), states)
 
 
@@ -68,16 +74,23 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
 
     policy: (observations [E, ...], goals int32 [E] or what the view shows [E, ...], key) -> actions [E, ...].
     goals: int32 [M], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
-    in any order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError` for goals that the
-    task does not have, and for starts that are neither.
+    for these goals, in their order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError`
+    for goals that the task does not have, for starts that are neither or for other goals, for a view of another shape,
+    and for what is no policy.
     """
-    require(hasattr(env, "reset_to"), "env", env, "give the policy first, and an environment after it")
-    desired = numbers_of_goals(env, goals.goals if isinstance(goals, GoalView) else goals, "goals", axes=1)
-    states = starts
-    if not hasattr(starts, "goal"):
-        check_count(starts, "starts", "give a whole number from 1 on, or start states [M, S]")
-        states = draw_starts(env, desired, int(starts), seed)
-    episodes = run_side_by_side(env, policy, [goals], states, written_out(jax.random.key(seed + 1)))
+    check_is_environment(env, "give the policy first, and an environment after it")
+    policy = checked_policy(env, policy)
+    seed, is_view = checks.seed(seed), isinstance(goals, GoalView)
+    desired = numbers_of_goals(env, goals.goals if is_view else goals, "goals", axes=1)
+    if hasattr(starts, "goal"):
+        check_starts(env, starts, desired)
+        states = starts
+    else:
+        count = checks.whole(starts, "starts", 1, remedy="give a whole number from 1 on, or start states [M, S]")
+        states = draw_starts(env, desired, count, seed)
+    if is_view:
+        check_shown(goals.shown, *states.goal.shape, "goals")
+    episodes = run_side_by_side(env, policy, [goals], states, seed_key(seed, 1))
     return score(env, states, jax.tree.map(lambda leaf: leaf[0], episodes))
 
 
@@ -176,9 +189,7 @@ def corrupted_images(
     """Images of the goals [M] under test backgrounds, uint8 [M, num_starts, H, W, C]: each start has a background of
     its own."""
     images = jnp.repeat(env.goals.inputs_of(goals)[:, None], num_starts, axis=1)
-    backgrounds = draw_backgrounds(
-        written_out(jax.random.key(seed + 2)), env.test_backgrounds, (len(goals) * num_starts,)
-    )
+    backgrounds = draw_backgrounds(seed_key(seed, 2), env.test_backgrounds, (len(goals) * num_starts,))
     return corrupt(images, backgrounds.reshape(images.shape), weight)
 
 
@@ -237,7 +248,7 @@ def evaluate_settings(
         codes, use_mean = shown
         return trained_policy(parts, params, hyper, env, use_mean)(observation, codes, key)
 
-    key = written_out(jax.random.key(seed + 1))
+    key = seed_key(seed, 1)
     shown = [shown_in(setting) for setting in settings]
     scores = score(env, starts, run_side_by_side(env, policy, shown, starts, key))
     metrics = {"first_reached": scores.first_reached(env.episode_length)[0]}

@@ -9,10 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax import checks
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.errors import UserError, require, shown
+from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.contracts import check_is_environment, checked_policy
 from infogoal_jax.train.parts import encode_states, sees_means, tests_on_means, training_view
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
@@ -142,9 +144,9 @@ class Episodes:
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
     """One episode for a desired goal, its number or its name, from a start drawn from the key; without the axis of
     episodes. Compile it with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
-    require(hasattr(env, "reset_to"), "env", env, "give an environment, and the policy after it")
-    require(hasattr(key, "dtype"), "key", key, "give one of jax.random.key")
-    start_key, act_key = jax.random.split(key)
+    check_is_environment(env, "give an environment, and the policy after it")
+    policy = checked_policy(env, policy)
+    start_key, act_key = jax.random.split(checks.key(key))
     starts = jax.vmap(env.reset_to)(start_key[None], numbers_of_goals(env, goal, "goal", axes=0)[None])
     return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
 
@@ -158,16 +160,13 @@ def numbers_of_goals(env, goals: Any, field: str, axes: int) -> jax.Array:
         require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
         numbers = [env.goals.names.index(name) for name in named]
         goals = numbers[0] if isinstance(goals, str) else numbers
-    try:
-        given = jnp.asarray(goals)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{field} = {shown(goals)}: give numbers of goals") from error
     remedy = "give whole numbers of goals, such as np.flatnonzero(mask)" if axes else "give the whole number of a goal"
-    require(jnp.issubdtype(given.dtype, jnp.integer) and given.ndim == axes, field, goals, remedy)
-    if env.goals is not None and not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(goals)):
-        known, most = np.asarray(goals), env.goals.num_goals - 1
+    given = checks.array(goals, field, "whole numbers", (None,) * axes, remedy)
+    require(axes == 0 or given.shape[0] > 0, field, goals, "give at least one goal")
+    if env.goals is not None and not checks.is_traced(given):
+        known, most = np.asarray(given), env.goals.num_goals - 1
         require(((known >= 0) & (known <= most)).all(), field, goals, f"the task has the goals 0 to {most}")
-    return given.astype(jnp.int32)
+    return given.astype(jnp.int32) if checks.is_traced(given) else np.asarray(given, np.int32)
 
 
 def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:

@@ -1,0 +1,81 @@
+"""What is checked of policies and states that come from outside, before anything is compiled: their shapes and types,
+which `jax.eval_shape` finds out without computing anything."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import checks
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.errors import UserError, require, shown
+
+
+def check_is_environment(env: Any, remedy: str = "give an environment, such as envs.load makes") -> None:
+    """Raise `UserError` for what is no environment."""
+    require(isinstance(env, Environment), "env", env, remedy)
+
+
+def checked_policy(env: Environment, policy: Any) -> Callable:
+    """The policy, which raises `UserError` when it is traced and returns anything but an action for each episode. And
+    at once for what cannot be called as a policy."""
+    checks.function(policy, "policy", 3, "give a function of (observations, goals, key)")
+
+    def checked(observation, goal, key):
+        actions = policy(observation, goal, key)
+        check_actions(env, actions, jax.tree.leaves(observation)[0].shape[0])
+        return actions
+
+    return checked
+
+
+def check_actions(env: Environment, actions: Any, num_episodes: int) -> None:
+    """Raise `UserError` for what a policy returned, by its shapes, if it is not one action for each of the episodes."""
+    shape, kind = ((num_episodes,), "int32") if env.discrete else ((num_episodes, env.action_size), "float32")
+    wanted = checks.written(shape, kind)
+    leaves = jax.tree.leaves(actions)
+    one = len(leaves) == 1 and leaves[0] is actions and hasattr(actions, "shape")
+    require(one, "policy", "a function that returns " + type(actions).__name__, f"return actions {wanted}")
+    of_kind = jnp.issubdtype(actions.dtype, jnp.integer if env.discrete else jnp.floating)
+    found = checks.written(actions.shape, str(actions.dtype))
+    require(of_kind and actions.shape == shape, "policy", f"a function that returns {found}", f"return {wanted}")
+
+
+def check_starts(env: Environment, starts: Any, desired: jax.Array) -> None:
+    """Raise `UserError` unless `starts` are states [M, S] of the environment for the M desired goals, in their
+    order."""
+    one = jax.eval_shape(env.reset_to, jax.random.key(0), jax.ShapeDtypeStruct((), jnp.int32))
+    axes, goals = np.shape(starts.goal), jnp.shape(desired)
+    remedy = f"give states [M, S] of env.reset_to for the {goals[0]} goals, goals first"
+    require(len(axes) == 2, "starts", f"states {list(axes)}", remedy)
+    if axes[0] != goals[0]:
+        raise UserError(f"starts = states {list(axes)}, goals = {list(goals)}: {remedy}")
+    require(axes[1] > 0, "starts", f"states {list(axes)}", "give at least one start for each goal")
+    several = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*axes, *leaf.shape), leaf.dtype), one)
+    require(jax.tree.structure(starts) == jax.tree.structure(one), "starts", type(starts).__name__, remedy)
+    checks.same_shapes(starts, several, "starts", "the states of this environment")
+    if checks.is_traced((starts.goal, desired)):
+        return
+    own, asked = np.asarray(starts.goal), np.asarray(desired)
+    different = np.flatnonzero((own != asked[:, None]).any(1))
+    if different.size:
+        row = different[0]
+        raise UserError(
+            f"starts[{row}] = states for goal {shown(own[row].tolist())}, goals[{row}] = {asked[row]}: the states are "
+            "for other goals; give both in one order, or the number of starts"
+        )
+
+
+def check_shown(shown_goals: Any, num_goals: int, num_starts: int, field: str) -> None:
+    """Raise `UserError` unless every leaf of what a policy is shown has a place for each goal and start: [M, S, ...] or
+    [M, 1, ...]."""
+    leaves = jax.tree_util.tree_leaves_with_path(shown_goals)
+    require(len(leaves) > 0, f"{field}.shown", shown_goals, "give arrays [M, S, ...]")
+    for path, leaf in leaves:
+        name, shape = f"{field}.shown{jax.tree_util.keystr(path)}", np.shape(leaf)
+        fits = len(shape) >= 2 and shape[0] == num_goals and shape[1] in (1, num_starts)
+        require(
+            fits, name, list(shape), f"give [{num_goals}, {num_starts}, ...] or [{num_goals}, 1, ...]: goals and starts"
+        )
