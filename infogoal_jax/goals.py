@@ -3,13 +3,19 @@
 A goal is an int32 index into a `GoalSet` everywhere; -1 means "no goal".
 """
 
+from typing import Any
+
 import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax.errors import require
+from infogoal_jax import checks
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.goal_uses import NO_USE, USES
+
+MOST_CHANNELS = 4
+"""Of an image; more of them last, and fewer first, are an image with its channels first."""
 
 
 @flax.struct.dataclass
@@ -46,21 +52,33 @@ class GoalSet:
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
         """Make a goal set of inputs [M, ...], regions [N] and uses [N], each a position in `USES` or `NO_USE`. rows:
-        int [N] into the inputs. Raises `UserError` for what does not fit together."""
-        uses = np.asarray(uses)
-        check_goals(inputs if rows is None else rows, regions, uses, names, region_names)
+        int [N] into the inputs.
+
+        Raises `UserError`, naming the field, for what does not fit together, for numbers that are not finite, for names
+        that are not unique, and for inputs that are neither vectors float32 [M, D] nor images uint8 [M, H, W, C].
+        """
+        uses, inputs = checked_uses(uses), checked_inputs(inputs)
+        count = len(uses)
+        if rows is None:
+            require(len(inputs) == count, "inputs", len(inputs), f"give one for each of the {count} goals in uses")
+        else:
+            rows = checked_places(rows, "rows", count, len(inputs), f"there are {len(inputs)} inputs")
+        region_names = checked_names(region_names, "region_names", None)
+        known = f"region_names has the regions 0 to {len(region_names) - 1}"
+        regions = checked_places(regions, "regions", count, len(region_names), known)
+        names = checked_names(names, "names", count)
         # Put on the device as they are, here and in the tasks: `jnp.asarray` would compile a program for every shape.
         masks = [jax.device_put(uses == use) for use in range(len(USES))]
         return cls(
             jax.device_put(inputs),
-            jax.device_put(np.asarray(regions, np.int32)),
+            jax.device_put(regions),
             *masks,
             training_goals=jax.device_put(np.flatnonzero(uses == 0).astype(np.int32)),
             evaluated=jax.device_put(np.flatnonzero(uses != NO_USE).astype(np.int32)),
-            names=tuple(names),
-            region_names=tuple(region_names),
+            names=names,
+            region_names=region_names,
             groups=tuple(name for use, name in enumerate(USES) if (uses == use).any()),
-            rows=None if rows is None else jax.device_put(np.asarray(rows, np.int32)),
+            rows=None if rows is None else jax.device_put(rows),
         )
 
     def inputs_of(self, goals: jax.Array) -> jax.Array:
@@ -75,16 +93,61 @@ class GoalSet:
         return len(self.names)
 
 
-def check_goals(inputs, regions, uses: np.ndarray, names: tuple[str, ...], region_names: tuple[str, ...]) -> None:
-    """Raise `UserError`, naming the field, for goals whose parts do not fit together."""
-    count, lengths = len(uses), {"inputs": len(inputs), "regions": len(regions), "names": len(names)}
-    for field, length in lengths.items():
-        require(length == count, field, length, f"give one for each of the {count} goals in uses")
-    whole = np.issubdtype(uses.dtype, np.integer)
-    known = [*range(len(USES)), NO_USE]
-    require(whole and np.isin(uses, known).all(), "uses", uses, f"give positions in {USES}, or {NO_USE} for none")
-    places, most = np.asarray(regions), len(region_names) - 1
-    require(((places >= 0) & (places <= most)).all(), "regions", places, f"region_names has the regions 0 to {most}")
+def checked_inputs(inputs: Any) -> Any:
+    """What the goal encoder sees, vectors float32 [M, D] or images uint8 [M, H, W, C], as arrays. Raises `UserError`
+    for anything else; vectors of another type of floats are rounded."""
+    remedy = "give vectors float32 [M, D], or images uint8 [M, H, W, C]"
+    inputs = checks.array(inputs, "inputs", "numbers", remedy=remedy)
+    shape, found = inputs.shape, checks.written(inputs.shape, str(inputs.dtype))
+    if len(shape) == 1:
+        remedy = f"give vectors float32 [{shape[0]}, 1]: one number is a vector of length 1"
+    elif len(shape) in (3, 4) and inputs.dtype != np.uint8:
+        remedy = "give images as uint8 from 0 to 255, [M, H, W, C]"
+    elif len(shape) == 3:
+        remedy = f"give images uint8 [M, H, W, C]: here {[*shape, 1]} for one channel"
+    elif len(shape) == 4 and shape[1] <= MOST_CHANNELS < shape[3]:
+        remedy = f"give images with their channels last, uint8 {[shape[0], *shape[2:], shape[1]]}"
+    elif len(shape) == 2 and not jnp.issubdtype(inputs.dtype, jnp.floating):
+        remedy = f"give vectors as float32 {list(shape)}"
+    elif len(shape) in (2, 4):
+        remedy = ""
+    if remedy:
+        raise UserError(f"inputs = {found}: {remedy}")
+    require(0 not in shape, "inputs", found, "give at least one goal, and no empty axis")
+    if inputs.dtype == np.uint8:
+        return inputs
+    with np.errstate(over="ignore"):
+        vectors = inputs.astype(np.float32)
+    require(checks.is_traced(vectors) or bool(np.isfinite(vectors).all()), "inputs", found, "float32 cannot hold them")
+    return vectors
+
+
+def checked_names(names: Any, field: str, count: int | None) -> tuple[str, ...]:
+    """Different names, so many of them."""
+    several = isinstance(names, list | tuple) or (isinstance(names, np.ndarray) and names.ndim == 1)
+    require(several and all(isinstance(name, str) for name in names), field, names, "give a tuple of names")
+    require(count is None or len(names) == count, field, len(names), f"give one for each of the {count} goals in uses")
+    repeated = next((name for place, name in enumerate(names) if name in names[:place]), None)
+    require(len({*names}) == len(names), field, repeated, "is there twice; give each a name of its own")
+    return tuple(map(str, names))
+
+
+def checked_uses(uses: Any) -> np.ndarray:
+    """Positions in `USES`, or `NO_USE`, int32 [N]."""
+    remedy = f"give positions in {USES}, or {NO_USE} for none, [N]"
+    uses = np.asarray(checks.array(uses, "uses", "whole numbers", ("N",), remedy))
+    require(uses.size > 0, "uses", uses, remedy)
+    require(np.isin(uses, [*range(len(USES)), NO_USE]).all(), "uses", uses, remedy)
+    return uses
+
+
+def checked_places(places: Any, field: str, count: int, num_places: int, of: str) -> np.ndarray:
+    """A place below `num_places` for each of `count` goals, int32 [N]."""
+    remedy = f"give one for each of the {count} goals in uses, whole numbers from 0 to {num_places - 1}: {of}"
+    places = np.asarray(checks.array(places, field, "whole numbers", ("N",), remedy))
+    require(len(places) == count, field, len(places), f"give one for each of the {count} goals in uses")
+    require(((places >= 0) & (places < num_places)).all(), field, places, remedy)
+    return places.astype(np.int32)
 
 
 def corrupt(inputs: jax.Array, backgrounds: jax.Array, weight: jax.Array | float) -> jax.Array:

@@ -43,7 +43,9 @@ def codes_panel(axes: Axes, result: Result, view: int, size: float = 0.5) -> Non
     centre, directions, _ = principal_components(mean[0])
     regions = tuple(str(region) for region in range(int(arrays["code_region"].max()) + 1))
     uses = np.where(use == len(USES), NO_USE, use)
-    goals = GoalSet.of(np.zeros((len(use), 1)), arrays["code_region"], uses, ("",) * len(use), regions)
+    goals = GoalSet.of(
+        np.zeros((len(use), 1), np.float32), arrays["code_region"], uses, tuple(map(str, range(len(use)))), regions
+    )
     code = GoalCode(mean[view], None if std is None else std[view].astype(float))
     draw_codes(axes, code, goals, np.arange(len(use)), centre, directions, size, CODE_SAMPLES)
     axes.set_xticks([])
