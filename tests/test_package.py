@@ -35,6 +35,8 @@ LAYERS = (
         "replay",
         "angles",
         "keys",
+        "checks",
+        "shapes",
     },
     {"learners", "relabelling", "agents", "exploration", "data"},
     {"stand_ins", "envs"},
@@ -47,7 +49,7 @@ LAYERS = (
 EVERYTHING = {"__init__", "__main__"}  # The package's own face.
 NOT_OF_LEARNING = {
     "data": {"goals", "goal_uses", "errors", "stopping", "files"},
-    "envs": {"goals", "goal_uses", "errors", "field_types", "replay", "registry", "angles"},
+    "envs": {"goals", "goal_uses", "errors", "field_types", "replay", "registry", "angles", "keys", "checks", "shapes"},
 }
 """What data and environments may know of the lowest layer."""
 
