@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from infogoal_jax.config import Hyperparameters, TrainConfig
     from infogoal_jax.errors import UserError
     from infogoal_jax.report.runs import load_run
+    from infogoal_jax.report.sweeps import SweepResult, sweep
     from infogoal_jax.runner.compilation import compiled, compiler_options, jit, use_compilation_cache
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult, make_train
@@ -20,6 +21,7 @@ __all__ = [
     "GoalView",
     "Hyperparameters",
     "Scores",
+    "SweepResult",
     "Train",
     "TrainConfig",
     "TrainResult",
@@ -33,6 +35,7 @@ __all__ = [
     "make_train",
     "presets",
     "rollout",
+    "sweep",
     "use_compilation_cache",
 ]
 MODULES = {
@@ -47,6 +50,8 @@ MODULES = {
     "TrainResult": "train.program",
     "make_train": "train.program",
     "load_run": "report.runs",
+    "sweep": "report.sweeps",
+    "SweepResult": "report.sweeps",
     "rollout": "train.rollout",
     "GoalView": "train.evaluation",
     "Scores": "train.evaluation",

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from infogoal_jax.errors import counted, require, typed
 from infogoal_jax.runner.compilation import use_compilation_cache
+from infogoal_jax.runner.executors import run_in_processes, run_on_ray
 from infogoal_paper import numbers, progress
 from infogoal_paper.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_paper.numbers import Results
 from infogoal_paper.plan import config_of, fetch_sets, programs_of
 from infogoal_paper.work import Work, work_on
-from infogoal_paper.workers import arguments_of, work_side_by_side
 
 DONE, FAILED, MORE = 0, 1, 130
 DRAWING = 60.0
@@ -140,7 +140,8 @@ def check_size(asked: Asked) -> None:
 def work_of(asked: Asked, deadline: float) -> Work:
     """The work on the folder that was asked for."""
     say = lambda words: print(words, flush=True)  # noqa: E731
-    return Work(asked.out, deadline, asked.retry, asked.goal_images, asked.vmap_size, say)
+    settings = {"retry": asked.retry, "goal_images": asked.goal_images, "most_lanes": asked.vmap_size}
+    return Work(asked.out, deadline, say, **settings)
 
 
 def work_here(asked: Asked, runs: list[Run], deadline: float) -> None:
@@ -151,17 +152,40 @@ def work_here(asked: Asked, runs: list[Run], deadline: float) -> None:
         work_on(runs, work_of(asked, deadline))
         return
     minutes = 0.0 if deadline == float("inf") else max(0.01, (deadline - time.time()) / 60)
-    statuses = work_side_by_side(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
+    statuses = run_in_processes(arguments_of(asked, round(minutes, 2)), asked.processes, asked.gpus)
     for number, status in enumerate(statuses):
         if status not in (DONE, FAILED, MORE):
             print(f"process {number} ended with status {status}; what it had begun is left", flush=True)
 
 
-def work_by_ray(asked: Asked, runs: list[Run], deadline: float) -> None:
-    """Train what is left by the workers of a Ray cluster."""
-    from infogoal_paper.cluster import work_on_cluster
+def arguments_of(asked: Asked, minutes: float) -> list[str]:
+    """The arguments of one process: what was asked for, without drawing, for so many minutes."""
+    words = ["reproduce", asked.name, "--no-draw", "--out", str(Path(asked.out)), "--seeds", str(asked.seeds)]
+    words += ["--vmap-size", str(asked.vmap_size), "--minutes", str(minutes)]
+    for flag, values in (
+        ("tasks", asked.tasks),
+        ("methods", asked.methods),
+        ("variants", asked.variants),
+        ("sets", asked.sets),
+        ("known-goals", asked.known_goals),
+    ):
+        words += [f"--{flag}", *map(str, values)] if values else []
+    words += ["--known", str(asked.known)] if asked.known else []
+    words += ["--goal-images", str(asked.goal_images)] if asked.goal_images else []
+    return words + ["--retry"] * asked.retry + ["--quick"] * asked.quick
 
-    work_on_cluster(runs, work_of(asked, deadline), asked.processes, asked.ray_address)
+
+def work_by_ray(asked: Asked, runs: list[Run], deadline: float) -> None:
+    """Train what is left on a Ray cluster."""
+    work = work_of(asked, deadline)
+    say = work.say
+
+    def said(words: str) -> None:
+        say(words)
+        progress.write(asked.out, runs)
+
+    work.say = said
+    work_on(runs, work, functools.partial(run_on_ray, workers=asked.processes, address=asked.ray_address))
 
 
 ENGINES = {"processes": work_here, "ray": work_by_ray}

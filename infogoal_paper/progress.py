@@ -2,9 +2,9 @@
 
 import dataclasses
 import html
-import json
 import math
 import time
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.files import append, from_json, has_no_locks, open_lock, read_bytes, try_lock
+from infogoal_jax.files import from_json, has_no_locks, open_lock, read_bytes, try_lock
 from infogoal_jax.runs import disk
 from infogoal_paper import checkpoints, files, plan
 from infogoal_paper.files import Result
@@ -23,7 +23,7 @@ from infogoal_paper.plan import budget_of
 from infogoal_paper.scores import TITLES
 from infogoal_paper.table_formats import Table
 
-PAGE, TIMES = "progress.html", "times.jsonl"
+PAGE, TIMES = "progress.html", "times"
 SECONDS = 10
 """The page is written anew at most this often, and reloads itself as often."""
 STYLE = """body{font:16px/1.4 system-ui,sans-serif;margin:1rem;max-width:70rem}table{border-collapse:collapse}
@@ -53,20 +53,13 @@ def forget(folder: Path, run: Run) -> None:
 
 def keep_times(folder: Path, task: str, runs: int, seconds: float) -> None:
     """Keep what a batch of runs took, so that the time to go can be told."""
-    append_times(folder, json.dumps({"task": task, "runs": runs, "seconds": seconds}) + "\n")
-
-
-def append_times(folder: Path, lines: str) -> None:
-    """Add lines to the file of times. Raises `UserError` if the disk refuses."""
-    try:
-        append(folder / TIMES, lines.encode())
-    except OSError as error:
-        raise disk.disk_error(folder / TIMES, error) from error
+    disk.make_folder(disk.below(folder, TIMES))
+    disk.write_json(folder / TIMES / f"{uuid.uuid4().hex}.json", {"task": task, "runs": runs, "seconds": seconds})
 
 
 @dataclasses.dataclass(frozen=True)
 class Took:
-    """A line of the file of times: what a batch of so many runs of a task took."""
+    """What a batch of so many runs of a task took."""
 
     task: str
     runs: int
@@ -75,10 +68,10 @@ class Took:
 
 def seconds_a_run(folder: Path) -> dict[str, float]:
     """Mean seconds of a run of each task, and under "" of all, of those that are known."""
-    path = folder / TIMES
-    place = disk.Place(path, remedy="delete it: only the time to go is told by it")
-    content = disk.read_bytes(place, "") if path.exists() else b""
-    rows = [vars(disk.decode(Took, values, at)) for at, values in disk.parse_lines(content, place)]
+    rows = []
+    for path in sorted((folder / TIMES).glob("*.json")):
+        place = disk.Place(path, remedy="delete it: only the time to go is told by it")
+        rows.append(vars(disk.decode(Took, disk.parse(disk.read_bytes(place, f"{path}: not there"), place), place)))
     found = {}
     for task in {row["task"] for row in rows} | ({""} if rows else set()):
         own = [row for row in rows if task in ("", row["task"])]

@@ -8,11 +8,12 @@ import contextlib
 import dataclasses
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner.compilation import compiling_quickly
+from infogoal_jax.runner.executors import BEGINNING, Outcome, Place, run_here
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import Callback, Sweep, train_sweep
 from infogoal_jax.runs import disk
@@ -25,29 +26,25 @@ from infogoal_paper.plan import Program, config_of, programs_of
 
 BYTES_A_SECOND = 2e8
 """At which a checkpoint is written, roughly, so that the clock can be kept."""
-BEGINNING, MEASURING = 45.0, 60.0
-"""Seconds that have to be left for a new program to be compiled, and for a run to be measured."""
+MEASURING = 60.0
+"""Seconds that have to be left for a run to be measured."""
 KEEPING = 600.0
 """Seconds after which an evaluation is followed by a checkpoint, for a process that is killed outright; more where
 writing takes long."""
 
 
 @dataclasses.dataclass
-class Work:
-    """What a process does. folder: of the reproduction; deadline: seconds of `time.time()` at which it has to have
-    stopped; retry: whether runs that failed, or could not be measured, are run again; goal_images: folder of further
-    goal sets of Fetch; most_lanes: side by side in one program; say: what prints a line."""
+class Work(Place):
+    """What a process does, beside where and until when.
 
-    folder: Path
-    deadline: float = float("inf")
+    retry: whether runs that failed, or could not be measured, are run again.
+    goal_images: folder of further goal sets of Fetch.
+    most_lanes: side by side in one program.
+    """
+
     retry: bool = False
     goal_images: Path | None = None
     most_lanes: int = 64
-    say: Callable[[str], None] = print
-
-    def left(self) -> float:
-        """Seconds until the deadline."""
-        return self.deadline - time.time()
 
 
 @dataclasses.dataclass
@@ -85,38 +82,102 @@ def writing_seconds(training: batches.Training) -> float:
     return bytes_of(training.shapes) / BYTES_A_SECOND
 
 
-@dataclasses.dataclass
-class Outcome:
-    """What a process did: runs finished and failed, and whether it stopped before the end."""
+@dataclasses.dataclass(frozen=True)
+class ProgramJob:
+    """The runs of a program, to be trained.
 
-    finished: list[Run] = dataclasses.field(default_factory=list)
-    failed: list[Run] = dataclasses.field(default_factory=list)
-    stopped: bool = False
+    every: all runs of the reproduction, which its page shows.
+    retry, goal_images, most_lanes: as in `Work`.
+    """
+
+    program: Program
+    every: tuple[Run, ...]
+    retry: bool
+    goal_images: Path | None
+    most_lanes: int
+
+    @property
+    def name(self) -> str:
+        """The task and the method."""
+        return self.program.name
+
+    @property
+    def members(self) -> tuple[Run, ...]:
+        """Its runs."""
+        return self.program.runs
+
+    def of(self, runs: Iterable[Run]) -> "ProgramJob":
+        """The job of these of its runs."""
+        return dataclasses.replace(self, program=self.program._replace(runs=tuple(runs)))
+
+    def work_at(self, place: Place) -> Work:
+        """The work on its runs at this place."""
+        settings = self.retry, self.goal_images, self.most_lanes
+        return Work(place.folder, place.deadline, place.say, place.stopping, *settings)
+
+    def without(self, members: set[Run]) -> "ProgramJob":
+        """The job without some of its runs."""
+        return self.of(run for run in self.members if run not in members)
+
+    def claim(self, place: Place, claims: contextlib.ExitStack, whole: bool) -> "ProgramJob | None":
+        """The part that this process may train: to be done, and locked by it until `claims` is closed."""
+        mine = claim(self.program, self.work_at(place), claims, whole)
+        return self.of(mine) if mine else None
+
+    def files(self, folder: Path) -> list[Path]:
+        """What there is of its runs, which are not done: files of some, and checkpoints of what was stopped."""
+        names = {run.name for run in self.members}
+        there = [files.path_of(folder, run, kind) for run in self.members for kind in ("npz", "failed.json")]
+        kept = [path for path, own in checkpoints.kept(folder).items() if names & own]
+        return [path for path in (*there, *kept) if path.exists()]
+
+    def train(self, place: Place) -> None:
+        """Train the runs until each is done or failed, or the clock or a signal says stop."""
+        for run in self.members:
+            disk.make_folder(files.path_of(place.folder, run).parent)
+        with compiling_quickly(self.members[0].toy), stop_on_signal() as stop:
+            train_program(self.program, self.every, self.work_at(place), stop)
+
+    def fail(self, place: Place, error: Exception) -> None:
+        """Write why its runs failed, but for those that are trained."""
+        work = self.work_at(place)
+        report_failure([run for run in self.members if to_do(run, work)], error, work)
+
+    def outcome(self, folder: Path) -> Outcome:
+        """Which of its runs are finished and which failed."""
+        found = Outcome()
+        for run in self.members:
+            if files.has_failed(folder, run):
+                found.failed.append(run)
+            elif files.status_of(folder, run, config_of(run, self.goal_images))[0] in TRAINED:
+                found.finished.append(run)
+        return found
+
+    def tidy(self, folder: Path) -> None:
+        """Delete checkpoints of what is measured, and failures of what was finished after all."""
+        checkpoints.delete_measured(folder, self.members)
+        progress.write(folder, list(self.every))
 
 
-def work_on(runs: list[Run], work: Work) -> Outcome:
-    """Train what is not done of these runs, program by program, until all are done or taken by others, the clock says
-    stop, or a signal does. Raises `UserError` where the disk refuses."""
-    outcome, tried = Outcome(), set[Run]()
+TRAINED = ("done", "not measured")
+"""States of runs that are trained to their end."""
+
+
+def jobs_of(runs: list[Run], work: Work) -> list[ProgramJob]:
+    """These runs as jobs, one for each program."""
+    settings = work.retry, work.goal_images, work.most_lanes
+    return [ProgramJob(program, tuple(runs), *settings) for program in programs_of(runs, work.goal_images)]
+
+
+def work_on(runs: list[Run], work: Work, execute: Callable[..., Outcome] = run_here) -> Outcome:
+    """Train what is not done of these runs, program by program. execute: (jobs, place) -> outcome, an executor. Raises
+    `UserError` where the disk refuses."""
     checkpoints.tidy(work.folder, runs)
-    programs = programs_of(runs, work.goal_images)
-    with stop_on_signal() as stop:
-        # First whole programs that nobody has begun, then what others left of those that they have.
-        for whole in (True, False):
-            for program in programs:
-                outcome.stopped |= stop.requested or work.left() < BEGINNING
-                if outcome.stopped:
-                    break
-                with contextlib.ExitStack() as claims:
-                    untried = program._replace(runs=tuple(run for run in program.runs if run not in tried))
-                    mine = claim(untried, work, claims, whole)
-                    tried.update(mine)  # What fails here is not begun again before the next start.
-                    if mine:
-                        with compiling_quickly(mine[0].toy):
-                            train_program(program._replace(runs=tuple(mine)), runs, work, stop, outcome)
-    checkpoints.tidy(work.folder, runs)
-    progress.write(work.folder, runs, at_once=True)
-    return outcome
+    try:
+        return execute(jobs_of(runs, work), work)
+    finally:
+        checkpoints.tidy(work.folder, runs)
+        progress.write(work.folder, runs, at_once=True)
 
 
 def to_do(run: Run, work: Work) -> bool:
@@ -152,57 +213,56 @@ def claim(program: Program, work: Work, claims: contextlib.ExitStack, whole: boo
     return mine
 
 
-def train_program(program: Program, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
+def train_program(program: Program, all_runs: Iterable[Run], work: Work, stop: StopRequest) -> None:
     """Train the runs of a program, and keep or report each."""
-    work.say(f"{program.name}: {len(program.runs)} runs")
     for runs in checkpoints.apart(work.folder, program.runs):
         try:
             found = batches.batches_of(runs, work.goal_images, work.most_lanes)
         except Exception as error:
-            report_failure(runs, error, work, outcome)
+            report_failure(runs, error, work)
             continue
         for batch in found:
-            outcome.stopped |= stop.requested or work.left() < BEGINNING
-            if outcome.stopped:
+            if stop.requested or work.left() < BEGINNING:
                 return
             try:
-                train_batch(batch, all_runs, work, stop, outcome)
+                if train_batch(batch, list(all_runs), work, stop):
+                    return
             except Exception as error:
-                report_failure(list(batch.runs.values()), error, work, outcome)
+                report_failure(list(batch.runs.values()), error, work)
 
 
-def report_failure(runs: list[Run], error: Exception, work: Work, outcome: Outcome) -> None:
+def report_failure(runs: list[Run], error: Exception, work: Work) -> None:
     """Write why these runs failed, but for those that are trained; the others go on."""
-    why, trace = f"{type(error).__name__}: {error}", traceback.format_exc()
-    trained = ("done", "not measured")
+    why = f"{type(error).__name__}: {error}"
+    trace = "".join(traceback.format_exception(error))
     for run in runs:
-        if files.status_of(work.folder, run, config_of(run, work.goal_images))[0] not in trained:
+        if files.status_of(work.folder, run, config_of(run, work.goal_images))[0] not in TRAINED:
             files.write_failure(work.folder, run, why[:2000], trace[-20_000:])
-            outcome.failed.append(run)
     work.say(f"failed: {', '.join(run.name for run in runs)}: {why[:500]}")
 
 
-def train_batch(batch: batches.Batch, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome) -> None:
+def train_batch(batch: batches.Batch, all_runs: list[Run], work: Work, stop: StopRequest) -> bool:
     """Train a batch until each of its runs has levelled off, or the ceiling, and write and measure each as soon as it
-    has; or until the clock or a signal says stop, and keep a checkpoint."""
+    has; or until the clock or a signal says stop, and keep a checkpoint. Returns whether it stopped."""
+    for run in batch.runs.values():
+        files.path_of(work.folder, run, "failed.json").unlink(missing_ok=True)  # It is tried anew.
     training = batches.begin(batch)
-    kept = BatchFiles(training, all_runs, work, stop, outcome)
+    kept = BatchFiles(training, all_runs, work, stop)
     if checkpoints.resume(work.folder, training):
         work.say(f"{kept.name}: goes on after evaluation {training.evaluations}")
         kept.keeping.evaluations = training.evaluations
     train_sweep(training.sweep, kept, stop)
-    if not outcome.stopped:
+    if not kept.is_stopped:
         checkpoints.delete_measured(work.folder, batch.places)
     progress.write(work.folder, all_runs)
+    return kept.is_stopped
 
 
 class BatchFiles(Callback):
     """What is kept of a batch: a file of each run as soon as it has levelled off, and a checkpoint of the others."""
 
-    def __init__(
-        self, training: batches.Training, all_runs: list[Run], work: Work, stop: StopRequest, outcome: Outcome
-    ):
-        self.training, self.all_runs, self.work, self.stop, self.outcome = training, all_runs, work, stop, outcome
+    def __init__(self, training: batches.Training, all_runs: list[Run], work: Work, stop: StopRequest):
+        self.training, self.all_runs, self.work, self.stop, self.is_stopped = training, all_runs, work, stop, False
         self.keeping, self.ended = Keeping(work, training.evaluations), set[Run]()
         self.name = f"{training.batch.config.task} {next(iter(training.batch.runs.values())).label}"
 
@@ -210,9 +270,9 @@ class BatchFiles(Callback):
         """Write the runs that are trained to their end, and go on with the others."""
         training = self.training
         now = [run for run in finishing.ended(training) if run not in self.ended]
-        end(now, training, self.keeping, self.stop, self.outcome)
+        self.is_stopped = not end(now, training, self.keeping, self.stop)
         self.ended.update(now)
-        if self.ended.issuperset(training.batch.runs.values()) or self.outcome.stopped:
+        if self.ended.issuperset(training.batch.runs.values()) or self.is_stopped:
             return None
         self.training = batches.without_ended(training, self.ended)
         if self.training.evaluations:
@@ -236,7 +296,7 @@ class BatchFiles(Callback):
             self.keeping.keep(training)
         kept = f"after evaluation {training.evaluations}; a checkpoint is kept"
         self.work.say(f"{self.name}: stopped {kept if training.evaluations else 'before the first evaluation'}")
-        self.outcome.stopped = True
+        self.is_stopped = True
 
     def evaluated(self, sweep: Sweep) -> None:
         """Keep the numbers, and show them."""
@@ -248,15 +308,15 @@ class BatchFiles(Callback):
         progress.write(self.work.folder, self.all_runs)
 
 
-def end(runs: list[Run], training: batches.Training, keeping: Keeping, stop: StopRequest, outcome: Outcome) -> None:
-    """Write and measure the runs of a batch that are trained to their end."""
+def end(runs: list[Run], training: batches.Training, keeping: Keeping, stop: StopRequest) -> bool:
+    """Write and measure the runs of a batch that are trained to their end. Returns whether there was time for all."""
     new = [run for run in runs if run.name not in training.costs]
     if new:
         seconds = finishing.share_out(training, new)
         progress.keep_times(keeping.work.folder, training.batch.config.task, len(new), seconds)
     if any(Extras().missing(run) for run in new):  # Until all is measured, however this process ends.
         keeping.keep(training)
-    finish(runs, training, keeping.work, stop, outcome)
+    return finish(runs, training, keeping.work, stop)
 
 
 def say_how_far(name: str, training: batches.Training, work: Work) -> None:
@@ -272,8 +332,9 @@ def say_how_far(name: str, training: batches.Training, work: Work) -> None:
         work.say(f"    {run.name.split('/', 1)[1]}: {train:.2f}, {test:.2f}")
 
 
-def finish(runs: list[Run], training: batches.Training, work: Work, stop: StopRequest, outcome: Outcome) -> None:
-    """Write the files of trained runs of a batch, then measure what is missing of them, as long as there is time."""
+def finish(runs: list[Run], training: batches.Training, work: Work, stop: StopRequest) -> bool:
+    """Write the files of trained runs of a batch, then measure what is missing of them, as long as there is time.
+    Returns whether there was."""
 
     def keep(run: Run) -> None:
         config = config_of(run, work.goal_images)
@@ -282,18 +343,16 @@ def finish(runs: list[Run], training: batches.Training, work: Work, stop: StopRe
     measured = {run: finishing.known_of(work.folder, training, run) for run in runs}
     for run in measured:
         keep(run)
-        files.path_of(work.folder, run, "failed.json").unlink(missing_ok=True)
         progress.forget(work.folder, run)
-        outcome.finished.append(run)
     for name in finishing.MEASURES:
         for run, before in measured.items():
             if name not in before.missing(run):
                 continue
             if stop.requested or work.left() < MEASURING:
-                outcome.stopped = True
-                return
+                return False
             config = config_of(run, work.goal_images)
             measured[run], trace = finishing.measured_also(name, training, run, config, before)
             if trace:
                 work.say(f"{run.name}: measuring failed, its numbers are kept: {trace}")
             keep(run)
+    return True

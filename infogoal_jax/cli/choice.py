@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import shlex
 import typing
-from typing import TYPE_CHECKING, Annotated, Any, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import docstring_parser
 import tyro
@@ -47,6 +47,30 @@ class Parts:
             for name in ("learner", "agent", "relabelling", "explorer")
             if getattr(self, name) is not None
         }
+
+
+@dataclasses.dataclass(frozen=True)
+class Where:
+    """Where programs run: flags that `--help-all` shows."""
+
+    engine: Literal["processes", "ray"] = "processes"
+    """processes, which run here; ray, a Ray cluster: one program on each GPU, or on each machine."""
+    processes: int = 0
+    """How many work side by side; 0: one, or on a cluster as many as it has room for."""
+    gpus: int = 0
+    """GPUs over which the processes are spread; 0: each sees all devices."""
+    ray_address: str = ""
+    """The cluster: HOST:PORT of one that this machine belongs to, auto for the one that runs here, ray://HOST:10001
+    from outside; empty: one of this machine alone, which ends with the command."""
+    distributed: str = ""
+    """This process is one of several, each of which trains its own seeds: HOST:PORT of the first one, or auto, where
+    Slurm, Open MPI or Kubernetes says it."""
+    num_processes: int = 0
+    """How many there are; with HOST:PORT."""
+    process: int = 0
+    """Number of this one, from 0 on; the first writes the run."""
+    quiet: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Show nothing of what came of it at the end."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,6 +199,8 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
         record, default = info.type, info.default
         if not dataclasses.is_dataclass(record) or type(default) is not record:
             return None
+        if record is Where and brief:
+            return StructConstructorSpec(Where, ())
         hints = typing.get_type_hints(record, include_extras=True)
         of_command = {"task", "hyper"} <= hints.keys()
         if not (of_command or record is Parts or numbers_of(record)):

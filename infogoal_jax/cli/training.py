@@ -5,13 +5,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, Positional, Suppress
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, Suppress
 
 from infogoal_jax.cli.choice import (
     AUTO,
     Name,
     Parts,
+    Where,
     all_tasks,
+    check_left_out,
     check_same_parts,
     configuration_flags,
     of_task,
@@ -44,9 +46,9 @@ def train(
     figures: bool = True,
     tensorboard: FlagCreatePairsOff[bool] = False,
     wandb: str = "",
-    distributed: str = "",
-    num_processes: int = 0,
-    process: int = 0,
+    sweep: tuple[str, ...] = (),
+    vmap_size: int = 0,
+    where: Annotated[Where, OmitArgPrefixes] = Where(),  # noqa: B008 (frozen)
     help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Train on a task, all seeds in one program.
@@ -62,10 +64,9 @@ def train(
         figures: Draw the figures at the end.
         tensorboard: Write the metrics for TensorBoard too, into the folder of the run.
         wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
-        distributed: This process is one of several, each of which trains its share of the seeds: HOST:PORT of the
-            first one, or auto, where Slurm, Open MPI or Kubernetes says it.
-        num_processes: How many there are; with HOST:PORT.
-        process: Number of this one, from 0 on; the first writes the run.
+        sweep: Values of floats, such as learning_rate=1e-4,3e-4 discount=0.9,0.99: a run for each combination.
+        vmap_size: Seeds that one program trains side by side at most; 0: all.
+        where: The programs run.
         help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
@@ -81,12 +82,23 @@ def train(
     from infogoal_jax.runner.listeners import make_listeners
     from infogoal_jax.train.combinations import check_combination
 
-    require(bool(distributed) or not num_processes, "num_processes", num_processes, "goes with --distributed")
-    require(not (distributed and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
-    if distributed:
-        several.join(distributed, num_processes, process)
+    check_where(where, resume)
+    if where.distributed:
+        several.join(where.distributed, where.num_processes, where.process)
     use_compilation_cache()
     check_combination(config)
+    in_parts = bool(sweep or vmap_size or where.processes or where.engine == "ray")
+    if in_parts or is_sweep(resume):
+        require(
+            not where.distributed,
+            "distributed",
+            where.distributed,
+            "goes with neither --sweep, --vmap-size nor an engine",
+        )
+        require(resume != AUTO, "resume", resume, "name the folder of the sweep")
+        folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
+        settings = [] if resume else read_settings(sweep)
+        return train_parts(config, settings, numbers, vmap_size, folder, bool(resume), where, figures)
     if resume == AUTO:
         resume = run_to_go_on_with(config, numbers, out)
     elif resume:
@@ -107,7 +119,8 @@ def train(
 
         with stop_on_signal() as stop:
             stop.advice = f"the run in {folder} is whole; draw its figures with: infogoal report {typed(folder)}"
-            print_summary(sweep)
+            if not where.quiet:
+                print_summary(sweep)
             if sweep.stopped:
                 print(f"Stopped. Go on with: infogoal train --resume {typed(folder)}")
                 return STATUS
@@ -120,6 +133,88 @@ def train(
                 video = [draw_video(folder, sweep.train.env)] if tensorboard or wandb else []
                 listeners.pictures([*paths, *filter(None, video)])
             return 0
+
+
+def check_where(where: Where, resume: str) -> None:
+    """Raise `UserError` for flags of where programs run that do not go together."""
+    several, by_ray = where.distributed, where.engine == "ray"
+    require(bool(several) or not where.num_processes, "num_processes", where.num_processes, "goes with --distributed")
+    require(not (several and resume == AUTO), "resume", resume, "name the run: several processes go on with it")
+    require(0 <= where.processes <= 1000, "processes", where.processes, "give 0 to 1000")
+    require(where.gpus >= 0, "gpus", where.gpus, "give 0 or more")
+    require(by_ray or not where.ray_address, "ray_address", where.ray_address, "goes with --engine ray")
+    require(not (by_ray and where.gpus), "gpus", where.gpus, "Ray spreads programs over GPUs by itself; leave it out")
+    spread = "goes with --processes, which says how many are spread over them"
+    require(bool(where.processes) or not where.gpus, "gpus", where.gpus, spread)
+
+
+def is_sweep(folder: str) -> bool:
+    """Whether a folder to go on with is that of a sweep."""
+    from infogoal_jax.runner.parts import NAME
+
+    return bool(folder) and (Path(folder) / NAME).exists()
+
+
+def read_settings(words: tuple[str, ...]) -> list[dict[str, float]]:
+    """The settings that these words ask for, such as learning_rate=1e-4,3e-4. Raises `UserError` for other words."""
+    from infogoal_jax.runner.parts import settings_of
+
+    values: dict[str, list[float]] = {}
+    for word in words:
+        name, sign, listed = word.partition("=")
+        name = name.removeprefix("hyper.").replace("-", "_")
+        remedy = "give FIELD=NUMBER,NUMBER,..., such as learning_rate=1e-4,3e-4"
+        require(bool(sign) and bool(name) and name not in values, "sweep", word, remedy)
+        try:
+            values[name] = [float(value) for value in listed.split(",")]
+        except ValueError:
+            raise UserError(f"sweep = {word!r}: {remedy}") from None
+    return settings_of(values)
+
+
+def train_parts(
+    config: Any,
+    settings: list[dict[str, float]],
+    seeds: Any,
+    vmap_size: int,
+    folder: Path,
+    resume: bool,
+    where: Where,
+    figures: bool,
+) -> int:
+    """Train settings and seeds as jobs, where the engine says, and show what came of them. Returns the exit status."""
+    import functools
+
+    from infogoal_jax.report.sweeps import draw_sweep, print_sweep
+    from infogoal_jax.runner.executors import run_in_processes, run_on_ray
+    from infogoal_jax.runner.parts import Plan, jobs_of, read_plan, run_parts, start
+
+    def say(words: str) -> None:
+        print(words, flush=True)
+
+    if resume:
+        config, plan = read_plan(folder)
+    else:
+        plan = Plan(settings, list(seeds), vmap_size)
+    if where.engine == "ray":
+        execute = functools.partial(run_on_ray, workers=where.processes, address=where.ray_address)
+        run_parts(config, plan, folder, resume, execute, say)
+    elif where.processes > 1:
+        if not resume:
+            start(config, plan, folder)
+        run_in_processes(["train", "--resume", str(folder), "--quiet"], where.processes, where.gpus)
+    else:
+        run_parts(config, plan, folder, resume, say=say)
+    if where.quiet:
+        return 0
+    if not all(job.is_done(folder) for job in jobs_of(config, plan)):
+        print(f"Stopped. Go on with: infogoal train --resume {typed(folder)}")
+        return STATUS
+    print_sweep(folder, plan)
+    if figures:
+        for path in draw_sweep(folder, plan):
+            print(f"figure      {path}")
+    return 0
 
 
 def draw_video(folder: Path, env: Any) -> Path | None:
@@ -159,6 +254,13 @@ def tasks(arguments: list[str]) -> TaskCommands:
     packed = choice.resume.endswith(SUFFIX) or choice.resume.startswith(PREFIX)
     remedy = "is a packed run, which has no checkpoint to go on from; give the folder that it was packed of"
     require(not packed or Path(choice.resume).is_dir(), "resume", choice.resume, remedy)
+    if is_sweep(choice.resume):
+        from infogoal_jax.runner.parts import read_plan
+
+        config, plan = read_plan(Path(choice.resume))
+        check_same_parts(config, task, choice)
+        check_left_out(arguments, ("--sweep", "--vmap-size", "--seeds", "--first-seed"), "sweep")
+        return of_task(train, config, choice, arguments if task else [config.task, *arguments], seeds=len(plan.seeds))
     about = configuration.read(Path(choice.resume))
     check_same_parts(about.config, task, choice)
     arguments = arguments if task else [about.config.task, *arguments]

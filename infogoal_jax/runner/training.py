@@ -117,14 +117,16 @@ def run(
     listeners: tuple[Listener, ...] = (),
     env: Any = None,
     compiling: Callable[[], None] = lambda: None,
+    left: Callable[[], float] = lambda: math.inf,
 ) -> RunResult:
     """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
     from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
     own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
 
-    compiling: called before the program is compiled. Raises `UserError` before any compilation, and without a change on
-    the disk, for a folder that holds another run or is being written, a damaged checkpoint, or one of another
-    configuration. Raises `Stopped` if a signal asked for it before the first checkpoint.
+    compiling: called before the program is compiled; left: seconds until it has to have stopped. Raises `UserError`
+    before any compilation, and without a change on the disk, for a folder that holds another run or is being written, a
+    damaged checkpoint, or one of another configuration. Raises `Stopped` if a signal asked for it before the first
+    checkpoint.
     """
     folder, seeds = Path(folder), checked_seeds(seeds)
     writes = distributed.is_writer()
@@ -148,7 +150,8 @@ def run(
                     configuration.write(folder, now)
             stop.advice = how_to_go_on(folder, point.epoch)
             distributed.check(stop)
-            return train_in(folder, train, programs, point, now, listeners, compiling, stop)
+            files = RunFiles(folder, now, point.epoch, listeners, compiling, left, stop)
+            return train_in(train, programs, point, files, stop)
 
 
 def how_to_go_on(folder: Path, epoch: int) -> str:
@@ -157,22 +160,13 @@ def how_to_go_on(folder: Path, epoch: int) -> str:
     return f"{there}; go on with: infogoal train --resume {typed(folder)}"
 
 
-def train_in(
-    folder: Path,
-    train: Train,
-    programs: Programs,
-    point: Point,
-    now: Description,
-    listeners: tuple[Listener, ...],
-    compiling: Callable[[], None],
-    stop: StopRequest,
-) -> RunResult:
+def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", stop: StopRequest) -> RunResult:
     """Train from this point to the end or until a signal comes."""
+    now, folder = files.now, files.folder
     sweep = Sweep(now.config, programs, evaluations=point.epoch // now.config.epochs_per_evaluation)
     if point.states is not None:
         mine = jax.tree.map(lambda leaf: leaf[distributed.share_of(len(now.seeds))], point.states)
         sweep.states = Member(mine, None)
-    files = RunFiles(folder, now, point.epoch, listeners, compiling, stop)
     train_sweep(sweep, files, stop)
     if sweep.states is None:
         raise Stopped(stop.advice)
@@ -193,16 +187,21 @@ class RunFiles(Callback):
         epoch: int,
         listeners: tuple[Listener, ...],
         compiling: Callable[[], None],
+        left: Callable[[], float],
         stop: StopRequest,
     ):
         self.folder, self.now, self.listeners, self.stop = folder, now, listeners, stop
-        self.tell_compiling = compiling
+        self.tell_compiling, self.left = compiling, left
         self.epoch = self.first = epoch
         self.steps_before = 0
 
     def compiling(self, sweep: Sweep) -> None:
         """Tell whoever waits."""
         self.tell_compiling()
+
+    def has_time(self, sweep: Sweep) -> bool:
+        """Whether the clock allows another chunk."""
+        return self.left() >= 1.2 * sweep.last_seconds
 
     def compiled(self, sweep: Sweep) -> None:
         """Note how many steps earlier sessions took."""

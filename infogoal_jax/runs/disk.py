@@ -70,6 +70,18 @@ def make_folder(folder: Path) -> None:
         raise disk_error(folder, error) from error
 
 
+def below(folder: Path, path: str) -> Path:
+    """The file or folder of this path below a folder. Raises `UserError` for one that leads out of it, or through a
+    link: whoever made the folder could have it write somewhere else."""
+    there, parts = folder / path, Path(path).parts
+    if Path(path).is_absolute() or ".." in parts:
+        raise UserError(f"{path!r}: lies outside of {folder}")
+    for place in (there, *there.parents[: max(0, len(parts) - 1)]):
+        if place != folder and place.is_symlink():
+            raise UserError(f"{place}: is a link, through which nothing is written; give a folder without it")
+    return there
+
+
 def disk_error(path: Path, error: OSError) -> UserError:
     """The refusal of a disk in words: what was not written, why, and what is still there."""
     goes_on = f"; what has its checkpoint in {path.parent} goes on from there with --resume"

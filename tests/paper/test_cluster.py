@@ -2,7 +2,6 @@
 of one process, and who asks for no engine needs no Ray."""
 
 import collections
-import contextlib
 import os
 import signal
 import subprocess
@@ -17,9 +16,9 @@ from killed_reproduction import LOG, log_of, reproduce, runs
 from places import ROOT
 
 from infogoal_jax.cli.main import main
-from infogoal_paper import files, workers
-from infogoal_paper.cluster import work_on_cluster
-from infogoal_paper.work import Work
+from infogoal_jax.runner.executors import run_on_ray
+from infogoal_paper import files
+from infogoal_paper.work import Work, work_on
 
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
 TOY = "reproduce table1 --quick --tasks object_search --methods none --variants paper".split()
@@ -54,48 +53,6 @@ def test_flags_of_another_engine_are_refused(tmp_path, capsys, flags):
     assert main([*TOY, "--out", str(tmp_path), *flags]) == 2
     assert flags[-2].strip("-").replace("-", "_") in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.long
-def test_a_worker_sends_what_it_wrote_and_goes_on_with_what_it_is_sent(tmp_path):
-    """Stopped after an evaluation, it sends a checkpoint; another one that is given it comes to the same numbers."""
-    there, whole = tmp_path / "there", tmp_path / "whole"
-    reproduce(whole, 1)
-    first = workers.Worker()
-    with killed_reproduction.small_programs(tmp_path):
-        job = workers.Job(tuple(runs(1)))
-        with stopping_at_first_evaluation(first):
-            news = first.train(job)
-        assert any("a checkpoint is kept" in words for words in news.said)
-        (checkpoint,) = (path for path in news.files if path.startswith("unfinished/"))
-        assert not any(path.endswith(".npz") for path in news.files)
-        sent = workers.Worker().train(job._replace(files={checkpoint: news.files[checkpoint]}))
-    assert any("goes on after evaluation 1" in words for words in sent.said)
-    assert sent.files[checkpoint] is None and sent.times
-    for path, content in sent.files.items():
-        workers.write(there, path, content)
-    assert_same_numbers(there, whole, runs(1))
-    assert first.news() == workers.News([], {})
-
-
-@contextlib.contextmanager
-def stopping_at_first_evaluation(worker):
-    """Inside, the worker is told to stop when it says that it has evaluated."""
-    whole = Work.__init__
-
-    def told(self, *arguments, say, **named):
-        def listen(words):
-            say(words)
-            if "evaluation 1" in words:
-                threading.Thread(target=worker.stop).start()
-                while self.deadline:
-                    time.sleep(0.01)
-
-        whole(self, *arguments, say=listen, **named)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Work, "__init__", told)
-        yield
 
 
 @pytest.fixture
@@ -152,9 +109,9 @@ def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path, lost):
     killer.start()
     said = []
     with killed_reproduction.small_programs(tmp_path):
-        outcome = work_on_cluster(runs(PROGRAMS), Work(folder, say=said.append))
+        outcome = work_on(runs(PROGRAMS), Work(folder, say=said.append), run_on_ray)
     killer.join(60)
-    assert not killer.is_alive() and sum("is lost" in words for words in said) == 1
+    assert not killer.is_alive()
     assert sorted(run.name for run in outcome.finished) == sorted(run.name for run in runs(PROGRAMS))
     assert not outcome.failed and not outcome.stopped and len(runs(PROGRAMS)) == 48
     begun = collections.Counter(log_of(tmp_path, "begun"))
@@ -165,7 +122,7 @@ def test_48_runs_survive_the_loss_of_a_worker(cluster, tmp_path, lost):
     reproduce(alone, PROGRAMS)
     assert_same_numbers(folder, alone, runs(PROGRAMS))
     with killed_reproduction.small_programs(tmp_path):
-        assert not work_on_cluster(runs(PROGRAMS), Work(folder, say=said.append)).finished
+        assert not work_on(runs(PROGRAMS), Work(folder, say=said.append), run_on_ray).finished
     assert collections.Counter(log_of(tmp_path, "begun")) == begun
 
 
@@ -174,7 +131,7 @@ def test_what_kills_its_workers_fails(cluster, tmp_path):
     """A program whose every worker dies is given up, and the others are trained."""
     with killed_reproduction.small_programs(tmp_path):
         (tmp_path / killed_reproduction.DEADLY).write_text(runs(1)[0].name)
-        outcome = work_on_cluster(runs(2), Work(tmp_path / "folder", say=lambda words: None))
+        outcome = work_on(runs(2), Work(tmp_path / "folder", say=lambda words: None), run_on_ray)
     assert outcome.failed == runs(1) and set(outcome.finished) == set(runs(2)) - set(runs(1))
 
 
@@ -190,11 +147,11 @@ def test_a_signal_leaves_checkpoints_that_go_on(cluster, tmp_path):
 
     with killed_reproduction.small_programs(tmp_path):
         (tmp_path / killed_reproduction.SLOW).touch()
-        outcome = work_on_cluster(runs(3), Work(folder, say=listen))
+        outcome = work_on(runs(3), Work(folder, say=listen), run_on_ray)
         assert outcome.stopped and not outcome.finished and len(list((folder / "unfinished").iterdir())) == 2
         assert not list(folder.rglob("*.lock"))
         (tmp_path / killed_reproduction.SLOW).unlink()
-        outcome = work_on_cluster(runs(3), Work(folder, say=said.append))
+        outcome = work_on(runs(3), Work(folder, say=said.append), run_on_ray)
     assert len(outcome.finished) == 6 and not list((folder / "unfinished").iterdir())
     assert sum("goes on after evaluation" in words for words in said) == 2
     reproduce(alone, 3)

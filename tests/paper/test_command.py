@@ -16,7 +16,7 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import compilation
-from infogoal_paper import command, files, numbers, progress, work, workers
+from infogoal_paper import command, files, numbers, progress, work
 from infogoal_paper.command import DONE, MORE, Asked
 from infogoal_paper.figures import FIGURES
 
@@ -40,13 +40,13 @@ def test_several_processes_draw_when_all_is_done_whoever_ended_first(statuses, t
         fill(tmp_path, asked(tmp_path).runs())
         return statuses
 
-    monkeypatch.setattr(command, "work_side_by_side", work)
+    monkeypatch.setattr(command, "run_in_processes", work)
     assert command.reproduce(asked(tmp_path, processes=2)) == DONE
     assert (tmp_path / "index.html").exists()
 
 
 def test_several_processes_do_not_draw_while_a_run_is_left(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(command, "work_side_by_side", lambda *_: fill(tmp_path, asked(tmp_path).runs()[:1]) or [0, -9])
+    monkeypatch.setattr(command, "run_in_processes", lambda *_: fill(tmp_path, asked(tmp_path).runs()[:1]) or [0, -9])
     assert command.reproduce(asked(tmp_path, processes=2)) == MORE
     assert not (tmp_path / "index.html").exists() and "process 1 ended with status -9" in capsys.readouterr().out
 
@@ -123,28 +123,8 @@ def test_protocols_are_of_the_study_of_all_goals_alone(capsys, tmp_path):
     assert "page = " in capsys.readouterr().err
     assert main(["reproduce", "all_goals", *flags, "--tasks", "object_search", "--methods", "leo"]) == 0
     assert capsys.readouterr().out.count("object_search/leo+held_out/preset/set_") == 3
-    words = workers.arguments_of(Asked("all_goals", known_goals=("held_out",), out=tmp_path), 9.0)
+    words = command.arguments_of(Asked("all_goals", known_goals=("held_out",), out=tmp_path), 9.0)
     assert words[words.index("--known-goals") + 1] == "held_out"
-
-
-def test_processes_are_spread_over_gpus(monkeypatch):
-    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    found = [workers.environment(number, 5, 2) for number in range(5)]
-    assert [each["CUDA_VISIBLE_DEVICES"] for each in found] == ["0", "1", "0", "1", "0"]
-    assert {each["XLA_PYTHON_CLIENT_MEM_FRACTION"] for each in found} == {"0.300"}
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3,7")
-    assert workers.environment(1, 2, 2)["CUDA_VISIBLE_DEVICES"] == "7"
-    assert "XLA_PYTHON_CLIENT_MEM_FRACTION" not in workers.environment(0, 2, 0)
-
-
-def test_what_lets_processes_compute_at_the_same_time_is_named_once_it_is_missed(tmp_path, monkeypatch):
-    monkeypatch.setenv("CUDA_MPS_PIPE_DIRECTORY", str(tmp_path))
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert not workers.take_turns(2, 1), "this machine does not have it"
-    (tmp_path / workers.MPS).touch(0o700)
-    assert workers.take_turns(2, 1) and not workers.take_turns(2, 2) and not workers.take_turns(2, 0)
-    (tmp_path / "control").touch()
-    assert not workers.take_turns(2, 1), "it runs"
 
 
 def test_gpus_go_with_processes(capsys, tmp_path):
@@ -155,7 +135,7 @@ def test_gpus_go_with_processes(capsys, tmp_path):
 def test_a_process_is_asked_for_the_same(capsys, tmp_path):
     """The arguments are those of the command line: the same runs are listed."""
     asked = Asked("fig15", ("fetch_push",), ("infogoal",), ("paper",), (0,), 3, tmp_path, quick=True, retry=True)
-    words = workers.arguments_of(asked, 9.0)
+    words = command.arguments_of(asked, 9.0)
     assert {"--retry", "--quick", "--no-draw"} <= set(words) and words[words.index("--minutes") + 1] == "9.0"
     assert main([*words, "--list"]) == 0
     printed = capsys.readouterr().out

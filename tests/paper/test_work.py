@@ -297,3 +297,20 @@ def test_two_processes_share_the_work(tmp_path):
     lines = [line.split() for line in (tmp_path / killed_reproduction.LOG).read_text().splitlines()]
     for number in range(3):  # No program is compiled by both.
         assert len({process for _, name, process in lines if f"set_{number}" in name}) == 1
+
+
+def test_what_killed_processes_left_is_deleted(tmp_path, monkeypatch):
+    """One was killed between the file of its last run and the deletion of its checkpoint, others within a write."""
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "delete_measured", lambda folder, runs: None)
+        reproduce(tmp_path, 2, keeping=0.0)
+    one, other = checkpoints.kept(tmp_path)
+    files.path_of(tmp_path, runs(2)[-1]).unlink()
+    left = tmp_path / checkpoints.UNFINISHED
+    partial = [folder / ".abc.1.partial" for folder in (left, files.path_of(tmp_path, runs(1)[0]).parent)]
+    for path in partial:
+        path.write_bytes(b"the first half")
+    reproduce(tmp_path, 1)
+    (kept,) = left.iterdir()
+    assert not any(path.exists() for path in partial)
+    assert kept in (one, other) and runs(2)[-1].name in checkpoints.kept(tmp_path)[kept]

@@ -14,10 +14,11 @@ from infogoal_jax import files
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import figures
+from infogoal_jax.runner import executors
 from infogoal_jax.runs import configuration, disk, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import APPENDED, LOCK, LOW_LEVEL, RUN, SEARCH, only_writer, remove_abandoned
-from infogoal_paper import progress, workers
+from infogoal_paper import progress
 
 NAMES = sorted({LOCK, *RUN, *SEARCH, *LOW_LEVEL})
 
@@ -155,17 +156,17 @@ def test_a_pipe_is_refused_at_once_and_stays(command, run, monkeypatch, capsys):
 
 
 def test_times_of_a_reproduction_are_not_added_through_a_link(tmp_path, outside):
-    (tmp_path / progress.TIMES).symlink_to(outside / "file")
-    with pytest.raises(UserError, match="times.jsonl: could not be written .it is a link|Too many levels"):
+    (tmp_path / progress.TIMES).symlink_to(outside)
+    with pytest.raises(UserError, match="times: is a link"):
         progress.keep_times(tmp_path, "fetch_push", 2, 3.0)
-    assert (outside / "file").read_text() == "kept"
+    assert {path.name for path in outside.iterdir()} == {"file", "figures"}
 
 
-@pytest.mark.parametrize("path", ["../file", "/tmp/file", "runs/../../file", "file", "runs", "", "other/file"])
+@pytest.mark.parametrize("path", ["../file", "/tmp/file", "runs/../../file", "runs/..", ""])
 @pytest.mark.parametrize("content", [b"mine", None])
 def test_a_worker_names_files_of_the_folder_alone(path, content, tmp_path):
-    with pytest.raises(UserError, match="a worker sends files below runs, unfinished alone"):
-        workers.write(tmp_path / "folder", path, content)
+    with pytest.raises(UserError, match="lies outside of|names no file"):
+        executors.write(tmp_path / "folder", path, content)
     assert not list(tmp_path.rglob("*"))
 
 
@@ -177,8 +178,8 @@ def test_a_worker_writes_through_no_link(tmp_path, outside):
     for path in ("runs/task/file", "runs/file"):
         for content in (b"mine", None):
             with pytest.raises(UserError, match="is a link, through which nothing is written"):
-                workers.write(folder, path, content)
-    workers.write(folder, "runs/mine/a.npz", b"mine")
+                executors.write(folder, path, content)
+    executors.write(folder, "runs/mine/a.npz", b"mine")
     assert (outside / "file").read_text() == "kept" and (folder / "runs/mine/a.npz").read_bytes() == b"mine"
 
 

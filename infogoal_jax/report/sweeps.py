@@ -1,0 +1,114 @@
+"""What the settings of a sweep came to: a table with intervals over seeds, and one figure of all."""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.report.comparison_figures import draw_comparison
+from infogoal_jax.report.figures import draw_figures
+from infogoal_jax.report.runs import diverged_seeds, table_of
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_jax.report.summary import print_run
+from infogoal_jax.runner.executors import Outcome, run_here
+from infogoal_jax.runner.parts import Plan, run_parts, settings_of
+
+SHOWN = ("train_goal/success_rate", "validation_goal/success_rate", "test_goal/success_rate")
+
+
+class SweepResult:
+    """The runs of a sweep.
+
+    folder: of the sweep.
+    folders: of the runs, by their settings in words.
+    """
+
+    def __init__(self, folder: Path, plan: Plan):
+        self.folder, self.plan = folder, plan
+        self.folders = {name: folder / name if name else folder for name in plan.names}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each setting and seed: the values that differ, the seed, and every single number of its last
+        evaluation. `pandas.DataFrame(result.rows())` takes them."""
+        found = []
+        for (_, folder), setting in zip(self.folders.items(), self.plan.settings, strict=True):
+            table = table_of(folder, "evaluations")
+            for place, seed in enumerate(table.seeds):
+                numbers = {name: float(values[place, -1]) for name, values in table.values.items() if values.ndim == 2}
+                found.append({**setting, "seed": int(seed), "epoch": int(table.epochs[-1]), **numbers})
+        return found
+
+    def figure(self, path: str | Path | None = None) -> Path:
+        """One figure of all settings, success while training with intervals over seeds. Returns its path."""
+        path = Path(path or self.folder / "comparison.png")
+        return draw_comparison(list(self.folders.values()), path)
+
+
+def sweep(
+    config: TrainConfig,
+    seeds: Iterable[int],
+    folder: str | Path,
+    resume: bool = False,
+    seeds_at_once: int = 0,
+    execute: Callable[..., Outcome] = run_here,
+    **values: Sequence[float],
+) -> SweepResult:
+    """Train every combination of these values of float hyperparameters with each of these seeds.
+
+    Args:
+        config: what the settings are changes of.
+        seeds: of every setting.
+        folder: gets a run for each setting, as `infogoal train` leaves it.
+        resume: go on in the folder of a sweep that was stopped.
+        seeds_at_once: in one program at most; 0: all.
+        execute: an executor of `runner.executors`: `run_here`, or `run_on_ray` with its arguments bound.
+        values: of each float, such as learning_rate=[1e-4, 3e-4]; one of a part as learner__beta_step=[...].
+
+    Raises `UserError`, before anything is compiled or written, for what cannot be run.
+    """
+    named = {name.replace("__", "."): listed for name, listed in values.items()}
+    plan = Plan(settings_of(named), list(seeds), seeds_at_once)
+    run_parts(config, plan, Path(folder), resume, execute)
+    return SweepResult(Path(folder), plan)
+
+
+def print_sweep(folder: Path, plan: Plan, console: Console | None = None) -> None:
+    """Print success at the last evaluation of each setting, mean and 95 % interval over seeds; of a single run what is
+    always printed of one."""
+    if plan.settings == [{}]:
+        print_run(folder)
+        return
+    console, result = console or Console(), SweepResult(folder, plan)
+    names = list(plan.settings[0])
+    rows = []
+    for run, setting in zip(result.folders.values(), plan.settings, strict=True):
+        diverged = diverged_seeds(run)
+        table = table_of(run, "evaluations", diverged)
+        scores = [
+            mean_interval(table.values[name][:, -1]).show(2) if name in table.values and len(table.seeds) else ""
+            for name in SHOWN
+        ]
+        rows.append([*(f"{setting[name]:g}" for name in names), *scores, str(len(diverged) or "")])
+    titles = [*names, *(name.partition("_goal")[0] + " goals" for name in SHOWN), "diverged"]
+    table = Table()
+    for title, cells in zip(titles, itertools.zip_longest(*rows), strict=True):
+        if any(cells):
+            table.add_column(title, justify="right", overflow="fold", min_width=max(map(len, cells)))
+    kept = [place for place, cells in enumerate(zip(*rows, strict=True)) if any(cells)]
+    for row in rows:
+        table.add_row(*(row[place] for place in kept))
+    console.print(table, crop=False)
+    seeds = f"{len(plan.seeds)} seeds" if len(plan.seeds) > 1 else "1 seed"
+    console.print(f"success at the last evaluation, mean and 95 % interval over {seeds}", soft_wrap=True)
+    console.print(f"runs        {folder}/SETTING, each a run for evaluate, report and compare", soft_wrap=True)
+
+
+def draw_sweep(folder: Path, plan: Plan) -> list[Path]:
+    """The figures of a single run, or the one figure of all settings."""
+    if plan.settings == [{}]:
+        return draw_figures(folder)
+    return [SweepResult(folder, plan).figure()]

@@ -1,0 +1,238 @@
+"""Settings and seeds as jobs: the run that parts make, a sweep that goes on, the same bits wherever it runs, and what
+cannot be run."""
+
+import collections
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import hand_made
+import killed_run
+import pytest
+from places import ROOT
+
+import infogoal_jax
+from infogoal_jax.cli.main import main
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.runs import table_of
+from infogoal_jax.runner import executors, parts, training
+from infogoal_jax.runner.executors import Place, run_on_ray
+from infogoal_jax.runner.parts import PARTS, Plan, jobs_of, read_plan, run_parts, settings_of
+from infogoal_jax.runs import checkpoint, configuration, tables
+
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork")  # Ray starts its processes so, and they begin anew at once.
+FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
+CONFIG = hand_made.config("none", num_epochs=4, epochs_per_evaluation=2)
+LOG = "LOG_BEGUN"
+
+
+def small_train(config, env=None):
+    """The small program; the file that `LOG` names gets a line for each that is made."""
+    if LOG in os.environ:
+        with open(os.environ[LOG], "a") as file:
+            file.write(f"{config.hyper.learning_rate:g} {os.getpid()}\n")
+        time.sleep(0.3)
+    return killed_run.small_train(config, hand_made.environment())
+
+
+def prepare_worker() -> None:
+    """Let every run of this process be of the small program."""
+    training.make_train = small_train
+
+
+@pytest.fixture(autouse=True)
+def small_program(monkeypatch):
+    monkeypatch.setattr(training, "make_train", small_train)
+
+
+def same(first: Path, second: Path) -> bool:
+    """Whether two runs left the same bits in every file."""
+    return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
+
+
+def test_parts_make_the_run_that_others_read(tmp_path):
+    plan = Plan([{}], [0, 1, 2, 3, 4], 2)
+    outcome = run_parts(CONFIG, plan, tmp_path / "run", say=lambda words: None)
+    assert outcome.finished == [f"{PARTS}/0-1", f"{PARTS}/2-3", f"{PARTS}/4-4"]
+    left = {path.name for path in (tmp_path / "run").iterdir()}
+    assert left == {*FILES, "timing.json"}
+    assert configuration.read(tmp_path / "run").seeds == plan.seeds
+    header, payload = checkpoint.read_header(tmp_path / "run" / "policy")
+    assert header["epoch"] == 4 and header["seeds"] == plan.seeds and payload
+    for table, epochs in (("epochs", 4), ("evaluations", 2)):
+        assert table_of(tmp_path / "run", table).values["env_steps"].shape == (5, epochs)
+    longer = infogoal_jax.TrainConfig(**(vars(CONFIG) | {"num_epochs": 6}))
+    assert not training.run(longer, plan.seeds, tmp_path / "run", resume=True).stopped  # It goes on as any run.
+
+
+def test_a_part_is_the_run_of_its_seeds(tmp_path):
+    run_parts(CONFIG, Plan([{}], [0, 1, 2, 3], 2), tmp_path / "run", say=lambda words: None)
+    training.run(CONFIG, [2, 3], tmp_path / "alone")
+    rows, alone = (tables.read_table(tmp_path / name, "epochs") for name in ("run", "alone"))
+    assert [row for row in rows if row["seed"] in (2, 3)] == alone
+
+
+def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    plan = Plan(settings_of({"learning_rate": [1e-4, 3e-4], "discount": [0.9]}), [0, 1], 1)
+    run_parts(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
+    assert plan.names == ["learning_rate=0.0001,discount=0.9", "learning_rate=0.0003,discount=0.9"]
+
+    def stopping(words: str) -> None:
+        if "epoch 2/4" in words and "0.0003" in words:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_parts(CONFIG, plan, tmp_path / "sweep", say=stopping)
+    assert (tmp_path / "sweep" / plan.names[0] / PARTS / "0-0" / "policy").exists()
+    assert read_plan(tmp_path / "sweep") == (CONFIG, plan)
+    run_parts(CONFIG, plan, tmp_path / "sweep", resume=True, say=lambda words: None)
+    for name in plan.names:
+        assert same(tmp_path / "sweep" / name, tmp_path / "whole" / name)
+    assert not list((tmp_path / "sweep").rglob("*.lock")) and not list((tmp_path / "sweep").rglob(PARTS))
+
+
+def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
+    plan = Plan([{}], [0, 1], 1)
+    run_parts(CONFIG, plan, tmp_path / "whole", say=lambda words: None)
+
+    def killed(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(parts.shutil, "rmtree", killed)
+        run_parts(CONFIG, plan, tmp_path / "run", say=lambda words: None)
+    assert (tmp_path / "run" / PARTS / "1-1" / "policy").exists()
+    run_parts(CONFIG, plan, tmp_path / "run", resume=True, say=lambda words: None)
+    assert same(tmp_path / "run", tmp_path / "whole")
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {*FILES, "timing.json"}
+
+
+def test_from_python_with_a_table_and_a_figure(tmp_path):
+    result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4], learner_weight=[0.5])
+    rows = result.rows()
+    assert [(row["learning_rate"], row["seed"]) for row in rows] == [(1e-4, 0), (1e-4, 1), (3e-4, 0), (3e-4, 1)]
+    assert all(row["epoch"] == 4 and 0 <= row["train_goal/success_rate"] <= 1 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--sweep", "learning_rat=1e-4"], "sweep = 'learning_rat'"),
+        (["--sweep", "learning_rate=fast"], "sweep = 'learning_rate=fast'"),
+        (["--sweep", "learning_rate"], "FIELD=NUMBER"),
+        (["--sweep", "learning_rate=1e-4,1e-4"], "give each setting once"),
+        (["--sweep", "learning_rate=-1"], "learning_rate = -1"),
+        (["--vmap-size", "-1"], "vmap_size = -1"),
+        (["--gpus", "2"], "gpus = 2"),
+        (["--ray-address", "auto"], "ray_address = "),
+        (["--engine", "ray", "--gpus", "2"], "gpus = 2"),
+        (["--sweep", "learning_rate=1e-4", "--distributed", "auto"], "num_processes"),
+    ],
+)
+def test_what_cannot_be_run_leaves_nothing(words, named, tmp_path, capsys, monkeypatch):
+    if "--distributed" in words:
+        words, named = [*words[:2], "--num-processes", "2"], "num_processes"
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "object_search", "--out", "new", *words]) == 2
+    assert named in capsys.readouterr().err and not (tmp_path / "new").exists()
+
+
+def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
+    training.run(CONFIG, [0], tmp_path / "run")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    with pytest.raises(UserError, match="holds a run already"):
+        run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
+    assert before == {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+
+
+def test_parts_are_written_through_no_link(tmp_path):
+    plan = Plan([{}], [0, 1], 1)
+    (tmp_path / "elsewhere").mkdir()
+    parts.start(CONFIG, plan, tmp_path / "run")
+    (tmp_path / "run" / PARTS).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UserError, match="is a link, through which nothing is written"):
+        run_parts(CONFIG, plan, tmp_path / "run", resume=True)
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+@pytest.fixture
+def two_machines(tmp_path, monkeypatch):
+    """A real cluster of two machines with a CPU each; this process is at a third one, without any."""
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    paths = [ROOT, ROOT / "tests", ROOT / "tests" / "runner"]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, paths)))
+    monkeypatch.syspath_prepend(str(ROOT / "tests" / "runner"))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    import test_parts
+
+    there = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    machines = [there.add_node(num_cpus=1) for _ in range(2)]
+    hook = {
+        "worker_process_setup_hook": test_parts.prepare_worker,
+        "env_vars": {LOG: str(tmp_path / "begun"), "JAX_PLATFORMS": "cpu"},
+    }
+    ray.init(address=there.address, runtime_env=hook, log_to_driver=False)
+    try:
+        yield there, machines
+    finally:
+        ray.shutdown()
+        there.shutdown()
+
+
+@pytest.mark.long
+def test_a_sweep_of_48_runs_survives_the_loss_of_a_machine(two_machines, tmp_path):
+    """Four settings of twelve seeds in parts of three: all there, none of them twice but what the lost machine had, and
+    the bits are those of one process."""
+    there, machines = two_machines
+    plan = Plan(settings_of({"learning_rate": [1e-4, 2e-4, 3e-4, 4e-4]}), list(range(12)), 3)
+    run_parts(CONFIG, plan, tmp_path / "alone", say=lambda words: None)
+    begun, folder = tmp_path / "begun", tmp_path / "cluster"
+
+    def kill() -> None:
+        while not begun.exists() or len(begun.read_text().splitlines()) < 6:
+            time.sleep(0.02)
+        there.remove_node(machines[0], allow_graceful=False)
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    outcome = run_parts(CONFIG, plan, folder, execute=run_on_ray, say=lambda words: None)
+    killer.join(60)
+    assert not killer.is_alive() and len(outcome.finished) == len(jobs_of(CONFIG, plan)) == 16
+    assert len(set(outcome.finished)) == 16 and not outcome.stopped
+    for name in plan.names:
+        assert same(folder / name, tmp_path / "alone" / name)
+        assert configuration.read(folder / name).seeds == list(range(12))
+    times = collections.Counter(line.split()[0] for line in begun.read_text().splitlines())
+    assert sum(times.values()) <= 16 + 2  # What the machine had, once more.
+    again = run_parts(CONFIG, plan, folder, resume=True, execute=run_on_ray, say=lambda words: None)
+    assert not again.finished and not again.stopped
+
+
+TINY = (
+    "--num-epochs 2 --epochs-per-evaluation 1 --updates-per-epoch 2 --num-envs 4 --rollout-steps 10 --batch-size 16 "
+    "--buffer-steps 100 --evaluation-starts 1 --agent.num-steps 2 --state-encoder.features 16 --agent.hidden 16"
+)
+
+
+@pytest.mark.long
+def test_several_processes_share_a_sweep(tmp_path):
+    """By the command line, with its own program."""
+    command = [sys.executable, "-m", "infogoal_jax", "train", "object_search", "--method", "her", *TINY.split()]
+    command += ["--seeds", "2", "--vmap-size", "1", "--no-figures"]
+    for name, flags in (("one", []), ("two", ["--processes", "2"])):
+        done = subprocess.run([*command, "--out", str(tmp_path / name), *flags], capture_output=True, text=True)
+        assert done.returncode == 0 and done.stdout.count("success rate") == 1, done.stdout + done.stderr
+    for name in ("epochs.csv", "evaluations.csv"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_job_says_what_it_is(tmp_path):
+    names = [job.name for job in jobs_of(CONFIG, Plan(settings_of({"discount": [0.9]}), [0, 1], 1))]
+    assert names == [f"{CONFIG.task} discount=0.9/0-0", f"{CONFIG.task} discount=0.9/1-1"]
+    assert json.dumps(names) and Place(tmp_path).left() == float("inf") and executors.LOSSES > 1
