@@ -4,6 +4,7 @@ several commands ask for: new folders under runs/, folders that must be empty, s
 import errno
 import functools
 import os
+import secrets
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,8 @@ PATHS = {
     errno.ELOOP: "give a path that does not lead through a circle of links",
 }
 """What helps where the system refuses a path."""
+LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
+"""Of the mark of a new folder: none that looks like another."""
 NOTHING = Annotated[object, tyro.conf.Suppress]
 """An arm of a union that is no command, since a command alone would be no union. Anything is an `object`: so tyro does
 not ask typeguard about the arms after it, whose import is a tenth of a help's time."""
@@ -112,8 +115,10 @@ def type_of(group: Group) -> Any:
 
 
 def new_folder(*words: str) -> Path:
-    """A folder under runs/ that says what it holds, and since when."""
-    return Path("runs") / "-".join([*words, time.strftime("%Y%m%d-%H%M%S")])
+    """A folder under runs/ that says what it holds, and since when. The last word tells it from that of another process
+    that began in the same second, as the jobs of an array do."""
+    mark = "".join(secrets.choice(LETTERS) for _ in range(6))
+    return Path("runs") / "-".join([*words, time.strftime("%Y%m%d-%H%M%S"), mark])
 
 
 def empty_folder(path: str | Path, flag: str) -> Path:

@@ -93,6 +93,23 @@ def at_home(word: str) -> str:
     return flag + sign + (os.path.expanduser(value) if value.startswith("~/") else value)
 
 
+def refused_devices() -> str:
+    """Why jax starts no device here, with what helps; empty if it does, or was not asked to."""
+    if "jax" not in sys.modules:
+        return ""
+    import jax
+
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # The second for a platform whose plugin is not installed.
+        asked = jax.config.jax_platforms or ""
+        missing = "cuda" in asked or "gpu" in asked
+        install = "pip install 'infogoal-jax[cuda]' for NVIDIA's GPUs, or " if missing else ""
+        reason = next(iter(str(error).splitlines()), "") or "there are none"
+        return f"JAX_PLATFORMS = {asked!r}: jax starts no such device ({reason}); {install}unset it, or set it to cpu"
+    return ""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. A `UserError` is printed without a traceback, and so is what the system says of a path that was
     given; the exit status is then 2."""
@@ -107,6 +124,12 @@ def main(arguments: list[str] | None = None) -> int:
         return STATUS
     except BrokenPipeError:  # Nobody reads what is printed any more, as after `| head`.
         return 128 + signal.SIGPIPE
+    except (RuntimeError, AssertionError):
+        mistake = refused_devices()
+        if not mistake:
+            raise
+        print(f"infogoal: {mistake}", file=sys.stderr)
+        return 2
     except OSError as error:
         mistake = mistake_of(error, arguments)
         if mistake is None:

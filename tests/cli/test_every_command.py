@@ -5,16 +5,18 @@ import dataclasses
 import errno
 import os
 import pty
+import shlex
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 import infogoal_jax
 from infogoal_jax import agents, envs, presets, stopping
-from infogoal_jax.cli.commands import mistake_of
+from infogoal_jax.cli.commands import mistake_of, new_folder
 from infogoal_jax.cli.main import main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
@@ -284,6 +286,66 @@ def test_a_reader_that_goes_away_is_no_error():
     command = f"{sys.executable} -m infogoal_jax --help | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, env=os.environ)
     assert done.stderr == "" and len(done.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize("to", ["/dev/full", "&-"])
+@pytest.mark.parametrize(("words", "status"), [("train --help", 0), ("nonsense", 2)])
+def test_output_that_nobody_takes_is_said_in_a_line(words, status, to):
+    """On a disk that is full the command has failed, as those of a shell have; what is closed was not wanted. Errors
+    too may be closed, and all three together."""
+    lost = status or int(to == "/dev/full")
+    for more, said in (("", True), (" 2>&- <&-", False), (" 2>/dev/full", False)):
+        command = f"{sys.executable} -m infogoal_jax {words} >{to}{more}"
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, env=os.environ)
+        assert (done.returncode, done.stdout) == (lost, ""), command
+        assert "Traceback" not in done.stderr and done.stderr.strip().count("\n") == 0
+        assert bool(done.stderr) == (said and lost > 0)
+
+
+def test_what_is_closed_is_no_file_of_the_run(tmp_path):
+    """A file that is opened next would have the number of standard output, and what is printed would stand in it."""
+    code = (
+        "import sys, types; from infogoal_jax import __main__ as entry\n"
+        "def command():\n"
+        f"    with open({str(tmp_path / 'file')!r}, 'w') as file: print('printed', flush=True); file.write('written')\n"
+        "    return 0\n"
+        "sys.modules['infogoal_jax.cli.main'] = types.SimpleNamespace(main=command); sys.exit(entry.main())"
+    )
+    command = f"{sys.executable} -c {shlex.quote(code)} >&- 2>&-"
+    assert subprocess.run(["bash", "-c", command], env=os.environ).returncode == 0
+    assert (tmp_path / "file").read_text() == "written"
+
+
+@pytest.mark.parametrize("platforms", ["cuda", "nowhere"])
+def test_devices_that_are_not_there_are_named_with_the_extra(platforms):
+    code = "import sys, jax; from infogoal_jax.cli import main as cli\n"
+    code += "cli.run = lambda arguments: jax.devices()\nsys.exit(cli.main([]))"
+    environment = os.environ | {"JAX_PLATFORMS": platforms}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 2 and f"JAX_PLATFORMS = '{platforms}': jax starts no such device" in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and ("infogoal-jax[cuda]" in done.stderr) == (platforms == "cuda")
+
+
+BACKENDS = ["module://matplotlib_inline.backend_inline", "inline", "module://nowhere", "no_such", "tkagg", "qtagg"]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_figures_are_drawn_whatever_backend_is_set(backend, tmp_path):
+    """By a script; the command sets its own."""
+    code = "from infogoal_jax.report import canvas\nfrom pathlib import Path\nimport os\n"
+    code += "figure = canvas.empty_figure('a', (), (2, 2)); figure.add_subplot().plot([1, 2])\n"
+    code += "[canvas.save(figure, Path(f'figure.{name}')) for name in canvas.FORMATS]\n"
+    code += f"assert os.environ['MPLBACKEND'] == {backend!r}"
+    environment = os.environ | {"MPLBACKEND": backend}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, env=environment)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".pdf", ".svg"}
+
+
+def test_processes_of_one_second_have_folders_of_their_own(monkeypatch):
+    monkeypatch.setattr(time, "strftime", lambda words: "20261127-120000")
+    folders = {new_folder("object_search", "infogoal") for _ in range(1000)}
+    assert len(folders) == 1000
+    assert all(path.parent == Path("runs") and "infogoal-20261127-120000-" in path.name for path in folders)
 
 
 def test_what_the_system_refuses_is_a_mistake_only_where_the_path_was_given():
