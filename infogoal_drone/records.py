@@ -23,6 +23,8 @@ from infogoal_jax.runs.disk import Place, decode, parse_lines, read_bytes
 NAME = "flight.jsonl"
 COLUMNS = ("image", "trajectory", "time", "action", "state", "x", "y", "objects")
 TABLE = "moves.csv"
+LONGEST, FARTHEST = 10**6, 10**4
+"""Seconds of a flight, and moves from its start, that no drone makes."""
 STRAIGHT_ON = 0.75
 """Probability that the explorer repeats its move where it may."""
 
@@ -71,6 +73,9 @@ class Event:
     time: float
     event: str
 
+    def __post_init__(self):
+        require(0 <= self.time < LONGEST, "time", self.time, f"should be from 0 to below {LONGEST:,} s")
+
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
@@ -80,6 +85,10 @@ class Bounds:
     right: int
     up: int
     down: int
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            require(0 <= value <= FARTHEST, name, value, f"should be from 0 to {FARTHEST:,}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +110,12 @@ class StepEvent(Event):
     low: tuple[float, float]
     high: tuple[float, float]
     latency: float
+
+    def __post_init__(self):
+        super().__post_init__()
+        require(0 <= self.latency < LONGEST, "latency", self.latency, f"should be from 0 to below {LONGEST:,} s")
+        near = all(abs(step) <= FARTHEST for step in (*self.low, *self.high))
+        require(near, "low, high", (*self.low, *self.high), f"should be at most {FARTHEST:,} steps away")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,6 +6,7 @@ function from a whole image to detections.
 """
 
 import itertools
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -167,6 +168,12 @@ def yolo_detector(weights: Path) -> Detector:
         from ultralytics import YOLO
     except ImportError as error:
         raise UserError(f"detection by YOLO needs ultralytics ({error}): {INSTALL}") from error
+    if weights.suffix.lower() != ".onnx":
+        print(
+            f"infogoal: {weights} is a pickle, which can run any code when it is loaded: fly with weights of your own, "
+            "or of those whom you trust; an .onnx file holds numbers alone",
+            file=sys.stderr,
+        )
     model = YOLO(str(weights))
 
     def detect(image: np.ndarray) -> list[Detection]:

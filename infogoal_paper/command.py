@@ -8,6 +8,7 @@ from pathlib import Path
 from infogoal_jax.errors import counted, require, typed
 from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runner.executors import run_in_processes, run_on_ray
+from infogoal_jax.runs import disk
 from infogoal_paper import numbers, progress
 from infogoal_paper.manifest import BESIDE, STUDIES, Choice, Run, runs_of
 from infogoal_paper.numbers import Results
@@ -85,6 +86,8 @@ def reproduce(asked: Asked) -> int:
     require(asked.name in BESIDE or not asked.known_goals, "known_goals", asked.known_goals, paper)
     verdicts = "is that of the verdicts on the paper; leave it out: OUT/all_goals.md has tables and figure"
     require(asked.name not in BESIDE or asked.page is None, "page", str(asked.page), verdicts)
+    if asked.page is not None:
+        disk.check_out(asked.page, "page")
     by_ray = asked.engine == "ray"
     require(by_ray or not asked.ray_address, "ray_address", asked.ray_address, "goes with --engine ray")
     require(not (by_ray and asked.gpus), "gpus", asked.gpus, "Ray spreads workers over GPUs by itself; leave it out")

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import require
 from infogoal_jax.files import from_json, has_no_locks, open_lock, read_bytes, try_lock
 from infogoal_jax.runs import disk
 from infogoal_paper import checkpoints, files, plan
@@ -24,6 +25,8 @@ from infogoal_paper.scores import TITLES
 from infogoal_paper.table_formats import Table
 
 PAGE, TIMES = "progress.html", "times"
+LONGEST = 10**9
+"""Seconds that no batch of runs takes."""
 SECONDS = 10
 """The page is written anew at most this often, and reloads itself as often."""
 STYLE = """body{font:16px/1.4 system-ui,sans-serif;margin:1rem;max-width:70rem}table{border-collapse:collapse}
@@ -64,6 +67,10 @@ class Took:
     task: str
     runs: int
     seconds: float
+
+    def __post_init__(self):
+        require(self.runs > 0, "runs", self.runs, "should be 1 or more")
+        require(0 <= self.seconds < LONGEST, "seconds", self.seconds, f"should be from 0 to below {LONGEST:,}")
 
 
 def seconds_a_run(folder: Path) -> dict[str, float]:

@@ -106,7 +106,7 @@ def train(
 
         before = configuration.read(Path(resume)).seeds
         numbers = before if (seeds, first_seed) == (len(before), before[0]) else numbers
-    folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
+    folder = Path(resume or out or several.agreed(str(new_folder(config.task, presets.name_of(config)))))
     if not several.is_writer():
         sweep = training.run(config, numbers, folder, bool(resume))
         several.part()

@@ -91,6 +91,8 @@ def shardings_of(mesh: jax.sharding.Mesh) -> tuple[jax.sharding.NamedSharding, j
 
 
 AUTO = "auto"
+LONGEST = 4096
+"""Bytes of what `agreed` tells."""
 SECONDS = 60
 """That a process waits for the others at the beginning."""
 
@@ -108,6 +110,8 @@ def join(coordinator: str, count: int, number: int) -> None:
         require(count > 1, "num_processes", count, "give how many there are, 2 or more")
         require(0 <= number < count, "process", number, f"give 0 to {count - 1}, each process another number")
         given = {"coordinator_address": coordinator, "num_processes": count, "process_id": number}
+        if number == 0:
+            given["coordinator_bind_address"] = coordinator  # Jax would listen on every address of this machine.
     jax.config.update("jax_enable_preemption_service", False)  # It would keep TERM from `stop_on_signal`.
     try:
         jax.distributed.initialize(**given, initialization_timeout=SECONDS)
@@ -193,6 +197,16 @@ def gathered_by_writer(tree: Any) -> Any:
 
     trees = jax.tree.map(whole, tree)
     return trees if writes else None
+
+
+def agreed(words: str) -> str:
+    """What the first process says, in all of them. Every process has to call this at the same place."""
+    if not is_one_of_several():
+        return words
+    from jax.experimental.multihost_utils import broadcast_one_to_all
+
+    said = np.frombuffer(words.encode().ljust(LONGEST, b"\0"), np.uint8)
+    return np.asarray(broadcast_one_to_all(said)).astype(np.uint8).tobytes().rstrip(b"\0").decode()
 
 
 def any_process(said: bool) -> bool:

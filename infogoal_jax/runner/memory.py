@@ -141,8 +141,12 @@ def divisors(number: int) -> Iterator[int]:
 
 
 def room_in_words(memory: int) -> str:
-    """How much memory a device has."""
-    return f"a device has {memory / GIB:.1f} GiB"
+    """How much memory a device has, of a GPU what jax takes of it."""
+    words = f"a device has {memory / GIB:.1f} GiB"
+    if jax.default_backend() != "gpu":
+        return words
+    fraction = os.environ.get("XLA_PYTHON_CLIENT_MEM_FRACTION") or "0.75"
+    return f"{words}: {fraction} of its memory, the fraction that XLA_PYTHON_CLIENT_MEM_FRACTION lets jax take"
 
 
 def check_traced(programs: Iterable[Jaxpr | ClosedJaxpr], config: Any, usual: Callable[[], Any], memory: int) -> None:

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from infogoal_jax import files
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.runs.disk import Place, decode, disk_error, parse, parse_lines, read_bytes, write_json, write_text
 
+MOST_OF_TIMES = 1e15
+"""Of seconds, and of anything a second."""
 TABLES = ("epochs", "evaluations")
 Row = dict[str, Any]
 
@@ -128,6 +130,10 @@ class Timing:
     run_seconds: float
     env_steps_per_second: float
     updates_per_second: float
+
+    def __post_init__(self):
+        for name, value in vars(self).items():
+            require(0 <= value < MOST_OF_TIMES, name, value, f"should be from 0 to below {MOST_OF_TIMES:g}")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -36,6 +36,11 @@ watching.__enter__()
 distributed.join(coordinator, 2, int(number))
 import jax
 assert len(jax.devices()) == 2 * len(jax.local_devices())
+assert distributed.agreed(f"runs/of-{number}-é") == "runs/of-0-é"
+lines = [line.split() for name in ("tcp", "tcp6") for line in open(f"/proc/net/{name}").readlines()[1:]]
+port = f"{int(coordinator.split(':')[1]):04X}"
+hosts = {where.split(":")[0] for _, where, _, state, *_ in lines if state == "0A" and where.split(":")[1] == port}
+assert len(hosts) == 1 and hosts.pop().endswith("0100007F")  # 127.0.0.1 alone, as it was named.
 def stop(progress):
     if os.environ.get("STOP") == str(progress.epoch):
         os.kill(os.getpid(), 15)
