@@ -15,6 +15,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax._src import xla_bridge  # No public function says whether JAX has started without starting it.
 
 from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.keys import is_key
@@ -100,11 +101,12 @@ def is_traced(value: Any) -> bool:
 
 
 def array(
-    value: Any, field: str, kind: Kind, shape: tuple[int | str | None, ...] | None = None, remedy: str = ""
+    value: Any, field: str, kind: Kind, shape: tuple[Any, ...] | None = None, remedy: str = "", finite: bool = True
 ) -> Any:
     """An array of NumPy or JAX, or nested lists of numbers, of this kind and, where one is asked for, this shape.
 
-    shape: a length for each axis, or a name where any length is right; `...` stands for any axes. Numbers are finite.
+    shape: a length for each axis, or a name where any length is right; `...` stands for any axes. finite: whether
+    numbers have to be.
     Returns an array of the value, of JAX where it was one.
     """
     axes = "" if shape is None else f" [{', '.join('...' if axis is Ellipsis else str(axis) for axis in shape)}]"
@@ -119,7 +121,7 @@ def array(
     require(not isinstance(value, np.ma.MaskedArray), field, "a masked array", f"{wanted}, without a mask")
     if letter not in KINDS[kind] or (shape is not None and not has_shape(value.shape, shape)):
         raise UserError(f"{field} = {described}: {wanted}")
-    if letter == "f" and not is_traced(value):
+    if finite and letter == "f" and not is_traced(value):
         found = np.asarray(value, np.float64 if value.dtype != np.longdouble else np.longdouble)
         if not np.isfinite(found).all():
             place = tuple(int(index) for index in np.argwhere(~np.isfinite(found))[0])
@@ -170,3 +172,33 @@ def same_shapes(found: Any, expected: Any, name: str, other: str) -> None:
 def written(shape: tuple[int, ...], dtype: str) -> str:
     """A shape and a type as docstrings write them: `float32 [3, 2]`."""
     return f"{dtype} {list(shape)}"
+
+
+class Fork:
+    """Whether this process was forked from one in which JAX had started. Its threads are not there: whatever it
+    computes would wait for them without end."""
+
+    jax_had_started = False
+
+    @classmethod
+    def happens(cls) -> None:
+        """Remember, in the process that is forked, what its child cannot ask later."""
+        cls.jax_had_started = xla_bridge.backends_are_initialized()
+
+    @classmethod
+    def happened(cls) -> None:
+        """In the parent a fork changes nothing."""
+        cls.jax_had_started = False
+
+
+os.register_at_fork(before=Fork.happens, after_in_parent=Fork.happened)
+
+
+def not_forked() -> None:
+    """Raise `UserError` in a process that was forked from one in which JAX had started."""
+    if Fork.jax_had_started:
+        raise UserError(
+            "fork: this process is a copy of one in which JAX has started, whose threads it lacks: it would wait for "
+            'them without end; give context="spawn" (AsyncVectorEnv(..., context="spawn")), or step a batch as one '
+            "program: infogoal_jax.bridges.gymnasium.FetchVector or TaskVector, which gymnasium.make_vec makes"
+        )

@@ -17,10 +17,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from infogoal_jax import envs
-from infogoal_jax.bridges.gymnasium_goals import key_of, on_cpu
+from infogoal_jax import checks, envs
+from infogoal_jax.bridges.forks import RefusesForks
+from infogoal_jax.bridges.gymnasium_goals import check_mode, key_of, on_cpu, options_of, seeded, with_limit
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.errors import check_count, require
+from infogoal_jax.errors import require
 
 METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
 
@@ -28,7 +29,10 @@ METADATA = {"render_modes": ["rgb_array"], "render_fps": 4}
 def load(task: str | Environment, config: Any) -> Environment:
     """The task of this name, or the environment itself. Raises `UserError` for one whose goals do not form a finite
     set, or whose actions are vectors."""
-    env = envs.load(task, config) if isinstance(task, str) else task
+    checks.not_forked()
+    if isinstance(task, Environment):
+        require(config is None, "config", config, "leave it out: the environment has one of its own")
+    env = task if isinstance(task, Environment) else envs.load(task, config)
     fits = env.goals is not None and env.discrete
     require(
         fits,
@@ -104,12 +108,17 @@ def spaces_of(env: Environment) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces
 def at_goal(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
     """Whether a desired goal is among those that are achieved, bool [...], for bits [..., N]. Raises `UserError` for
     other shapes."""
-    achieved, desired = np.asarray(achieved), np.asarray(desired)
+    bits = {}
+    for field, given in {"achieved_goal": achieved, "desired_goal": desired}.items():
+        flags = isinstance(given, np.ndarray) and given.dtype == bool
+        bits[field] = np.asarray(checks.array(given, field, "flags" if flags else "numbers", (..., "N")))
+        require(np.isin(bits[field], (0, 1)).all(), field, given, "give bits [..., N], each 0 or 1")
+    achieved, desired = bits["achieved_goal"], bits["desired_goal"]
     require(
-        achieved.shape == desired.shape and achieved.ndim > 0,
+        achieved.shape == desired.shape,
         "achieved_goal",
         f"of shape {achieved.shape}, desired_goal of {desired.shape}",
-        "give bits [..., number of goals] of one shape",
+        "give bits [..., N] of one shape",
     )
     return ((achieved > 0) & (desired > 0)).any(-1)
 
@@ -122,15 +131,22 @@ def rewards(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
 def goal_number(env: Environment, options: dict[str, Any] | None) -> int:
     """The goal that `options` asks for by its number or its name; -1 for none. Raises `UserError` for one that cannot
     be evaluated."""
-    unknown = set(options or {}) - {"goal"}
-    require(not unknown, "options", sorted(unknown), 'only "goal" is known')
-    if not options:
+    if not options_of(options):
         return -1
-    goal, names = options["goal"], list(env.goals.names)
-    number = names.index(goal) if goal in names else goal
-    known = np.asarray(env.goals.evaluated).tolist()
-    require(number in known, 'options["goal"]', goal, "give the number or the name of an evaluated goal (env.goals)")
-    return int(number)
+    goal, field = options["goal"], 'options["goal"]'
+    remedy = "give the number or the name of an evaluated goal (env.goals)"
+    if isinstance(goal, str):
+        require(goal in env.goals.names, field, goal, remedy)
+        number = env.goals.names.index(goal)
+    else:
+        number = checks.whole(goal, field, remedy=remedy)
+    require(number in np.asarray(env.goals.evaluated), field, goal, remedy)
+    return number
+
+
+def default_length(task: str | Environment) -> int:
+    """The task's own number of steps, which a configuration may change."""
+    return task.episode_length if isinstance(task, Environment) else envs.registry.entry(task).config().episode_length
 
 
 def picture(env: Environment, image: np.ndarray) -> np.ndarray:
@@ -139,12 +155,7 @@ def picture(env: Environment, image: np.ndarray) -> np.ndarray:
     return np.array(np.broadcast_to(image, (*image.shape[:2], 3)))
 
 
-def check_mode(render_mode: str | None) -> None:
-    """Raise `UserError` for a mode that does not exist."""
-    require(render_mode in (None, *METADATA["render_modes"]), "render_mode", render_mode, 'give "rgb_array" or None')
-
-
-class TaskGymnasium(gymnasium.Env):
+class TaskGymnasium(RefusesForks, gymnasium.Env):
     """One environment. An episode is terminated at the goal and truncated after the task's number of steps.
 
     `info`: `is_success` 0.0 or 1.0; `action_mask` int8 [A], the actions that can be taken next.
@@ -152,16 +163,20 @@ class TaskGymnasium(gymnasium.Env):
 
     metadata = METADATA
 
-    def __init__(self, task: str | Environment, config: Any = None, render_mode: str | None = None):
-        check_mode(render_mode)
+    def __init__(self, task: str | Environment, config: Any = None, render_mode: str | None = None, timed: bool = True):
+        """timed: False where Gymnasium keeps the time."""
+        if self.is_refused():
+            return
+        check_mode(render_mode, METADATA["render_modes"])
         with on_cpu():
-            self.env, self.render_mode = load(task, config), render_mode
+            self.env = with_limit(load(task, config), None, timed, default_length(task))
+        self.render_mode = render_mode
         self.observation_space, self.action_space = spaces_of(self.env)
         self.state, self.shown = None, None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """A new episode. options: {"goal": number or name}; without them a training goal is drawn."""
-        super().reset(seed=seed)
+        super().reset(seed=seeded(seed))
         goal = goal_number(self.env, options)
         with on_cpu():
             self.state, shown = start(self.env, key_of(self.np_random), goal)
@@ -172,7 +187,8 @@ class TaskGymnasium(gymnasium.Env):
     def step(self, action: int):
         """One move. Raises `UserError` before the first reset, and for an action that does not exist."""
         require(self.state is not None, "state", None, "call reset() before step()")
-        require(self.action_space.contains(action), "action", action, f"give 0 to {self.env.action_size - 1}")
+        most = self.env.action_size - 1
+        action = checks.whole(action, "action", 0, most, f"give 0 to {most}")
         with on_cpu():
             self.state, shown, mask = move(self.env, self.state, jnp.asarray(action, jnp.int32))
         self.shown = {name: np.array(part) for name, part in shown.items()}
@@ -206,10 +222,20 @@ class TaskVector(VectorEnv):
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def __init__(self, task: str | Environment, num_envs: int, config: Any = None, render_mode: str | None = None):
-        check_count(num_envs, "num_envs")
-        check_mode(render_mode)
-        self.env, self.num_envs, self.render_mode = load(task, config), num_envs, render_mode
+    def __init__(
+        self,
+        task: str | Environment,
+        num_envs: int,
+        config: Any = None,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        timed: bool = True,
+    ):
+        """max_episode_steps: None for those of the configuration; -1 for no limit."""
+        num_envs = checks.whole(num_envs, "num_envs", 1)
+        check_mode(render_mode, METADATA["render_modes"])
+        self.env = with_limit(load(task, config), max_episode_steps, timed, default_length(task))
+        self.num_envs, self.render_mode = num_envs, render_mode
         self.single_observation_space, self.single_action_space = spaces_of(self.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -217,7 +243,7 @@ class TaskVector(VectorEnv):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Reset every environment. options: {"goal": number or name}, for this episode only."""
-        super().reset(seed=seed)
+        super().reset(seed=seeded(seed))
         goals = jnp.full(self.num_envs, goal_number(self.env, options), jnp.int32)
         keys = jax.random.split(key_of(self.np_random), self.num_envs)
         self.state, shown = start_all(self.env, keys, goals)

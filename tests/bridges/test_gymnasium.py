@@ -35,7 +35,10 @@ def test_gymnasium_finds_nothing_to_warn_of(reach):
 @pytest.mark.parametrize("task", list(TASKS))
 def test_each_task_is_registered_with_the_reference_s_spaces(task):
     env = gymnasium.make(bridge.IDS[task])
-    assert isinstance(env, bridge.FetchGymnasium) and env.spec.id == bridge.IDS[task]
+    assert isinstance(env.unwrapped, bridge.FetchGymnasium) and env.spec.id == bridge.IDS[task]
+    assert env.spec.max_episode_steps == gymnasium.spec(bridge.IDS[task]).max_episode_steps == 50
+    dense = gymnasium.make(bridge.IDS[task].replace("-v0", "Dense-v0")).unwrapped
+    assert (env.unwrapped.reward_type, dense.reward_type) == ("sparse", "dense")
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (4,), np.float32)
     shapes = {name: space.shape for name, space in env.observation_space.items()}
     assert shapes == {
@@ -126,6 +129,23 @@ def test_wrong_calls_are_explained(reach):
         reach.step(np.zeros(3))
     with pytest.raises(UserError, match="positions"):
         reach.compute_reward(np.zeros((2, 3)), np.zeros(3), {})
+
+
+@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, "x", None])
+def test_a_goal_that_is_no_number_is_neither_near_nor_far(reach, place, wrong):
+    goals = [[0.1, 0.2, 0.3], [0.1, 0.2, 0.3]]
+    goals[place] = [0.1, wrong, 0.3]
+    with pytest.raises(UserError, match=("achieved_goal", "desired_goal")[place]):
+        reach.compute_reward(*goals, {})
+
+
+def test_dense_rewards_are_minus_the_distance():
+    env = gymnasium.make("infogoal/FetchReachDense-v0").unwrapped
+    reward = env.compute_reward(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.0], [0.3, 0.4, 0.0]]), {})
+    assert reward.dtype == np.float32 and np.allclose(reward, [0.0, -0.5])
+    with pytest.raises(UserError, match="reward_type = 'both': give one of sparse, dense"):
+        bridge.FetchGymnasium("fetch_reach", reward_type="both")
 
 
 def test_without_gymnasium_the_remedy_is_named(monkeypatch):

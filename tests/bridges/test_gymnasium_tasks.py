@@ -1,5 +1,8 @@
 """Tasks with a finite set of goals keep what Gymnasium promises its users, as the Fetch tasks do."""
 
+import functools
+import warnings
+
 import gymnasium
 import hand_made
 import hand_made_frames
@@ -9,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from infogoal_jax import UserError
+from infogoal_jax import UserError, envs
 from infogoal_jax.bridges import gymnasium as bridge
 from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
 
@@ -36,7 +39,8 @@ def test_gymnasium_finds_nothing_to_warn_of(make):
 def test_the_tasks_are_registered_and_are_goal_environments():
     for name in ("object_search", "object_manipulation", "embodied_qa"):
         spec = gymnasium.spec(bridge.IDS[name])
-        assert spec.kwargs == {"task": name} and "TaskGymnasium" in spec.entry_point
+        assert spec.kwargs == {"task": name, "timed": False} and "TaskGymnasium" in spec.entry_point
+        assert spec.max_episode_steps == envs.registry[name].config().episode_length
     env = TaskGymnasium(hand_made.environment())
     assert {name: space.shape for name, space in env.observation_space.items()} == {
         "observation": (8, 8, 1),
@@ -152,3 +156,88 @@ def test_stable_baselines_trains_with_hindsight():
     batch = model.replay_buffer.sample(128)
     bits = batch.next_observations["achieved_goal"] * batch.next_observations["desired_goal"]
     assert ((bits.sum(1) > 0) == (batch.rewards[:, 0] == 0)).all()
+
+
+def length_of(env) -> int:
+    """Steps after which an episode that does not reach its goal is truncated: turning on the spot, whatever is met
+    along the way starts it anew."""
+    for seed in range(50):
+        env.reset(seed=seed)
+        for steps in range(1, 200):
+            *_, terminated, truncated, _ = env.step(env.unwrapped.env.action_size - 1)
+            if terminated:
+                break
+            if truncated:
+                return steps
+    raise AssertionError("no episode was truncated")
+
+
+ID = bridge.IDS["object_search"]
+
+
+@pytest.mark.parametrize("steps", [7, 30])
+def test_gymnasium_s_limit_is_the_only_one(steps):
+    """Shorter than the task's own, and longer."""
+    env = gymnasium.make(ID, task=hand_made.environment(), max_episode_steps=steps)
+    assert env.spec.max_episode_steps == steps and length_of(env) == steps
+    batch = gymnasium.make_vec(ID, 2, task=hand_made.environment(), max_episode_steps=steps)
+    assert batch.env.episode_length == steps
+
+
+def test_without_gymnasium_the_task_s_limit_holds(rooms):
+    assert length_of(rooms) == STEPS
+    assert gymnasium.make(ID, task=hand_made.environment(), max_episode_steps=-1).unwrapped.env.episode_length > 10**9
+
+
+def test_two_limits_are_refused():
+    longer = envs.registry["fetch_reach"].config(episode_length=100, ends_at_goal=False)
+    with pytest.raises(UserError, match="config.episode_length = 100: two limits; give max_episode_steps=100"):
+        gymnasium.make(bridge.IDS["fetch_reach"], config=longer)
+    with pytest.raises(UserError, match="config.episode_length = 100, max_episode_steps = 50: two limits"):
+        gymnasium.make_vec(bridge.IDS["fetch_reach"], 2, config=longer)
+    batch = gymnasium.make_vec(bridge.IDS["fetch_reach"], 2, config=longer, max_episode_steps=100)
+    assert batch.env.episode_length == 100
+    env = bridge.make("fetch_reach", config=longer)
+    assert env.env.episode_length == env.spec.max_episode_steps == 100
+    assert gymnasium.make(env.spec).spec.max_episode_steps == 100
+
+
+def test_a_fork_of_a_process_in_which_jax_runs_is_refused():
+    """In the words of the parent, and at once, where its workers would wait without end."""
+    make = functools.partial(gymnasium.make, ID, task=hand_made.environment())
+    with warnings.catch_warnings(), pytest.raises(UserError, match='fork: .*context="spawn".*TaskVector'):
+        warnings.simplefilter("ignore")  # JAX and Python warn of the fork too.
+        gymnasium.vector.AsyncVectorEnv([make] * 2, context="fork")
+
+
+@pytest.mark.parametrize("goal", [True, 1.0, None, "nobody", -1, 8, 2**40, [1], np.array([1])], ids=repr)
+def test_what_is_no_goal_is_refused(rooms, goal):
+    with pytest.raises(UserError, match="goal"):
+        rooms.reset(options={"goal": goal})
+
+
+@pytest.mark.parametrize("options", [[], 1, "goal", {"goals": 1}, {1: 2}], ids=repr)
+def test_what_are_no_options_is_refused(rooms, options):
+    with pytest.raises(UserError, match="options"):
+        rooms.reset(options=options)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.0, True, "1"], ids=repr)
+def test_what_is_no_seed_is_refused(rooms, seed):
+    with pytest.raises(UserError, match="seed"):
+        rooms.reset(seed=seed)
+
+
+@pytest.mark.parametrize("action", [True, 1.0, None, "1", -1, 6, [1], np.array([1])], ids=repr)
+def test_what_is_no_action_is_refused(rooms, action):
+    rooms.reset(seed=0)
+    with pytest.raises(UserError, match="action"):
+        rooms.step(action)
+
+
+def test_bits_that_are_none_are_no_reward(rooms):
+    desired = np.eye(8)[:2]
+    assert list(rooms.compute_reward(desired, desired.astype(bool), {})) == [0, 0]
+    for wrong in (desired * np.nan, desired * 2, -desired, desired[0], "bits"):
+        with pytest.raises(UserError, match="achieved_goal"):
+            rooms.compute_reward(wrong, desired, {})
