@@ -145,7 +145,7 @@ def read_policy(file: Path, given: str) -> ExportedPolicy:
         policy = ExportedPolicy(file)
         about = decode(About, policy.about, Place(file, remedy="export the policy again"))
         (shape, kind), outputs = policy.program["inputs"][1][0], policy.program["outputs"]
-        rows = 0 if policy.goals is None else len(np.atleast_1d(policy.goals))
+        rows = 0 if policy.goals is None else len(policy.goals) if policy.goals.ndim else -1
         if not rows == len(about.goal_names) == len(about.goal_objects):
             raise ValueError(f"{rows} goals, {len(about.goal_names)} names and {len(about.goal_objects)} objects")
     except (OSError, ValueError) as error:

@@ -106,11 +106,15 @@ def entries(archive: archives.Archive, name: str) -> list:
 def parted(archive: archives.Archive, shapes: list[dict[str, list]]) -> Iterator[dict[str, np.ndarray]]:
     """The arrays of each run out of those that lie end to end. shapes: of each run by name [type, *shape]."""
     joined = {name: archives.member(archive, name, REMEDY) for name in archive.sizes if name not in TEXTS}
+    for name, array in joined.items():
+        require(array.ndim == 1, name, array.shape, f"should lie end to end; {REMEDY}")
     taken = dict.fromkeys(joined, 0)
     for own in shapes:
         arrays = {}
         try:
             for name, (kind, *shape) in own.items():
+                if not all(type(size) is int and size >= 0 for size in shape):
+                    raise ValueError(f"{name} has a shape that is none")
                 whole, first = f"{name}.{kind}", taken[f"{name}.{kind}"]
                 taken[whole] += math.prod(shape)
                 arrays[name] = joined[whole][first : taken[whole]].reshape(shape)

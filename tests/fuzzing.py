@@ -8,11 +8,13 @@ import inspect
 import json
 import typing
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import hand_made
 import numpy as np
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from tyro.conf import Positional
 
@@ -56,6 +58,18 @@ WORDS = (
         ]
     )
 )
+
+
+def examples_of(count: int, short: int) -> settings:
+    """Settings of hypothesis for so many inputs, each within half a minute; as many as `short` are the same each
+    time."""
+    return settings(
+        max_examples=count,
+        deadline=timedelta(seconds=30),
+        derandomize=count == short,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
 
 
 def places(record: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -110,10 +124,10 @@ def damaged(draw, content: bytes) -> bytes:
     first, newline, rest = content.partition(b"\n") if draw(st.booleans()) else (content, b"", b"")
     try:
         values = json.loads(first)
-    except ValueError:
+    except (ValueError, RecursionError):
         values = None
-    if values is not None and draw(st.booleans()):
-        *path, name = draw(st.sampled_from(list(leaves(values))))
+    if (found := list(leaves(values))) and draw(st.booleans()):
+        *path, name = draw(st.sampled_from(found))
         inner = values
         for step in path:
             inner = inner[step]

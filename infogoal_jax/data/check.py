@@ -18,7 +18,7 @@ import numpy as np
 
 from infogoal_jax.data import pictures
 from infogoal_jax.data.active_vision import ACTIONS, DEFAULT_MIN_BOX_SIZE, MAX_DIFFICULTY
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, shown
 from infogoal_jax.files import from_json, read_bytes, read_text
 
 OPPOSITE = {
@@ -76,11 +76,11 @@ def _check_maps(root: Path) -> tuple[dict[str, int], list[Finding]]:
             words = line.split()
             if not words:
                 continue
-            if len(words) != 2 or not words[1].isdecimal():
-                findings.append(Finding("error", f"{name}:{number}", f"{line!r} is not `name id`"))
+            if len(words) != 2 or not words[1].isdecimal() or len(words[1]) > 9:
+                findings.append(Finding("error", f"{name}:{number}", f"{shown(line)} is not `name id`"))
             elif words[0] in entries or int(words[1]) in entries.values():
                 findings.append(
-                    Finding("error", f"{name}:{number}", f"the name or the id of {line!r} was given before")
+                    Finding("error", f"{name}:{number}", f"the name or the id of {shown(line)} was given before")
                 )
             else:
                 entries[words[0]] = int(words[1])

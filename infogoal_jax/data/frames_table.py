@@ -25,6 +25,10 @@ Rows = list[tuple[int, dict[str, str]]]
 """Each row of the CSV: its number and its cells by column, stripped."""
 
 
+MOST_DIGITS = 9
+"""Of the number of a step, which is kept as int32."""
+
+
 def wants(condition: bool, table: Path, number: int, column: str, value: str, remedy: str) -> None:
     """Raise a `UserError` that names the CSV's row, unless the condition holds."""
     if not condition:
@@ -179,7 +183,7 @@ def read_moves(table: Path, rows: Rows, frame_of: dict[str, int]) -> list[Move]:
         wants(
             cells["trajectory"] != "", table, number, "trajectory", "", "name the trajectory that the image belongs to"
         )
-        whole = cells["time"].isascii() and cells["time"].isdecimal()
+        whole = cells["time"].isascii() and cells["time"].isdecimal() and len(cells["time"]) <= MOST_DIGITS
         wants(whole, table, number, "time", cells["time"], "give the number of the step, a whole number: 0, 1, 2, ...")
         trajectories.setdefault(cells["trajectory"], []).append((int(cells["time"]), number, cells))
     moves = []

@@ -182,6 +182,12 @@ class LowLevelHeader:
     joints: int = 0
     moves: int = 0
 
+    def __post_init__(self):
+        sizes = all(0 < width <= 2**14 for width in self.hidden) and len(self.hidden) <= 16
+        require(sizes, "hidden", self.hidden, "should be widths of layers, from 1 to 16,384, of 16 layers at most")
+        require(0 <= self.joints <= 1000, "joints", self.joints, "should be from 0 to 1,000")
+        require(0 <= self.moves <= 1000, "moves", self.moves, "should be from 0 to 1,000")
+
 
 def shipped(task: str) -> Path:
     """The file of the low level that the project ships for a task. Raises `UserError` for an unknown task, or one that

@@ -5,14 +5,13 @@ import contextlib
 import dataclasses
 import json
 import shutil
-from datetime import timedelta
 from pathlib import Path
 
 import hand_made
 import numpy as np
 import pytest
-from fuzzing import TREE, command_lines, configurations, damaged, digest, replaced, write_run
-from hypothesis import HealthCheck, given, settings
+from fuzzing import TREE, command_lines, configurations, damaged, digest, examples_of, replaced, write_run
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infogoal_drone import cli as fly
@@ -31,19 +30,14 @@ from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.stand_ins import cube, photographs, shelf
 from infogoal_paper import command, numbers
 
-SHORT, LONG = 100, 2000
+SHORT, LONG = 100, 4300
+"""Inputs of this file; with those of test_fuzz_formats.py 10,000 in the long tests."""
 SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}
 
 
 def examples(what: str, count: int) -> settings:
     """Settings of hypothesis for this part of so many inputs; short ones are the same each time."""
-    return settings(
-        max_examples=round(SHARES[what] * count),
-        deadline=timedelta(seconds=30),
-        derandomize=count == SHORT,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    return examples_of(round(SHARES[what] * count), short=round(SHARES[what] * SHORT))
 
 
 each_count = pytest.mark.parametrize("count", [SHORT, pytest.param(LONG, marks=pytest.mark.long)])
