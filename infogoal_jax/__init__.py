@@ -8,11 +8,12 @@ if TYPE_CHECKING:
     from infogoal_jax import envs, presets
     from infogoal_jax.config import Hyperparameters, TrainConfig
     from infogoal_jax.errors import UserError
+    from infogoal_jax.loading import make_train
     from infogoal_jax.report.runs import load_run
     from infogoal_jax.report.sweeps import SweepResult, sweep
     from infogoal_jax.runner.compilation import compiled, compiler_options, jit, use_compilation_cache
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
-    from infogoal_jax.train.program import Train, TrainResult, make_train
+    from infogoal_jax.train.program import Train, TrainResult
     from infogoal_jax.train.rollout import rollout
 
 __version__ = "0.2.0.dev0"
@@ -48,7 +49,7 @@ MODULES = {
     "use_compilation_cache": "runner.compilation",
     "Train": "train.program",
     "TrainResult": "train.program",
-    "make_train": "train.program",
+    "make_train": "loading",
     "load_run": "report.runs",
     "sweep": "report.sweeps",
     "SweepResult": "report.sweeps",

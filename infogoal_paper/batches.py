@@ -15,11 +15,11 @@ import numpy as np
 
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runner.sweep import Member, Sweep, batched_hyper, in_several, is_finite, side_by_side
-from infogoal_jax.train.parts import load_environment
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.program import Train
 from infogoal_paper import measure
 from infogoal_paper.manifest import PRESET, Lane, Run
 from infogoal_paper.plan import ONE_SET_AT_A_TIME, build_data, config_of, with_one_shape

@@ -294,6 +294,6 @@ def is_quick(run: Run) -> bool:
 
 def is_allowed(run: Run) -> bool:
     """Whether the task takes the method; SSE-DB's bonus is kept for each observation, which few tasks list."""
-    from infogoal_jax.train.combinations import reasons_against
+    from infogoal_jax.loading import reasons_against
 
     return not reasons_against(run.preset())

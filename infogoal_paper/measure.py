@@ -15,6 +15,7 @@ from scipy import stats
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.goal_uses import TEST, TRAINING, USES
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.codes_and_walks import (
     Walk,
@@ -27,7 +28,6 @@ from infogoal_jax.report.image_goals import WEIGHTS, is_fetch, seen_images, test
 from infogoal_jax.report.runs import Run as RunInFolder
 from infogoal_jax.report.trajectory_figures import angles_to_goals
 from infogoal_jax.runner.compilation import jit
-from infogoal_jax.train.combinations import has_own_loss, has_reward
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.program import Train

@@ -30,11 +30,12 @@ from infogoal_jax import presets, use_compilation_cache
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import splits
 from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.loading import make_train
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.sweep import Callback, Sweep, batched_hyper, side_by_side, train_sweep
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_jax.train.evaluation import near_and_far
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.program import Train
 from infogoal_paper import all_goals_queue, trial_numbers, trial_queue
 from infogoal_paper.trial_numbers import Row, code_errors
 from infogoal_paper.trial_queue import Trial

@@ -17,13 +17,13 @@ import jax.numpy as jnp
 from infogoal_jax import files
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.loading import make_train
 from infogoal_jax.report import tuning
 from infogoal_jax.report.canvas import empty_figure, save
 from infogoal_jax.runner import search, training
 from infogoal_jax.runs import tables
 from infogoal_jax.runs.folder import remove_abandoned
 from infogoal_jax.runs.search import Trial
-from infogoal_jax.train.program import make_train
 
 REFUSED = 2
 STOPPED = 130

@@ -15,7 +15,7 @@ from rich.console import Console
 
 import infogoal_jax
 from infogoal_jax import presets
-from infogoal_jax.train.program import make_train
+from infogoal_jax.loading import make_train
 
 TESTS = Path(__file__).parent
 FIXTURES = TESTS / "fixtures"

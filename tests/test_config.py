@@ -19,7 +19,7 @@ from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
 from infogoal_jax.presets.preset import Changes
 from infogoal_jax.registry import Entry, Registry
-from infogoal_jax.runner import search
+from infogoal_jax.runner import search as searching
 from infogoal_jax.runner.training import checked_seeds
 from infogoal_paper import tuning
 
@@ -187,10 +187,10 @@ def test_what_is_traced_has_no_value_to_check(train):
     assert shapes.metrics["test_goal/success_rate"].shape == (2, CONFIG.num_evaluations)
 
 
-def trials_of(search: tuning.Search) -> list[search.Trial]:
+def trials_of(search: tuning.Search) -> list[searching.Trial]:
     """The trials of a search or final, in order; success by evaluation and seed."""
     return [
-        search.Trial(trial["trial"], trial["values"], trial["success"], [], trial["diverged"])
+        searching.Trial(trial["trial"], trial["values"], trial["success"], [], trial["diverged"])
         for trial in search["trials"]
     ]
 
@@ -206,7 +206,7 @@ def test_on_fetch_reach_a_preset_is_what_won_the_final(method):
     searched, final = SEARCHES[f"fetch_reach/{method}"], SEARCHES[f"fetch_reach/{method}/final"]
     ran = trials_of(final)
     assert [(trial.number, trial.values) for trial in ran] == [
-        (trial.number, trial.values) for trial in search.finalists(trials_of(searched), 4)
+        (trial.number, trial.values) for trial in searching.finalists(trials_of(searched), 4)
     ]
     assert len(final["seeds"]) == 8 and not set(searched["seeds"]) & set(final["seeds"])
     assert max(ran, key=lambda trial: trial.order).values == best_of(final)

@@ -42,7 +42,8 @@ LAYERS = (
     {"stand_ins", "envs"},
     {"presets"},
     {"runs"},
-    {"train", "runner", "low_level"},
+    {"train"},
+    {"loading", "runner", "low_level"},
     {"report", "bridges"},
     {"cli"},
 )
@@ -107,6 +108,36 @@ def test_what_benchmarks_import_of_the_package_is_there(path):
             for alias in node.names:
                 if not hasattr(module, alias.name):
                     importlib.import_module(f"{node.module}.{alias.name}")  # Raises what is missing.
+
+
+KNOWN_TO_THE_PROGRAM = {"environment", "target_states"}
+"""Of environments: their contract. The rest of them, and presets and data, read files."""
+
+
+READS_FILES = {"runs", "runner", "low_level", "loading", "data", "stand_ins", "presets", "files"}
+
+
+def test_the_program_touches_no_disk_and_knows_no_host():
+    """No file of train/ opens one, or imports what does; not inside of functions either."""
+    found = set()
+    for path in (PACKAGE / "train").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) == "open":
+                found.add(f"{path.name} opens a file")
+            for module in modules_of(node):
+                parts = module.split(".")
+                names = [alias.name for alias in node.names] if isinstance(node, ast.ImportFrom) else []
+                below = parts[2:] or names
+                if module.startswith("infogoal_jax.envs") and not KNOWN_TO_THE_PROGRAM.issuperset(below):
+                    found.add(f"{path.name} imports {module} {names}")
+                if parts[0] in ("pathlib", "os", "io", "tempfile", "shutil", "subprocess", "threading", "signal"):
+                    found.add(f"{path.name} imports {module}")
+        found |= {
+            f"{path.name} imports {name}"
+            for name in imported_by(path)
+            & {"runs", "runner", "low_level", "loading", "data", "stand_ins", "presets", "files"}
+        }
+    assert not found
 
 
 def test_the_library_imports_nothing_of_the_packages_beside_it():

@@ -76,11 +76,11 @@ def train(
     if resume != AUTO:
         check_resumed_in_place(resume, out)
     from infogoal_jax import presets
+    from infogoal_jax.loading import check_combination
     from infogoal_jax.runner import distributed as several
     from infogoal_jax.runner import training
     from infogoal_jax.runner.compilation import use_compilation_cache
     from infogoal_jax.runner.listeners import make_listeners
-    from infogoal_jax.train.combinations import check_combination
 
     check_where(where, resume)
     if where.distributed:

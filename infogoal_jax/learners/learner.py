@@ -261,3 +261,13 @@ def lookup(codes: GoalCode, goals: GoalSet, which: jax.Array) -> Encode:
     """Look up codes by goal, where `codes` are those of the goals `which`, in this order."""
     place = jnp.zeros(goals.num_goals, jnp.int32).at[which].set(jnp.arange(len(which), dtype=jnp.int32))
     return lambda indices: codes[place[indices]]
+
+
+def has_own_loss(learner: Learner) -> bool:
+    """Whether the goal encoder is trained by anything but the agent's loss."""
+    return learner.loss is not no_loss
+
+
+def has_reward(learner: Learner) -> bool:
+    """Whether there is an intrinsic reward."""
+    return learner.intrinsic_reward is not no_reward

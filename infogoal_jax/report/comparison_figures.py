@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from infogoal_jax import presets
 from infogoal_jax.errors import nearest, require
+from infogoal_jax.loading import load_environment
 from infogoal_jax.report.canvas import (
     ANY,
     NOT_NEGATIVE,
@@ -35,7 +36,6 @@ from infogoal_jax.report.figures import (
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, table_of
 from infogoal_jax.runs.configuration import DATA
 from infogoal_jax.runs.folder import PREFIX
-from infogoal_jax.train.parts import load_environment
 
 COLOURS = (*ROOM_COLOURS, "#000000", "#F0E442", "#882255", "#44AA99")
 """One a run: Okabe and Ito's, then Tol's."""

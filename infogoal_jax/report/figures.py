@@ -16,6 +16,7 @@ from infogoal_jax import learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
+from infogoal_jax.loading import make_train
 from infogoal_jax.report.canvas import (
     FORMATS,
     NOT_NEGATIVE,
@@ -39,7 +40,6 @@ from infogoal_jax.report.shelf_figures import draw_shelves
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.folder import check_own, remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
-from infogoal_jax.train.program import make_train
 
 MOST_BARS = 60  # Goals up to which every one gets a bar of its own.
 

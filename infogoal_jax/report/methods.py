@@ -8,7 +8,7 @@ from rich.table import Table
 
 from infogoal_jax import agents, exploration, learners, presets, relabelling
 from infogoal_jax.errors import UserError
-from infogoal_jax.train.combinations import Refusal, reasons_against, remarks
+from infogoal_jax.loading import Refusal, reasons_against, remarks
 
 WIDEST = 100
 """Columns of the list: longer lines are hard to read."""

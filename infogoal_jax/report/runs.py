@@ -11,12 +11,13 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.errors import require
+from infogoal_jax.loading import make_train
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
 from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.program import Train
 from infogoal_jax.train.rollout import Policy, numbers_of_goals
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from infogoal_jax import learners, presets
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import LARGEST_WHOLE
+from infogoal_jax.loading import make_train
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runner import memory, training
@@ -20,7 +21,6 @@ from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
 from infogoal_jax.train.evaluation import has_image_goals, near_and_far
-from infogoal_jax.train.program import make_train
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {

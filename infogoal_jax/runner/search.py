@@ -24,6 +24,8 @@ from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import nearest, require, typed
 from infogoal_jax.hyperparameters import Search, search_space, values_of
+from infogoal_jax.learners.learner import has_reward
+from infogoal_jax.loading import check_combination, make_train
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.distributed import seed_mesh
 from infogoal_jax.runner.sweep import (
@@ -44,8 +46,7 @@ from infogoal_jax.runs.disk import Place, decode
 from infogoal_jax.runs.folder import SEARCH, check_new, only_writer
 from infogoal_jax.runs.search import Drawn, Plan, Trial, TuneResult, read_plan, write_plan
 from infogoal_jax.stopping import NOTHING, Stopped, StopRequest, stop_on_signal
-from infogoal_jax.train.combinations import check_combination, has_reward
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.program import Train
 
 NUMBER = "trials x seeds"
 """What is to be smaller where the members of a search do not fit."""

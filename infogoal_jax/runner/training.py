@@ -14,6 +14,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require, typed
+from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
 from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
 from infogoal_jax.runs import checkpoint, configuration, tables
@@ -22,7 +23,7 @@ from infogoal_jax.runs.configuration import MOST_SEEDS, Description
 from infogoal_jax.runs.folder import RUN, check_new, only_writer
 from infogoal_jax.runs.tables import Timing
 from infogoal_jax.stopping import Stopped, StopRequest, stop_on_signal
-from infogoal_jax.train.program import Train, make_train
+from infogoal_jax.train.program import Train
 
 
 @dataclasses.dataclass

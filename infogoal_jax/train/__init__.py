@@ -1,5 +1,1 @@
-"""Putting the parts together: the training program and the host loop around it."""
-
-from infogoal_jax.train.program import Train, TrainResult, TrainState, make_train
-
-__all__ = ["Train", "TrainResult", "TrainState", "make_train"]
+"""The training program: pure functions of keys, states and environments. It reads no file and knows no host."""

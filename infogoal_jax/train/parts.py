@@ -9,20 +9,16 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from infogoal_jax import agents, envs, exploration, hyperparameters, learners, networks, relabelling
+from infogoal_jax import agents, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
-from infogoal_jax.envs import target_states
-from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
-from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.keys import written_out
 from infogoal_jax.learners.learner import GoalCode, Learner, View
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.combinations import check_combination, check_same_task, make_learner, steers
 
 
 class Parts(NamedTuple):
@@ -75,6 +71,11 @@ def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
     return code.mean if sees_means(parts) else code.sample(key)
 
 
+def make_learner(config: TrainConfig) -> Learner:
+    """The learner that the configuration names."""
+    return learners.registry.entry_of(config.learner).make(config.learner)
+
+
 def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
     seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
@@ -87,46 +88,6 @@ def make_state_encoder(size: StateEncoderConfig, env):
         f"must divide height and width of the images, {seen.shape[0]} and {seen.shape[1]}",
     )
     return networks.PatchEncoder(size.patch, size.channels, size.features)
-
-
-def load_environment(config: TrainConfig, env: Any = None):
-    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions
-    are subgoals.
-
-    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is
-    not made for.
-    """
-    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
-    if config.task in envs.registry:
-        kind = envs.registry[config.task].config
-        require(isinstance(config.env, kind), "env", type(config.env).__name__, f"{config.task} needs {kind.__name__}")
-    if env is None:
-        check_combination(config)
-        env = envs.load(config.task, config.env)
-    check_environment(config, env)
-    if make_learner(config).by_index and env.goals is not None:
-        env = env.with_goals(env.goals.replace(by_index=True))
-    check_combination(config, env)
-    check_hyperparameters(config, config.hyper)
-    if steers(config.agent) and not isinstance(env, target_states.SubgoalEnv):
-        return steer(env, config.agent)
-    return env
-
-
-def check_environment(config: TrainConfig, env: Any) -> None:
-    """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
-    goals or of too many goals."""
-    require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
-    count = 0 if env.goals is None else env.goals.num_goals
-    require(
-        count <= MOST_GOALS,
-        "env.goals",
-        count,
-        f"give at most {MOST_GOALS}: the dissimilarity matrix takes as many bytes a seed as there are pairs of goals",
-    )
-    trained = count == 0 or len(env.goals.training_goals) > 0
-    require(trained, "env.goals", env.goals and env.goals.groups, "give one or more training goals, of use 0")
-    check_same_task(config, env)
 
 
 def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
@@ -217,18 +178,3 @@ class TrainResult:
     epochs: dict[str, jax.Array]
     params: dict
     state: TrainState
-
-
-def steer(env, config) -> target_states.SubgoalEnv:
-    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
-    used."""
-    # With it comes MuJoCo, which takes half a second that no other task needs.
-    from infogoal_jax.low_level.trainer import load_joint_level, load_with_header
-
-    require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
-    if isinstance(env.space, target_states.JointSpace):
-        header, low_level = load_joint_level(config.low_level, env.space.size, env.action_size)
-    else:
-        header, low_level = load_with_header(config.low_level, env.space.task.name)
-    name = f"low level, content {header['sha256'][:8]}"
-    return target_states.SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)

@@ -6,8 +6,8 @@
 
 Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
-The command line runs the same chunk between checkpoints. Where no environment is given, `make_train` loads that of the
-configuration; the function that it returns reads no file, calls nothing in Python and keeps no state.
+The command line runs the same chunk between checkpoints. What is here reads no file, calls nothing in Python and keeps
+no state: `infogoal_jax.make_train` loads the environment that a configuration names.
 """
 
 import dataclasses
@@ -32,10 +32,8 @@ from infogoal_jax.train.parts import (
     Parts,
     TrainResult,
     TrainState,
-    check_environment,
     check_hyperparameters,
     encode_states,
-    load_environment,
     make_parts,
     numbered,
 )
@@ -65,13 +63,15 @@ class Train:
     experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
     """(state, key, hyper, env) -> what the updates of an epoch learn from, and the state with it."""
     parts: Parts
+    check_env: Callable[[Any], None] = lambda env: None
+    """Raises `UserError` for an environment that cannot be given in the place of `env`."""
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
         """Train one seed from a typed key (`jax.random.key(0)`), with these hyperparameters or the configuration's."""
         hyper = self.config.hyper if hyper is None else hyper
         check_hyperparameters(self.config, hyper)
         env = self.env if env is None else env
-        check_environment(self.config, env)
+        self.check_env(env)
         require(
             isinstance(key, jax.Array)
             and (key.shape == () if is_key(key) else key.dtype == jnp.uint32 and key.ndim == 1),
@@ -95,10 +95,10 @@ class Train:
         return state, epoch_metrics, self.evaluation(state, hyper, env)
 
 
-def make_train(config: TrainConfig, env: Any = None) -> Train:
-    """The training function of this configuration. `env`: an environment already loaded; None loads the one that the
-    configuration names."""
-    env = load_environment(config, env)
+def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] = lambda env: None) -> Train:
+    """The training function of this configuration in this environment, which is loaded already
+    (`infogoal_jax.make_train` does). check_env: raises `UserError` for another environment that cannot take its
+    place."""
     parts = make_parts(config, env)
     learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
 
@@ -172,4 +172,5 @@ def make_train(config: TrainConfig, env: Any = None) -> Train:
         evaluate=partial(evaluate_settings, parts),
         experience_of=partial(experience_of, parts),
         parts=parts,
+        check_env=check_env,
     )

@@ -20,11 +20,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
-from infogoal_jax.presets.loading import train_flags
-from infogoal_jax.registry import Entry
-from infogoal_jax.report import methods
-from infogoal_jax.runs.configuration import from_dict, to_dict
-from infogoal_jax.train.combinations import (
+from infogoal_jax.loading import (
     check_combination,
     has_own_loss,
     make_learner,
@@ -32,6 +28,10 @@ from infogoal_jax.train.combinations import (
     traits_declared,
     traits_seen,
 )
+from infogoal_jax.presets.loading import train_flags
+from infogoal_jax.registry import Entry
+from infogoal_jax.report import methods
+from infogoal_jax.runs.configuration import from_dict, to_dict
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ import infogoal_jax
 from infogoal_jax import learners, presets
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK, commands, main
-from infogoal_jax.train.program import make_train
+from infogoal_jax.loading import make_train
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*/*.md"))]
 # It may name flags and files that are no more; its links lead somewhere all the same.

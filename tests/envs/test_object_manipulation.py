@@ -17,8 +17,8 @@ from infogoal_jax.envs import object_manipulation
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig, lay_out
 from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
+from infogoal_jax.loading import traits_seen
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.combinations import traits_seen
 from infogoal_jax.train.update import agent_batch
 
 

@@ -14,9 +14,8 @@ from infogoal_jax import presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.exploration import sse_db
 from infogoal_jax.exploration.explorer import Moves
+from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.parts import load_environment
-from infogoal_jax.train.program import make_train
 
 STATES, ACTIONS, FEATURES, DISCOUNT = 24, 4, 16, 0.9
 SMALL = sse_db.SSEDBConfig(latent_size=8, width=32, projection_size=16, kl_weight=0.1)

@@ -12,7 +12,7 @@ from hand_made import SMALL, begun, constant_error, loss_of, trained
 
 from infogoal_jax import networks
 from infogoal_jax.learners import dgrl, vae
-from infogoal_jax.train.program import make_train
+from infogoal_jax.loading import make_train
 
 VECTORS = jax.random.normal(jax.random.key(10), (8, 16)) / 4.0  # Of length 1, about, as sentence embeddings are.
 # 16 x 16, of squares.

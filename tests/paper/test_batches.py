@@ -13,8 +13,8 @@ from killed_reproduction import config_of, go_on, reproduce, runs
 
 from infogoal_jax.data import goal_images
 from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.loading import make_train
 from infogoal_jax.runner import sweep
-from infogoal_jax.train.program import make_train
 from infogoal_paper import batches, files, measure, plan, progress, work
 from infogoal_paper.finishing import Extras
 from infogoal_paper.manifest import PRESET, Lane, Run

@@ -21,9 +21,9 @@ from infogoal_jax.cli.export import actions_in_words
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError, counted
+from infogoal_jax.loading import steer
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.report import export, runs
-from infogoal_jax.train.parts import steer
 from infogoal_jax.train.program import Train
 
 SHORT = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}

@@ -22,6 +22,7 @@ from infogoal_jax import envs
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
+from infogoal_jax.loading import make_train
 from infogoal_jax.report import image_goals, trajectory_figures
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
 from infogoal_jax.report.runs import table_of
@@ -30,7 +31,6 @@ from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import episode_video, random_policy, write_video
 from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
-from infogoal_jax.train.program import make_train
 
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
 

@@ -19,6 +19,7 @@ from rich.console import Console
 from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
+from infogoal_jax.loading import make_train
 from infogoal_jax.report import codes_and_walks, house_figures
 from infogoal_jax.report.codes_and_walks import principal_components, representations
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
@@ -27,7 +28,6 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run, print_summary
 from infogoal_jax.runner import training
 from infogoal_jax.runs.folder import pack, shipped
-from infogoal_jax.train.program import make_train
 
 SEEDS = [3, 4, 5]
 FIGURES = EVERY_TASKS_FIGURES | {"trajectories", "intrinsic_reward"}

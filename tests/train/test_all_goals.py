@@ -13,11 +13,10 @@ import pytest
 from infogoal_jax import UserError, make_train, presets
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
+from infogoal_jax.loading import check_combination, load_environment
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.combinations import check_combination
-from infogoal_jax.train.parts import load_environment
 from infogoal_jax.train.sampling import draw_goals, shares
 from infogoal_jax.train.update import under_all_goals
 

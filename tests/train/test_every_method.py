@@ -34,7 +34,7 @@ from infogoal_jax import envs, make_train, presets
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.train.combinations import reasons_against
+from infogoal_jax.loading import reasons_against
 
 TASKS = {
     "object_search": (hand_made.config, hand_made.environment),

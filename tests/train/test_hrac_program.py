@@ -12,7 +12,7 @@ import pytest
 from infogoal_jax import Hyperparameters, make_train, presets
 from infogoal_jax.runner.sweep import Sweep, advance, prepare, side_by_side
 from infogoal_jax.runs import tables
-from infogoal_jax.train import TrainResult
+from infogoal_jax.train.program import TrainResult
 
 pytestmark = pytest.mark.long
 

@@ -1,19 +1,37 @@
-"""Which tasks, methods and agents go together. Every refusal stands here once, for training and for the table of
-`infogoal methods`.
+"""From a configuration to its program: which tasks, methods and agents go together, the environment that a
+configuration names, with its files, and the training function of both. What is here reads files; the program in train/
+reads none.
 
-Rules look at the parts of a configuration and at a few traits of its task, which are known before anything is loaded or
-compiled; of an environment that was loaded, or made by hand, `traits_seen` reads them off.
+Every refusal of a combination stands here once, for training and for the table of `infogoal methods`. Rules look at the
+parts of a configuration and at a few traits of its task, which are known before anything is loaded or compiled; of an
+environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs import target_states
+from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
-from infogoal_jax.learners.learner import Learner, no_loss, no_reward
+from infogoal_jax.goal_uses import MOST_GOALS
+from infogoal_jax.learners.learner import has_own_loss
+from infogoal_jax.train import program
+from infogoal_jax.train.parts import check_hyperparameters, make_learner
+from infogoal_jax.train.program import Train
+
+
+def make_train(config: TrainConfig, env: Any = None) -> Train:
+    """The training function of this configuration: pure, (key, hyper=None, env=None) -> TrainResult. It can be jitted
+    and vmapped, reads no file and keeps no state.
+
+    env: an environment already loaded; None loads the one that the configuration names. Raises `UserError` for what
+    cannot be trained.
+    """
+    return program.make_train(config, load_environment(config, env), partial(check_environment, config))
 
 
 def traits_declared(config: TrainConfig) -> Traits | None:
@@ -65,21 +83,6 @@ def steers(agent: Any) -> bool:
 def can_act(actions: str, traits: Traits) -> bool:
     """Whether an agent that chooses such actions can act in a task with these traits."""
     return {"moves": traits.moves, "vectors": not traits.moves, "target_states": traits.target_states}[actions]
-
-
-def make_learner(config: TrainConfig) -> Learner:
-    """The learner that the configuration names."""
-    return learners.registry.entry_of(config.learner).make(config.learner)
-
-
-def has_own_loss(learner: Learner) -> bool:
-    """Whether the goal encoder is trained by anything but the agent's loss."""
-    return learner.loss is not no_loss
-
-
-def has_reward(learner: Learner) -> bool:
-    """Whether there is an intrinsic reward."""
-    return learner.intrinsic_reward is not no_reward
 
 
 def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
@@ -220,3 +223,58 @@ def remarks(config: TrainConfig) -> list[str]:
     if agent == "dqn" and recorded:
         found.append("dqn is meant for acting: nothing holds down the values of moves that were not recorded")
     return found
+
+
+def load_environment(config: TrainConfig, env: Any = None):
+    """The environment that the configuration names, or `env`; under HRAC with the low level in it, so that its actions
+    are subgoals.
+
+    Raises `UserError` for files that cannot be used, and for an environment that the agent, or this way of training, is
+    not made for.
+    """
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
+    if config.task in envs.registry:
+        kind = envs.registry[config.task].config
+        require(isinstance(config.env, kind), "env", type(config.env).__name__, f"{config.task} needs {kind.__name__}")
+    if env is None:
+        check_combination(config)
+        env = envs.load(config.task, config.env)
+    check_environment(config, env)
+    if make_learner(config).by_index and env.goals is not None:
+        env = env.with_goals(env.goals.replace(by_index=True))
+    check_combination(config, env)
+    check_hyperparameters(config, config.hyper)
+    if steers(config.agent) and not isinstance(env, target_states.SubgoalEnv):
+        return steer(env, config.agent)
+    return env
+
+
+def check_environment(config: TrainConfig, env: Any) -> None:
+    """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
+    goals or of too many goals."""
+    require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    count = 0 if env.goals is None else env.goals.num_goals
+    require(
+        count <= MOST_GOALS,
+        "env.goals",
+        count,
+        f"give at most {MOST_GOALS}: the dissimilarity matrix takes as many bytes a seed as there are pairs of goals",
+    )
+    trained = count == 0 or len(env.goals.training_goals) > 0
+    require(trained, "env.goals", env.goals and env.goals.groups, "give one or more training goals, of use 0")
+    check_same_task(config, env)
+
+
+def steer(env, config) -> target_states.SubgoalEnv:
+    """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
+    used."""
+    # With it comes MuJoCo, which takes half a second that no other task needs.
+    from infogoal_jax.low_level.trainer import load_joint_level, load_with_header
+
+    require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
+    if isinstance(env.space, target_states.JointSpace):
+        header, low_level = load_joint_level(config.low_level, env.space.size, env.action_size)
+    else:
+        header, low_level = load_with_header(config.low_level, env.space.task.name)
+    name = f"low level, content {header['sha256'][:8]}"
+    return target_states.SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)
