@@ -25,6 +25,26 @@ def written_out(key: jax.Array) -> jax.Array:
     return jax.random.wrap_key_data(jax.random.key_data(key), impl=WRITTEN_OUT)
 
 
+def fold(key: jax.Array, *numbers: int | jax.Array) -> jax.Array:
+    """The key for these numbers, such as a purpose and an epoch, folded in one after another. Everything that a program
+    draws comes from such a key, so that its draws compile quickly."""
+    key = written_out(key)
+    for number in numbers:
+        key = jax.random.fold_in(key, number)
+    return key
+
+
+def from_seed(seed: int | jax.Array) -> jax.Array:
+    """The key of a seed."""
+    return written_out(jax.random.key(seed))
+
+
+def restored(data: jax.Array, like: jax.Array) -> jax.Array:
+    """The keys whose numbers are these, of the generator that `like`, or its shape, has."""
+    keys = jax.random.wrap_key_data(data)
+    return keys if keys.dtype == like.dtype else written_out(keys)
+
+
 def draw_chance(key: jax.Array, probability, shape: tuple[int, ...] = ()) -> jax.Array:
     """Draw True with this probability, bool [*shape]: as `jax.random.bernoulli`, from float32 wherever jax would take
     another type."""

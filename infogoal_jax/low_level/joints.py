@@ -20,7 +20,7 @@ from infogoal_jax.angles import wrapped
 from infogoal_jax.envs.object_manipulation import ObjectManipulation, ObjectManipulationConfig
 from infogoal_jax.errors import require
 from infogoal_jax.hyperparameters import Number
-from infogoal_jax.keys import written_out
+from infogoal_jax.keys import fold
 from infogoal_jax.low_level.trainer import COLLECT, EVALUATE, INITIAL, UPDATE, PretrainConfig, TargetAgent
 
 NEAR, FARTHEST = jnp.pi / 4, jnp.pi / 2
@@ -94,8 +94,8 @@ def draw_targets(key: jax.Array, joints: jax.Array) -> jax.Array:
 
 def key_of(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
     """A seed's key for a purpose and a number. Updates are numbered over all epochs, and parameters not at all."""
-    folded = jax.random.fold_in(written_out(key), (INITIAL, UPDATE, COLLECT, EVALUATE).index(purpose))
-    return folded if purpose == INITIAL else jax.random.fold_in(folded, number)
+    folded = fold(key, (INITIAL, UPDATE, COLLECT, EVALUATE).index(purpose))
+    return folded if purpose == INITIAL else fold(folded, number)
 
 
 def make(config: JointPretrainConfig, env: ObjectManipulation) -> TargetAgent:

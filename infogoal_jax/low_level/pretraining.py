@@ -21,7 +21,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import nearest, require
-from infogoal_jax.keys import written_out
+from infogoal_jax.keys import from_seed
 from infogoal_jax.low_level import fetch, joints
 from infogoal_jax.low_level.fetch import FetchPretrainConfig
 from infogoal_jax.low_level.joints import JointPretrainConfig
@@ -209,7 +209,7 @@ def pretrain(
     check_new(folder, LOW_LEVEL)
     agent, words = make_agent(config), f"{config.task} low level x {len(seeds)}"
     check_fits(agent, len(seeds))
-    keys = written_out(jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32)))
+    keys = jax.vmap(from_seed)(jnp.asarray(seeds, jnp.uint32))
     found: dict[str, Any] = {}
     programs = programs_of(agent, keys, found)
     with stop_on_signal() as stop, only_writer(folder, new=LOW_LEVEL), progress_line(words, config.num_epochs) as line:

@@ -15,7 +15,7 @@ import flax.serialization
 import jax
 
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.keys import is_key, written_out
+from infogoal_jax.keys import is_key, restored
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import DATA, Description, located, to_dict
 from infogoal_jax.runs.disk import MOST_OF_ARRAYS, Place, decode, decode_value, parse, read_bytes, write_atomically
@@ -32,12 +32,6 @@ class Seal:
 
     format: str
     sha256: str
-
-
-def keys_like(like: Any, data: jax.Array) -> jax.Array:
-    """The typed keys that were saved as these numbers, of the generator that `like` has."""
-    keys = jax.random.wrap_key_data(data)
-    return keys if keys.dtype == like.dtype else written_out(keys)
 
 
 def checksum(header: dict[str, Any], payload: bytes) -> str:
@@ -106,7 +100,7 @@ def arrays(path: Path, payload: bytes, template: Any) -> Any:
     for expected, found in zip(jax.tree.leaves(plain_template), jax.tree.leaves(plain), strict=True):
         if expected.shape != found.shape or expected.dtype != found.dtype:
             raise other
-    return jax.tree.map(lambda like, leaf: keys_like(like, leaf) if is_key(like) else leaf, template, plain)
+    return jax.tree.map(lambda like, leaf: restored(leaf, like) if is_key(like) else leaf, template, plain)
 
 
 class Point(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
-from infogoal_jax.keys import written_out
+from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
 from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
 from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
@@ -59,7 +59,7 @@ class Scores:
 
 def seed_key(seed: int, number: int = 0) -> jax.Array:
     """The key of an evaluation's seed for the purpose of this number: 0 for starts, 1 for noise, 2 for backgrounds."""
-    return written_out(jax.random.key(np.uint32((seed + number) % checks.MOST_SEEDS)))
+    return from_seed(np.uint32((seed + number) % checks.MOST_SEEDS))
 
 
 def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:

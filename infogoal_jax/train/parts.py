@@ -15,7 +15,7 @@ from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goals import corrupt, draw_backgrounds
-from infogoal_jax.keys import written_out
+from infogoal_jax.keys import fold
 from infogoal_jax.learners.learner import GoalCode, Learner, View
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
@@ -141,7 +141,7 @@ INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
 def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
     """A seed's key for a purpose and a number, such as that of the epoch; neither is batched."""
-    return jax.random.fold_in(jax.random.fold_in(written_out(key), purpose), number)
+    return fold(key, purpose, number)
 
 
 @flax.struct.dataclass

@@ -22,7 +22,7 @@ from jax.flatten_util import ravel_pytree
 from infogoal_jax import pairs, replay
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.keys import is_key, written_out
+from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.evaluation import evaluate_settings
 from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
@@ -104,7 +104,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
-        keys = jax.random.split(jax.random.fold_in(written_out(key), INITIAL), 4)
+        keys = jax.random.split(fold(key, INITIAL), 4)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
