@@ -5,7 +5,8 @@
 A table stands in README.md or docs/*/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between
 them is replaced by what the numbers of the source give. Sources:
 
-    paper     Table I of the runs in paper.npz; docs/research/reproduction.md has all that is made of them
+    readme    the README's two tables, of the runs in paper.npz and all_goals.npz; docs/research/reproduction.md and
+              docs/research/all_goals.md have all that is made of them, with intervals
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     trials    the trials of trials.py, in trials/numbers.csv.gz
     all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
@@ -35,8 +36,8 @@ from PIL import Image
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_paper import all_goals, numbers, scores, trial_numbers, trials, tuning
-from infogoal_paper import tables as paper
-from infogoal_paper.table_formats import markdown_cell, markdown_lines
+from infogoal_paper.manifest import PROTOCOLS
+from infogoal_paper.table_formats import markdown_lines
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results"
@@ -46,15 +47,48 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 """Methods of the picture, with name and colour."""
 
 
-def paper_tables() -> dict[str, str]:
-    """The table of the README: the columns of test goals of Table I in the paper's way, and what its marks mean."""
-    table = paper.table1(numbers.load(RESULTS), "paper")
-    columns = [place for place, title in enumerate(table.head) if not place or title.endswith(", test")]
-    shown = markdown_lines(
-        [table.head[place].removesuffix(", test") for place in columns],
-        [[markdown_cell(row[place]) for place in columns] for row in table.rows],
-    )
-    return {"overview": "\n".join([shown, "", *(f"- {line}" for line in table.foot[1:])]).strip()}
+FEW = (("InfoGoal", "paper", "infogoal"), ("InfoGoal with HER", "her", "infogoal"))
+FEW += (("HER alone", "paper", "her"), ("bare agent", "paper", "none"))
+"""Rows of the README's first table: words, variant of Table I, method."""
+TASKS = {
+    "object_search": "object search",
+    "object_manipulation": "cube",
+    "fetch_reach": "FetchReach",
+    "fetch_push": "FetchPush",
+    "fetch_pick_and_place": "FetchPickAndPlace",
+    "embodied_qa": "questions",
+}
+"""Tasks in words."""
+UNSEEN = {"none": "bare agent", "her": "HER", "all_goals": "all-goals head", "infogoal+all_goals": "InfoGoal + head"}
+"""Rows of its second table."""
+
+
+def readme_tables() -> dict[str, str]:
+    """The two tables of the README: success on test goals as a plain mean over goal sets and seeds, the best of a
+    column in bold."""
+    results = numbers.load(RESULTS)
+    shown = [
+        [scores.row_of(results, variant, task, method).mean("test_goal").mean for task in TASKS]
+        for _, variant, method in FEW
+    ]
+    compared = {task: all_goals.rows_of(results, task) for task in ("object_search", "object_manipulation")}
+    unseen = [
+        [rows[method, protocol].mean("test_goal").mean for rows in compared.values() for protocol in PROTOCOLS]
+        for method in UNSEEN
+    ]
+    heads = [f"{TASKS[task]}, `{protocol}`" for task in compared for protocol in PROTOCOLS]
+    return {
+        "overview": plain_table(list(TASKS.values()), [name for name, _, _ in FEW], shown),
+        "unseen": plain_table(heads, list(UNSEEN.values()), unseen),
+    }
+
+
+def plain_table(columns: list[str], names: list[str], rows: list[list[float]]) -> str:
+    """Numbers [row][column] with two decimals and the best of each column, after rounding, in bold."""
+    words = [[f"{number:.2f}" for number in row] for row in rows]
+    best = [max(column) for column in zip(*words, strict=True)]
+    cells = [[f"**{word}**" if word == top else word for word, top in zip(row, best, strict=True)] for row in words]
+    return markdown_lines(["method", *columns], [[name, *row] for name, row in zip(names, cells, strict=True)])
 
 
 LANDINGS = ("interrupted", "battery", "link lost", "video", "its own landing", "were refused", "were never answered")
@@ -226,7 +260,7 @@ def draw_sb3(curves: dict[str, list[Curve]], path: Path) -> None:
 
 
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
-    "paper": paper_tables,
+    "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS)),
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),

@@ -48,15 +48,9 @@ SUCCESS = {
     "train_goal": "training",
     "validation_goal": "validation",
     "test_goal": "test",
-    "near_test_goal": "test, near",
-    "far_test_goal": "test, far",
-    "corrupted_train_goal": "corrupted training",
     "corrupted_test_goal": "corrupted test",
-    "test_goal_mean_code": "test, mean code",
 }
-"""Kinds of goals that tables show: as metrics name them, and in words."""
-SPLIT = ("near_test_goal", "far_test_goal")
-"""Kinds that older trials do not have: columns of tables in which there is a number."""
+"""Kinds of goals that tables show: as metrics name them, and in words. The file has more of them."""
 
 PROBED = {
     f"{kind}/{error}": f"{words}, {said}"
@@ -127,27 +121,9 @@ def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
     }
 
 
-def cost_table(rows: list[Row], tasks: dict[str, str]) -> str:
-    """What the trials took, task by task. tasks: of each trial its task."""
-    took: dict[str, float] = {}
-    for row in rows:
-        if row.get("seconds"):
-            took[row["trial"]] = max(float(row["seconds"]), took.get(row["trial"], 0.0))
-    ran, table = {row["trial"] for row in rows}, []
-    for task in dict.fromkeys(tasks.values()):
-        trials = [trial for trial, its in tasks.items() if its == task and trial in ran]
-        timed = [took[trial] for trial in trials if trial in took]
-        table.append([task, str(len(trials)), str(len(timed)), f"{sum(timed) / 60:.0f}" if timed else ""])
-    return markdown_lines(["task", "trials", "of which timed", "minutes of these"], table)
-
-
 def kinds_of(rows: list[Row]) -> dict[str, str]:
-    """The kinds of goals that a table of these rows shows."""
-    return {
-        kind: words
-        for kind, words in SUCCESS.items()
-        if kind not in SPLIT or any(row.get(f"{kind}/success_rate") for row in rows)
-    }
+    """The kinds of goals that a table of these rows shows: those that any of them has."""
+    return {kind: words for kind, words in SUCCESS.items() if any(row.get(f"{kind}/success_rate") for row in rows)}
 
 
 def seed_means(rows: list[Row], column: str) -> np.ndarray | None:
@@ -174,25 +150,25 @@ def show(values: np.ndarray | None, decimals: int, interval: bool = False) -> st
 
 
 def last_of_lanes(rows: list[Row]) -> Iterator[tuple[str, list[Row], str]]:
-    """Each lane of a trial with its rows of the last evaluations, and from which updates to which these are."""
+    """Each lane of a trial with its rows of the last evaluations, and the updates at the last of them."""
     last = sorted({int(row["updates"]) for row in rows})[-LAST:]
     for lane in dict.fromkeys(row["lane"] for row in rows):
         shown = [row for row in rows if row["lane"] == lane and int(row["updates"]) in last]
-        yield lane, shown, f"{last[0]:,} to {last[-1]:,}"
+        yield lane, shown, f"{last[-1]:,}"
 
 
 def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None) -> str:
-    """A line for every lane of these trials. error: the unit of the code's error and its decimals; None: the task has
-    none."""
+    """A line for every lane of these trials, which says the protocol of known goals where it is not `visited`. error:
+    the unit of the code's error and its decimals; None: the task has none."""
     kinds = kinds_of([row for row in rows if row["trial"] in trials])
-    columns = ["trial", "lane", "known goals", "seeds", "updates", *kinds.values(), "KL", "accuracy"]
+    columns = ["trial", "lane", "seeds", "updates", *kinds.values()]
     lines = []
     for trial in trials:
         for lane, shown, updates in last_of_lanes([row for row in rows if row["trial"] == trial]):
             known = shown[0].get("known_goals") or "visited"
-            cells = [f"`{trial}`", lane, known, str(len({row["seed"] for row in shown})), updates]
+            words = lane if known == "visited" else f"{lane}, {known}"
+            cells = [f"`{trial}`", words, str(len({row["seed"] for row in shown})), updates]
             cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
-            cells += [show(seed_means(shown, "learner/kl"), 0), show(seed_means(shown, "learner/accuracy"), 3)]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
     return markdown_lines(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
@@ -224,7 +200,7 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
         first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
         last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
         shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
-        cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[0]):,} to {int(last[-1]):,}"]
+        cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[-1]):,}"]
         for kind in kinds:
             values = [seed_means(own, f"{kind}/success_rate") for own in shown]
             cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))

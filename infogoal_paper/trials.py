@@ -51,6 +51,11 @@ TABLES = {
 """Tables of docs/research/trials.md: tasks, and the unit of the code's error with its decimals."""
 ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
 """Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
+OF_NORMALISED = ("cube_dqn", "shelf_goals")
+"""Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
+which seeds learn is chance."""
+PROBED = "fetch_reach"
+"""The task of which the probe is shown: on the others no question rests on it."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -216,15 +221,31 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
 
 
 def tables(rows: list[Row]) -> dict[str, str]:
-    """The tables that docs/research/trials.md shows: of each group of tasks the trials that were run."""
+    """The tables that docs/research/trials.md shows: of each group of tasks the trials that were run. A trial all of
+    whose lanes are compared stands in the table of differences alone."""
     done = {row["trial"] for row in rows}
+    compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
     all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
     others = [trial for trial in QUEUE if trial not in all_goals]
     grouped = {
-        name: ([trial for trial in others if QUEUE[trial].task in tasks], error)
+        name: (
+            [
+                trial
+                for trial in others
+                if QUEUE[trial].task in tasks and any((trial, lane) not in compared for lane in QUEUE[trial].lanes)
+            ],
+            error,
+        )
         for name, (tasks, error) in TABLES.items()
     } | {
-        name: ([trial for trial in all_goals if trial.startswith(name)], error)
+        name: (
+            [
+                trial
+                for trial in all_goals
+                if trial.startswith(name) and (name not in OF_NORMALISED or trial.endswith("_norm"))
+            ],
+            error,
+        )
         for name, error in ALL_GOALS_TABLES.items()
     }
     shown = {}
@@ -232,13 +253,12 @@ def tables(rows: list[Row]) -> dict[str, str]:
         if run := [trial for trial in trials if trial in done]:
             shown[name] = trial_numbers.table(rows, run, error)
     probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
-    units = {trial: error for trials, error in grouped.values() for trial in trials if error and trial in probed}
+    units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
     if units:
         shown["probe"] = trial_numbers.probe_table(rows, units)
-    shown["cost"] = trial_numbers.cost_table(rows, {name: trial.task for name, trial in QUEUE.items()})
     for name, pairs in COMPARISONS.items():
-        if compared := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
-            shown[name] = trial_numbers.differences(rows, compared)
+        if ran := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
+            shown[name] = trial_numbers.differences(rows, ran)
     return shown
 
 

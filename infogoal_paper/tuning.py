@@ -171,10 +171,11 @@ def merge(folder: Path, path: Path) -> list[str]:
 
 
 def tables(searches: dict[str, Search]) -> dict[str, str]:
-    """The tables that docs/research/tuning.md shows: the searches of each task, and the finals."""
+    """The tables that docs/research/tuning.md shows: of each task the finals, or the searches where there are none."""
     shown = {}
     for task in presets.TASKS:
-        for ending in ("", "/final"):
+        ran_final = any(search.startswith(f"{task}/") and search.endswith("/final") for search in searches)
+        for ending in ("/final",) if ran_final else ("",):
             names = [f"{task}/{method}{ending}" for method in METHODS]
             if any(name in searches for name in names):
                 found = {
@@ -185,26 +186,24 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
 
 
 def table(found: dict[str, Search], is_final: bool) -> str:
-    """A line for each method: the preset's score, the best one's, of a final also the difference of the two over the
-    seeds, and the best one's values; what they were made on below."""
+    """A line for each method: the preset's score, the best one's, and of a final the difference of the two over the
+    seeds; what they were made on below. The values of every trial are in the file."""
     rows, footers = [], {}
     for method, search in found.items():
         trials = {trial["trial"]: trial for trial in search["trials"]}
         best = trials[search["best"]]
         scores = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (trials[0], best)]
-        values = ", ".join(f"{name} {value:.3g}" for name, value in best["values"].items())
-        epochs = f"{search['epochs'][-1]} of {search['num_epochs']}"
         if is_final:
             difference = paired_difference(best["success"][-1], trials[0]["success"][-1])
             scores.append("" if search["best"] == 0 else difference.show(2))
-        rows.append([METHODS[method], *scores, str(search["best"]), values, epochs])
+        rows.append([METHODS[method], *scores])
         seeds = ", ".join(map(str, search["seeds"]))
         footers[
-            f"Success on {search['goals']} goals at the last of these epochs; {len(trials)} trials, of which 0 is the "
-            f"preset, with the seeds {seeds}; {search['device']}. {search['data']}."
+            f"Success on {search['goals']} goals after {search['epochs'][-1]} of {search['num_epochs']} epochs; "
+            f"{len(trials)} trials with the seeds {seeds}; {search['device']}. {search['data']}."
         ] = None
     columns = ["method", "preset of that time", "best", *["best minus preset"] * is_final]
-    lines = markdown_lines([*columns, "trial", "its values", "epochs"], rows)
+    lines = markdown_lines(columns, rows)
     return "\n\n".join([lines, *footers])
 
 
