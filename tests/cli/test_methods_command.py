@@ -223,7 +223,7 @@ def test_training_is_refused_before_anything_is_loaded(capsys, monkeypatch, tmp_
 
 
 def test_a_learner_that_is_registered_later_is_a_method_too(monkeypatch):
-    """As docs/guides/own_parts.md registers one: it can be loaded, read back and named."""
+    """As docs/guides/own_agent.md registers one: it can be loaded, read back and named."""
 
     @dataclasses.dataclass(frozen=True)
     class MineConfig(none.NoneConfig):

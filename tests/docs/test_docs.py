@@ -17,6 +17,7 @@ from unittest import mock
 
 import hand_made
 import pytest
+import words
 import yaml
 from places import ROOT
 
@@ -29,7 +30,12 @@ from infogoal_jax.loading import make_train
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*/*.md"))]
 # It may name flags and files that are no more; its links lead somewhere all the same.
 CHANGELOG = ROOT / "CHANGELOG.md"
-LONGEST_README = 150
+LONGEST_README, LONGEST_GUIDE = 120, 150
+"""Lines."""
+LONGEST_SENTENCE = 25
+"""Words, on pages for doing."""
+MOST_WORDS = 43_000
+"""Of all pages of docs, tables and code included."""
 FILES = (".cfg", ".ipynb", ".md", ".png", ".py", ".toml")  # Names that end so are files of the repository.
 OTHERS_FLAGS = {
     "--help",
@@ -118,12 +124,40 @@ def test_every_relative_link_leads_somewhere(page):
 
 
 def test_every_page_can_be_reached_from_the_readme():
-    linked = {(ROOT / link.split("#")[0]).resolve() for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[0].read_text())}
+    """By two links: the README has the kinds, the first page of a kind has its pages."""
+    linked = links_of(PAGES[0])
+    linked |= set().union(*(links_of(page) for page in linked if page.name == "index.md"))
     assert {page.resolve() for page in (*PAGES[1:], CHANGELOG)} <= linked
 
 
-def test_the_readme_is_short():
-    assert len(PAGES[0].read_text().splitlines()) <= LONGEST_README
+def links_of(page: Path) -> set[Path]:
+    """The files that a page links to."""
+    return {(page.parent / link.split("#")[0]).resolve() for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text())}
+
+
+def test_the_readme_and_guides_are_short():
+    """`python tests/words.py` prints how long every page is."""
+    assert len(words.README.read_text().splitlines()) <= LONGEST_README
+    assert not [page for page in words.pages("guides") if len(page.read_text().splitlines()) > LONGEST_GUIDE]
+
+
+@pytest.mark.parametrize("page", [words.README, *words.pages("start", "guides")], ids=lambda page: page.name)
+def test_sentences_of_pages_for_doing_are_short(page):
+    assert not [sentence for sentence in words.sentences(page) if words.length(sentence) > LONGEST_SENTENCE]
+
+
+def test_a_guide_begins_with_its_end_and_with_lines_to_type():
+    """Within the first screen; a guide whose lines are a program has its first block further down."""
+    for page in set(words.pages("guides")) - {words.DOCS / "guides" / "index.md"}:
+        lines = page.read_text().splitlines()
+        assert lines[2].startswith("At the end "), page.name
+        assert any(line.startswith("```") for line in lines[:20]), page.name
+
+
+def test_pages_have_few_words():
+    total = sum(map(words.words, words.pages()))
+    print(f"words of all pages of docs: {total:,}")
+    assert total <= MOST_WORDS
 
 
 @each_page

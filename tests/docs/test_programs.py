@@ -1,6 +1,6 @@
-"""Programs that a reader runs. The learner, the agent and the task that docs/guides/own_parts.md and own_task.md make
-outside of the repository are complete, short, and do what the pages say; the notebooks are saved with their pictures,
-and run from top to bottom at toy size."""
+"""Programs that a reader runs. The learner, the agent and the task that docs/guides/own_parts.md, own_agent.md and
+own_task.md make outside of the repository are complete, short, and do what the pages say; the notebooks are saved with
+their pictures, and run from top to bottom at toy size."""
 
 import base64
 import re
@@ -21,7 +21,7 @@ from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.train.evaluation import evaluate, random_policy
 
-LEARNER, AGENT, TASK = "guides/own_parts.md#a-learner", "guides/own_parts.md#an-agent", "guides/own_task.md"
+LEARNER, AGENT, TASK = "guides/own_parts.md", "guides/own_agent.md", "guides/own_task.md"
 """The pages."""
 SMALL = {"evaluation_starts": 1}
 LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
@@ -271,7 +271,7 @@ def test_begins_by_installing_and_says_what_it_is_sized_for(name):
 
 def test_the_task_and_the_learner_are_those_of_the_docs():
     cells = code_cells(read("your_own"))
-    for page, cell in (("guides/own_task.md", "task"), ("guides/own_parts.md#a-learner", "learner")):
+    for page, cell in (("guides/own_task.md", "task"), ("guides/own_parts.md", "learner")):
         lines = [line.rstrip() for line in block_of(page).splitlines()]
         assert set(cells[cell].source.splitlines()) <= set(lines), page
 
