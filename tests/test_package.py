@@ -110,6 +110,18 @@ def test_what_benchmarks_import_of_the_package_is_there(path):
                     importlib.import_module(f"{node.module}.{alias.name}")  # Raises what is missing.
 
 
+def test_there_is_one_loop_over_chunks():
+    """Nothing but runner/sweep.py makes the programs of epochs and evaluation, or calls them."""
+    found = set()
+    for path in (path for package in (PACKAGE, *(ROOT / name for name in BESIDE)) for path in package.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in LOOPS:
+                found.add(path.relative_to(ROOT).as_posix())
+    assert found == {"infogoal_jax/runner/sweep.py", "infogoal_jax/train/program.py"}
+
+
+LOOPS = {"chunk_of", "chunk"}
+"""What makes a program of epochs and evaluation, and what runs it."""
 KNOWN_TO_THE_PROGRAM = {"environment", "target_states"}
 """Of environments: their contract. The rest of them, and presets and data, read files."""
 
