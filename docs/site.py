@@ -27,8 +27,11 @@ STYLE = """.md-grid { max-width: 76rem; }
 .md-typeset pre > code { font-size: 0.68rem; }
 math[display="block"] { margin: 1em 0; font-size: 1.1em; }
 .equation { overflow-x: auto; }
+.md-typeset table:not([class]) th { min-width: 0; }
+.md-typeset table:not([class]) :is(th, td) { padding: 0.5em 0.7em; }
+.md-typeset img[src$=".svg"] { display: block; max-width: min(100%, 700px); }
 """
-"""Room for lines of 120 letters, and for equations that are wider than a telephone."""
+"""Room for lines of 120 letters, for tables of many columns, and for equations that are wider than a telephone."""
 SEARCH_WITHOUT_SERVER = """if (location.protocol === "file:") {
   window.IFrameWorker = class extends EventTarget {
     constructor(url) {

@@ -31,9 +31,11 @@ BY_HAND = "<!-- by hand -->"
 """What stands below this line of the page of verdicts is written by hand, and is kept."""
 ABOUT = """# The paper, reproduced
 
-Written by `infogoal reproduce` from the numbers of the runs: a verdict on each claim of the paper, and those of its
-tables and figures that there are runs for. A verdict says so where runs are missing. docs/guides/reproducing.md says
-how runs are made and repeated. Datasets are stand-ins (README), so that numbers compare methods on them.
+**Which claims of the paper hold here?** Those whose whole interval lies on their side: the verdicts below. They rest on
+stand-in data, so that numbers compare methods and are not the paper's.
+
+Written by `infogoal reproduce` from the numbers of the runs (docs/guides/reproducing.md); a verdict says so where runs
+are missing.
 """
 
 

@@ -122,8 +122,12 @@ def lanes_of(rows: list[Row]) -> dict[str, dict[str, tuple[int, int]]]:
 
 
 def kinds_of(rows: list[Row]) -> dict[str, str]:
-    """The kinds of goals that a table of these rows shows: those that any of them has."""
-    return {kind: words for kind, words in SUCCESS.items() if any(row.get(f"{kind}/success_rate") for row in rows)}
+    """The kinds of goals that a table of these rows shows: those that any of them has, and training goals where none
+    has test goals."""
+    found = {kind: words for kind, words in SUCCESS.items() if any(row.get(f"{kind}/success_rate") for row in rows)}
+    if "test_goal" in found:
+        found.pop("train_goal", None)
+    return found
 
 
 def seed_means(rows: list[Row], column: str) -> np.ndarray | None:
