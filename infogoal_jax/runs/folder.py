@@ -154,8 +154,11 @@ def locked(path: Path, folder: Path) -> Iterator[None]:
             if not is_at(file, path):
                 continue  # The process that had it deleted it between our two steps.
             with temporary(path):
-                file.truncate(0)
-                file.write(f"process {os.getpid()} on {platform.node()}".encode())
+                try:
+                    file.truncate(0)
+                    file.write(f"process {os.getpid()} on {platform.node()}".encode())
+                except OSError as error:
+                    raise disk_error(path, error) from error
                 yield
             return
 

@@ -14,9 +14,9 @@ from infogoal_jax import files
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint
+from infogoal_jax.runs import folder as folders
 
 FILES = ("checkpoint", "policy", "epochs.csv", "epochs.jsonl", "evaluations.csv", "evaluations.jsonl", "config.json")
-CHANGING = ("write", "fsync", "replace")
 
 
 class Disk:
@@ -60,7 +60,15 @@ class Disk:
 
     def create(self, path):
         """What `files.create` makes, whose writes are counted."""
-        disk, file = self, CREATE(path)
+        return self.counted(CREATE(path))
+
+    def open_lock(self, path, make=True):
+        """What `files.open_lock` opens, whose writes are counted."""
+        return self.counted(files.open_lock(path, make))
+
+    def counted(self, file):
+        """The file, whose writes are counted."""
+        disk = self
 
         class Counted:
             def __getattr__(self, name):
@@ -102,6 +110,7 @@ def run(folder: Path, env, disk: Disk, monkeypatch) -> None:
     """The run, or what is left of it, on this disk."""
     monkeypatch.setattr(files, "os", disk)
     monkeypatch.setattr(files, "create", disk.create)
+    monkeypatch.setattr(folders, "open_lock", disk.open_lock)
     training.run(config(), [0, 1], folder, (folder / "config.json").exists(), env=env)
 
 
