@@ -10,7 +10,7 @@ import math
 import numbers
 import os
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -169,9 +169,63 @@ def same_shapes(found: Any, expected: Any, name: str, other: str) -> None:
             raise UserError(f"{name}: leaf {leaf} is {first}, and {second} in {other}; give both the same")
 
 
-def written(shape: tuple[int, ...], dtype: str) -> str:
+def written(shape: tuple[Any, ...], dtype: str) -> str:
     """A shape and a type as docstrings write them: `float32 [3, 2]`."""
-    return f"{dtype} {list(shape)}"
+    return f"{dtype} [{', '.join(map(str, shape))}]"
+
+
+class Spec(NamedTuple):
+    """What an array has to be. shape: a length for each axis, or a name where any length is right."""
+
+    shape: tuple[Any, ...]
+    dtype: str
+
+    @property
+    def struct(self) -> jax.ShapeDtypeStruct:
+        """For `jax.eval_shape`."""
+        return jax.ShapeDtypeStruct(self.shape, self.dtype)
+
+
+def is_array(value: Any) -> bool:
+    """Whether it is one array, or the shape of one."""
+    return hasattr(value, "shape") and hasattr(value, "dtype") and not isinstance(value, np.generic)
+
+
+def described(value: Any) -> str:
+    """A value by shape and type, or by its class."""
+    return written(value.shape, str(value.dtype)) if is_array(value) else f"{type(value).__name__}"
+
+
+def returned(found: Any, name: str, wanted: Spec, reason: str = "") -> None:
+    """Raise `UserError`, naming the function that returned it, unless what was found is an array as is wanted."""
+    fits = is_array(found) and str(found.dtype) == wanted.dtype and has_shape(found.shape, wanted.shape)
+    if not fits:
+        why = f" ({reason})" if reason else ""
+        raise UserError(f"{name}: is {described(found)}; give {written(*wanted)}{why}")
+
+
+def with_axes(tree: Any, axes: tuple[int, ...]) -> Any:
+    """Shapes with these axes in front."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((*axes, *leaf.shape), leaf.dtype), tree)
+
+
+def called(name: str, function: Callable, *arguments: Any) -> Any:
+    """What a user's function returns. Raises `UserError`, naming it, where it raises anything else, which stands as the
+    cause."""
+    try:
+        return function(*arguments)
+    except UserError:
+        raise
+    except NotImplementedError as error:
+        raise UserError(f"{name}: is not written, and the contract asks for it") from error
+    except Exception as error:
+        words = next((line.strip() for line in str(error).splitlines() if line.strip()), "no message")
+        raise UserError(f"{name}: raised {type(error).__name__} when it was traced: {words}") from error
+
+
+def traced(name: str, function: Callable, *arguments: Any) -> Any:
+    """The shapes of what a user's function returns for arguments of these shapes; raises as `called`."""
+    return called(name, jax.eval_shape, function, *arguments)
 
 
 class Fork:

@@ -35,6 +35,11 @@ def typed(path: object) -> str:
     return shlex.quote(str(path))
 
 
+def a(noun: str) -> str:
+    """`an agent`, `a learner`."""
+    return f"{'an' if noun[0].lower() in 'aeiou' else 'a'} {noun}"
+
+
 def counted(count: int, noun: str) -> str:
     """`1 error`, `2 errors`."""
     return f"{count} {noun}{'s' * (count != 1)}"

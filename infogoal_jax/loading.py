@@ -15,11 +15,13 @@ from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
+from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss
 from infogoal_jax.train import program
+from infogoal_jax.train.checked_parts import is_foreign
 from infogoal_jax.train.parts import check_hyperparameters, make_learner
 from infogoal_jax.train.program import Train
 
@@ -240,6 +242,8 @@ def load_environment(config: TrainConfig, env: Any = None):
         check_combination(config)
         env = envs.load(config.task, config.env)
     check_environment(config, env)
+    if is_foreign(type(env.unwrapped)):
+        check_contract(env)
     if make_learner(config).by_index and env.goals is not None:
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)

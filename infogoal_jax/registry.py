@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from infogoal_jax.errors import UserError, nearest
+from infogoal_jax.errors import UserError, a, nearest
 from infogoal_jax.hyperparameters import NoHyperparameters
 
 
@@ -48,8 +48,7 @@ class Registry(dict):
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""
         if not isinstance(name, str):
-            article = "an" if self.kind[0] in "aeiou" else "a"
-            raise UserError(f"{self.kind} = {name!r}: give the name of {article} {self.kind}. Known: {', '.join(self)}")
+            raise UserError(f"{self.kind} = {name!r}: give the name of {a(self.kind)}. Known: {', '.join(self)}")
         if name not in self:
             raise UserError(
                 f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}"

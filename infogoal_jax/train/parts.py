@@ -19,6 +19,7 @@ from infogoal_jax.keys import fold
 from infogoal_jax.learners.learner import GoalCode, Learner, View
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.checked_parts import checked_part
 
 
 class Parts(NamedTuple):
@@ -41,10 +42,10 @@ def make_parts(config: TrainConfig, env) -> Parts:
     return Parts(
         config=config,
         name=learners.registry.name_of(config.learner),
-        learner=make_learner(config),
-        agent=agents.registry.entry_of(config.agent).make(config.agent, env),
-        relabelling=relabelling.registry.entry_of(config.relabelling).make(config.relabelling),
-        explorer=exploration.registry.entry_of(config.explorer).make(config.explorer),
+        learner=checked_part("learner", learners.registry.entry_of(config.learner), config, env),
+        agent=checked_part("agent", agents.registry.entry_of(config.agent), config, env),
+        relabelling=checked_part("relabelling", relabelling.registry.entry_of(config.relabelling), config, env),
+        explorer=checked_part("explorer", exploration.registry.entry_of(config.explorer), config, env),
         state_encoder=make_state_encoder(config.state_encoder, env),
         optimizer=optax.scale_by_adam(),
     )
@@ -72,8 +73,10 @@ def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
 
 
 def make_learner(config: TrainConfig) -> Learner:
-    """The learner that the configuration names."""
-    return learners.registry.entry_of(config.learner).make(config.learner)
+    """The learner that the configuration names. Raises `UserError` for one of a user's own that is none."""
+    learner = learners.registry.entry_of(config.learner).make(config.learner)
+    require(isinstance(learner, Learner), "learner", type(learner).__name__, "its make has to return a Learner")
+    return learner
 
 
 def make_state_encoder(size: StateEncoderConfig, env):

@@ -1,0 +1,121 @@
+"""Whether an environment keeps the contract of environment.py, found out by `jax.eval_shape`, which computes nothing:
+what each function returns, alone and on stored arrays with more axes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import checks
+from infogoal_jax.checks import Spec
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.goals import GoalSet
+from infogoal_jax.replay import Trajectories
+
+FLAGS = ("terminated", "truncated", "diverged")
+STORED = (2, 3)
+"""Axes of stored arrays, for the functions that take any."""
+
+
+def check_contract(env: Environment) -> None:
+    """Raise `UserError`, naming the member and what it has to be, for an environment that breaks the contract."""
+    check_members(env)
+    key = jax.eval_shape(lambda: jax.random.key(0))
+    state = checks.traced("env.reset", env.reset, key)
+    check_state(env, state)
+    again = checks.traced("env.reset_to", env.reset_to, key, state.goal)
+    checks.same_shapes(again, state, "env.reset_to", "env.reset")
+    action = Spec((), "int32") if env.discrete else Spec((env.action_size,), "float32")
+    checks.same_shapes(
+        checks.traced("env.step", env.step, state, action.struct), state, "the state of env.step", "that of env.reset"
+    )
+    check_flag(checks.traced("env.decides", env.decides, state), "env.decides")
+    if env.has_shortest_path:
+        checks.returned(
+            checks.traced("env.shortest_path", env.shortest_path, state), "env.shortest_path", Spec((), "int32")
+        )
+    check_stored(env, state)
+
+
+def check_members(env: Environment) -> None:
+    """Raise `UserError` for members of other kinds than the contract has."""
+    asked = ("goals", "action_size", "episode_length", *(["source"] if getattr(env, "goals", None) else []))
+    missing = [name for name in asked if not hasattr(env, name)]
+    require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
+    kind = type(env.goals).__name__
+    require(env.goals is None or isinstance(env.goals, GoalSet), "env.goals", kind, "give a GoalSet of GoalSet.of")
+    for name in ("action_size", "episode_length", "num_cells"):
+        checks.whole(getattr(env, name), f"env.{name}", 1)
+    if env.num_observations is not None:
+        checks.whole(env.num_observations, "env.num_observations", 1)
+    for name in ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path"):
+        checks.flag(getattr(env, name), f"env.{name}")
+    if env.goals is not None:
+        checks.text(env.source, "env.source", "say in words what the data is")
+    recorded = type(env.recorded).__name__
+    require(
+        env.recorded is None or isinstance(env.recorded, Trajectories), "env.recorded", recorded, "give Trajectories"
+    )
+    num_goals = None if env.goals is None else env.goals.num_goals
+    arrays = {
+        "train_backgrounds": ("uint8", ("B", "H", "W", "C")),
+        "test_backgrounds": ("uint8", ("B", "H", "W", "C")),
+        "goal_positions": ("float32", (num_goals or "N", "D")),
+        "near_goals": ("bool", (num_goals or "N",)),
+    }
+    for name, (dtype, shape) in arrays.items():
+        array, wanted = getattr(env, name), f"give {dtype} [{', '.join(map(str, shape))}], or None"
+        if array is not None:
+            found = checks.written(np.shape(array), str(jnp.result_type(array)))
+            fits = str(jnp.result_type(array)) == dtype and checks.has_shape(np.shape(array), shape)
+            require(fits, f"env.{name}", found, wanted)
+
+
+def check_state(env: Environment, state: Any) -> None:
+    """Raise `UserError` for a state without the fields that every state has, or with others under their names."""
+    for name in ("goal", "time", *FLAGS):
+        require(hasattr(state, name), "the state of env.reset", type(state).__name__, f"has no field {name}")
+    for name in FLAGS:
+        check_flag(getattr(state, name), f"state.{name}")
+    for name in ("time",) if env.goals is None else ("time", "goal"):
+        checks.returned(getattr(state, name), f"state.{name}", Spec((), "int32"))
+
+
+def check_flag(found: Any, name: str) -> None:
+    """Raise `UserError` for what is not one bool."""
+    checks.returned(found, name, Spec((), "bool"))
+
+
+def check_stored(env: Environment, state: Any) -> None:
+    """Raise `UserError` for functions of stored observations and records that break the contract, with any axes."""
+    observation = checks.traced("env.observe", env.observe, state)
+    record = checks.traced("env.achieved", env.achieved, state)
+    for name, tree in {"env.observe": observation, "env.achieved": record}.items():
+        require(len(jax.tree.leaves(tree)) > 0, name, tree, "return an array, or a pytree of them")
+    if env.num_observations is not None:
+        checks.returned(observation, "env.observe", Spec((), "int32"), "for env.num_observations is given")
+    goal = Spec((), "int32")
+    seen = checks.traced("env.render", env.render, observation)
+    image_or_vector = checks.is_array(seen) and (
+        (seen.dtype == jnp.uint8 and seen.ndim == 3) or (seen.dtype == jnp.float32 and seen.ndim == 1)
+    )
+    found = checks.described(seen)
+    if not image_or_vector:
+        raise UserError(f"env.render: returns {found} of one observation; return uint8 [H, W, C] or float32 [D]")
+    checked: list[tuple[str, Callable, tuple, tuple, str]] = [
+        ("env.render", env.render, (observation,), seen.shape, str(seen.dtype)),
+        ("env.action_mask", env.action_mask, (observation,), (env.action_size,), "bool"),
+        ("env.reached", env.reached, (record, goal.struct), (), "bool"),
+        ("env.cell_of", env.cell_of, (record,), (), "int32"),
+        ("env.goals_of", env.goals_of, (record,), ("K",), "int32"),
+    ]
+    for name, function, arguments, shape, dtype in checked:
+        if env.goals is None and name in ("env.goals_of", "env.cell_of", "env.reached"):
+            continue
+        for axes in ((), STORED):
+            given = checks.with_axes(arguments, axes)
+            found = checks.traced(name, function, *given)
+            checks.returned(found, name, Spec((*axes, *shape), dtype), f"for arguments with axes {list(axes)}")

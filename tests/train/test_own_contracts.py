@@ -1,0 +1,190 @@
+"""An environment, a learner, an agent, a relabelling or an explorer from outside that breaks its contract is refused
+when its training is made or traced, by the name of the function; and what the package brings keeps the contracts."""
+
+import dataclasses
+
+import flax.struct
+import hand_made
+import hand_made_frames
+import hand_made_points
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import UserError, agents, envs, exploration, learners, loading, make_train, relabelling
+from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.registry import Entry
+from infogoal_jax.train import checked_parts
+
+ENV = hand_made.environment()
+CONFIG = hand_made.config(num_epochs=2, epochs_per_evaluation=1, updates_per_epoch=1)
+
+
+def changed(**members):
+    """The hand-made task with other members, as a class of a user's own."""
+    own = flax.struct.dataclass(type("Own", (type(ENV),), {"__module__": "own", **members}))
+    return own(**{field.name: members.get(field.name, getattr(ENV, field.name)) for field in dataclasses.fields(ENV)})
+
+
+def trace(train):
+    """Trace a chunk: nothing is compiled."""
+
+    def chunk(key, env):
+        numbers = jnp.arange(1, dtype=jnp.int32)
+        return train.chunk(train.initial(key, train.config.hyper, env), numbers, train.config.hyper, env)
+
+    return jax.eval_shape(chunk, jax.random.key(0), train.env)
+
+
+@pytest.mark.parametrize("make", [hand_made.environment, hand_made_frames.manipulation, hand_made_frames.qa])
+def test_the_package_s_environments_keep_the_contract(make):
+    check_contract(make())
+
+
+def test_environments_of_vectors_keep_the_contract():
+    check_contract(hand_made_points.steered())
+    check_contract(envs.load("fetch_reach", FetchConfig()))
+
+
+def wrong_leaf(name, value):
+    """A step or reset after which this field is something else."""
+    return lambda self, *arguments: type(ENV).step(self, *arguments).replace(**{name: value})
+
+
+BROKEN = {
+    "step": (dict(step=wrong_leaf("time", jnp.zeros(()))), r"state of env.step: leaf .time is float32 \[\], and int32"),
+    "step of one more": (dict(step=wrong_leaf("node", jnp.zeros((1,), jnp.int32))), r"leaf .node is int32 \[1\]"),
+    "no step": (dict(step=lambda self, state, action: None), "state of env.step: leaf .* not there"),
+    "step that raises": (
+        dict(step=lambda self, state, action: state.nothing),
+        "env.step: raised AttributeError.*nothing",
+    ),
+    "step of fewer arguments": (dict(step=lambda self, state: state), "env.step: raised TypeError"),
+    "reset": (dict(reset=lambda self, key: (key,)), "the state of env.reset = 'tuple': has no field goal"),
+    "reset_to": (dict(reset_to=lambda self, key, goal: 0), "the state of env.reset = .*has no field goal"),
+    "observe": (dict(observe=lambda self, state: jnp.zeros(3)), r"env.observe: is float32 \[3\]; give int32 \[\]"),
+    "observe nothing": (dict(observe=lambda self, state: ()), "env.observe = .*return an array"),
+    "render": (dict(render=lambda self, seen: jnp.zeros((3, 3))), r"env.render: returns float32 \[3, 3\] of one"),
+    "render of one": (
+        dict(render=lambda self, seen: jnp.zeros(3)),
+        r"env.render: is float32 \[3\]; give .*\[2, 3, 3\]",
+    ),
+    "reached": (dict(reached=lambda self, record, goal: (record == goal)[..., None]), "leaf .terminated is bool"),
+    "goals_of": (dict(goals_of=lambda self, record: record), r"env.goals_of: is int32 \[\]; give int32 \[K\]"),
+    "goals_of floats": (dict(goals_of=lambda self, record: record[..., None] * 1.0), "env.goals_of: is float32"),
+    "cell_of": (dict(cell_of=lambda self, record: record > 0), r"env.cell_of: is bool \[\]; give int32"),
+    "action_mask": (dict(action_mask=lambda self, seen: jnp.ones(6)), r"env.action_mask: is float32 \[6\]; give bool"),
+    "decides": (dict(decides=lambda self, state: 1), r"env.decides: is int32 \[\]; give bool"),
+    "action_size": (dict(action_size=True), "env.action_size = True: give a whole number from 1 on"),
+    "action_size of none": (dict(action_size=0), "env.action_size = 0: give a whole number from 1 on"),
+    "discrete": (dict(discrete=1), "env.discrete = 1: give True or False"),
+    "num_observations": (dict(num_observations=2.0), "env.num_observations = 2.0: give a whole number"),
+    "recorded": (dict(recorded=[1]), "recorded is True, should be False"),
+    "goal_positions": (dict(goal_positions=np.zeros((2, 2), np.float32)), "env.goal_positions = .*give float32"),
+    "near_goals": (dict(near_goals=np.zeros(8)), r"env.near_goals = 'float32.*give bool \[8\]"),
+    "backgrounds": (dict(test_backgrounds=np.zeros((2, 3, 4, 4), np.float32)), "env.test_backgrounds = .*give uint8"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_an_environment_that_breaks_the_contract_is_refused(case):
+    members, message = BROKEN[case]
+    with pytest.raises(UserError, match=message):
+        make_train(CONFIG, changed(**members))
+
+
+def test_an_environment_that_keeps_it_is_trained():
+    trace(make_train(CONFIG, changed()))
+
+
+REGISTRIES = {
+    "learner": (learners.registry, CONFIG.learner),
+    "agent": (agents.registry, CONFIG.agent),
+    "relabelling": (relabelling.registry, relabelling.registry["her"].config()),
+    "explorer": (exploration.registry, exploration.registry["sse_db"].config()),
+}
+
+
+def training_with(monkeypatch, kind, change):
+    """Training with a part of the package as one of a user's own, changed."""
+    registry, config = REGISTRIES[kind]
+    entry = registry.entry_of(config)
+
+    def make(*arguments):
+        return change(entry.make(*arguments))
+
+    make.__module__ = "own"
+    own = dataclasses.dataclass(frozen=True)(type("OwnConfig", (entry.config,), {"__module__": __name__}))
+    monkeypatch.setitem(registry, "own", Entry(own, make, entry.hyper, entry.traits))
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    return make_train(dataclasses.replace(CONFIG, **{kind: own(**fields)}), ENV)
+
+
+def replaced(name, change):
+    """A part whose function of this name gives back something else."""
+
+    def of(part):
+        function = getattr(part, name)
+        return part._replace(**{name: lambda *arguments: change(function(*arguments))})
+
+    return of
+
+
+WRONG = [
+    ("learner", lambda part: None, "learner = 'NoneType': its make has to return a Learner"),
+    ("learner", lambda part: part._replace(loss=None, encode=3), "learner.encode = 3"),
+    ("learner", lambda part: part._replace(encode=lambda params: 0), "learner.encode = .*cannot be called with 2"),
+    ("learner", lambda part: part._replace(sample_spec=3), "learner.sample_spec = 'int': give a SampleSpec"),
+    ("learner", lambda part: part._replace(sample_spec=part.sample_spec._replace(window=-1)), "window = -1"),
+    ("learner", replaced("init", lambda found: found[0]), r"learner.init = .*return \(params, state\)"),
+    ("learner", replaced("encode", lambda code: code.mean), r"learner.encode = 'float32.*return a GoalCode"),
+    ("learner", replaced("encode", lambda code: code.replace(mean=code.mean[0])), "the mean of learner.encode: is"),
+    ("learner", replaced("encode", lambda code: code.replace(std=code.std[..., :1])), "the std of learner.encode: is"),
+    ("learner", replaced("loss", lambda found: found[0]), r"learner.loss = .*return \(loss, metrics, state\)"),
+    ("learner", replaced("loss", lambda found: (jnp.zeros(2), *found[1:])), "the loss of learner.loss: is float32"),
+    ("learner", replaced("loss", lambda found: (found[0], [], found[2])), "the metrics of learner.loss = "),
+    ("learner", replaced("loss", lambda found: (found[0], {"a": jnp.ones(2)}, found[2])), r"learner.loss\['a'\] = "),
+    ("learner", replaced("loss", lambda found: (*found[:2], ())), "the state of learner.loss: leaf"),
+    ("learner", replaced("loss", lambda found: 1 / 0), "learner.loss: raised ZeroDivisionError"),
+    ("learner", replaced("intrinsic_reward", lambda found: (found[0][0], found[1])), "the reward of learner.intrinsic"),
+    ("agent", lambda part: part.init, "agent = 'function': its make has to return an Agent"),
+    ("agent", lambda part: part._replace(num_steps=0), "agent.num_steps = 0"),
+    ("agent", replaced("init", lambda found: found[0]), r"agent.init = .*return \(params, state\)"),
+    ("agent", replaced("act", lambda found: found * 1.0), r"agent.act: is float32 \[8\]; give int32 \[8\]"),
+    ("agent", replaced("act", lambda found: found[0]), r"agent.act: is int32 \[\]; give int32 \[8\]"),
+    ("agent", replaced("loss", lambda found: found[0]), r"agent.loss = .*return \(loss, metrics\)"),
+    ("agent", replaced("observe", lambda found: (1,)), "the state of agent.observe: leaf"),
+    ("relabelling", lambda part: 3, "relabelling = 'int': its make has to return a Relabelling"),
+    ("relabelling", lambda part: part._replace(candidates=2), "relabelling.candidates = 2"),
+    ("relabelling", replaced("relabel", lambda found: found * 1.0), "relabelling.relabel: is float32"),
+    ("relabelling", replaced("relabel", lambda found: found[:1]), "relabelling.relabel: is int32"),
+    ("explorer", lambda part: 3, "explorer = 'int': its make has to return an Explorer"),
+    ("explorer", replaced("compute_bonus", lambda found: found[0]), r"compute_bonus = .*return \(bonus, state\)"),
+    ("explorer", replaced("compute_bonus", lambda found: (found[0].T, found[1])), "the bonus of explorer.compute_bon"),
+    ("explorer", replaced("loss", lambda found: found[:2]), r"explorer.loss = .*return \(loss, metrics, state\)"),
+]
+
+
+@pytest.mark.parametrize(("kind", "change", "message"), WRONG, ids=range(len(WRONG)))
+def test_a_part_that_breaks_its_contract_is_refused(monkeypatch, kind, change, message):
+    with pytest.raises(UserError, match=message):
+        trace(training_with(monkeypatch, kind, change))
+
+
+@pytest.mark.parametrize("kind", REGISTRIES)
+def test_a_part_that_keeps_it_is_trained(monkeypatch, kind):
+    trace(training_with(monkeypatch, kind, lambda part: part))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("learner", "relabelled"),
+    [("infobot", "her"), ("cogoal", "cher"), ("gcb", "ghrl"), ("vae", "none"), ("dgrl", "none"), ("rad", "her")],
+)
+def test_the_package_s_parts_keep_the_contract(monkeypatch, learner, relabelled):
+    monkeypatch.setattr(checked_parts, "is_foreign", lambda made_by: True)
+    monkeypatch.setattr(loading, "is_foreign", lambda made_by: True)
+    config = relabelling.registry[relabelled].config()
+    trace(make_train(hand_made.config(learner, updates_per_epoch=1, relabelling=config), ENV))
