@@ -20,6 +20,8 @@ from jax._src import xla_bridge  # No public function says whether JAX has start
 from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.keys import is_key
 
+MOST_ENVS = 2**20
+"""Of environments side by side: more than any device steps."""
 MOST_SEEDS = 2**32
 """Seeds are words of 32 bits."""
 Kind = Literal["whole numbers", "numbers", "flags"]
@@ -74,6 +76,10 @@ def path(value: Any, field: str, remedy: str = "give a path") -> Any:
     """A path, as text or as an object of a path; not an empty one, which would name the folder that one is in."""
     is_path = isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str)
     require(is_path and os.fspath(value) != "" and "\0" not in os.fspath(value), field, value, remedy)
+    try:
+        os.fsencode(value)
+    except UnicodeEncodeError as error:
+        raise UserError(f"{field} = {shown(value)}: has half of a character in it; {remedy}") from error
     return value
 
 

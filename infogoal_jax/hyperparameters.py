@@ -12,6 +12,8 @@ again.
 
 import dataclasses
 import functools
+import math
+import re
 import typing
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
@@ -80,6 +82,44 @@ def numbers_of(record_type: type) -> dict[str, Number]:
     hints = typing.get_type_hints(record_type, include_extras=True)
     declared = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
     return {name: number for name, metadata in declared.items() for number in metadata if isinstance(number, Number)}
+
+
+def check_declared(record_type: type, name: str) -> None:
+    """Raise `UserError` for a record of floats with a field that declares no `Number`, or one whose interval, search or
+    default makes no sense."""
+    declared = numbers_of(record_type)
+    for field in dataclasses.fields(record_type):
+        where = f"{name}.hyper.{field.name}"
+        require(field.name in declared, where, field.type, "declare it as Annotated[float, Number(interval)]")
+        number = declared[field.name]
+        ends = re.fullmatch(r"[(\[]\s*(\S+)\s*,\s*(\S+)\s*[)\]]", str(number.interval))
+        try:
+            low, high = map(float, ends.groups() if ends else ("nan", "nan"))
+        except ValueError:
+            low = high = math.nan
+        require(low < high, where, number.interval, 'give an interval such as "(0, 1]"')
+        require(
+            number.search is None or isinstance(number.search, Search), where, number.search, "give a Search or None"
+        )
+        if number.search is not None:
+            first, last = (checks_number(end, where) for end in number.search[:2])
+            require(first < last, where, (first, last), "give a Search(low, high) with low below high")
+            known = typing.get_args(typing.get_type_hints(Search)["scale"])
+            require(number.search.scale in known, where, number.search.scale, f"give one of {', '.join(known)}")
+        has_default = field.default is not dataclasses.MISSING
+        require(
+            has_default and number.allows(checks_number(field.default, where)),
+            where,
+            field.default,
+            f"give a default in {number.interval}",
+        )
+
+
+def checks_number(value: Any, name: str) -> float:
+    """A finite number. Raises `UserError` for anything else."""
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    require(fits, name, value, "give a finite number")
+    return value
 
 
 def floats(record: Any, prefix: str = "") -> Iterator[tuple[str, Any, Number]]:

@@ -1,10 +1,11 @@
 """What stands in the registries of tasks, learners, agents, relabellings and explorers."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from infogoal_jax.errors import UserError, a, nearest
-from infogoal_jax.hyperparameters import NoHyperparameters
+from infogoal_jax.errors import UserError, a, nearest, shown
+from infogoal_jax.hyperparameters import NoHyperparameters, check_declared
 
 
 class Entry(NamedTuple):
@@ -34,8 +35,11 @@ class Registry(dict):
     def __setitem__(self, name: str, entry: Entry) -> None:
         """Register a part. Raises `UserError` for what is no `Entry`, and for the configuration of another part: which
         part is meant follows from it. Tasks may share one, as a `TrainConfig` names its task."""
+        if not isinstance(name, str) or not name:
+            raise UserError(f"{self.kind} = {name!r}: give a name")
         if not isinstance(entry, Entry):
             raise UserError(f"{self.kind} = {name!r}: give an Entry(Config, make, ...), not {type(entry).__name__}")
+        self.check_entry(name, entry)
         others = [known for known, part in self.items() if part.config is entry.config and known != name]
         if others and self.kind != "task":
             config = entry.config.__name__
@@ -44,6 +48,21 @@ class Registry(dict):
                 f"it: class My{config}({config})"
             )
         super().__setitem__(name, entry)
+
+    def check_entry(self, name: str, entry: Entry) -> None:
+        """Raise `UserError` for an entry with something else in it than declared."""
+        field = f"{self.kind} = {name!r}: Entry"
+        if not (isinstance(entry.config, type) and dataclasses.is_dataclass(entry.config)):
+            raise UserError(f"{field}.config = {shown(entry.config)}: give the class of its configuration, a dataclass")
+        if not callable(getattr(entry.config, "check", None)):
+            raise UserError(f"{field}.config = {entry.config.__name__}: give it a method check(self, config)")
+        if not callable(entry.make):
+            raise UserError(f"{field}.make = {shown(entry.make)}: give a function of the configuration")
+        if not (isinstance(entry.hyper, type) and dataclasses.is_dataclass(entry.hyper)):
+            raise UserError(f"{field}.hyper = {shown(entry.hyper)}: give the class of its floats, a dataclass")
+        check_declared(entry.hyper, field)
+        if entry.traits is not None and not callable(entry.traits):
+            raise UserError(f"{field}.traits = {shown(entry.traits)}: give a function of the configuration, or None")
 
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""

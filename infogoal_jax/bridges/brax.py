@@ -26,11 +26,12 @@ with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
     from brax.io import html, mjcf
     from brax.io import json as brax_json
 
+from infogoal_jax import checks
 from infogoal_jax.envs.fetch import model
 from infogoal_jax.envs.fetch.environment import FetchState, make
 from infogoal_jax.envs.fetch.physics import Physics
 from infogoal_jax.envs.fetch.scene import ARM, GOAL, GOAL_RADIUS
-from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.envs.fetch.vectors import Vector
 from infogoal_jax.errors import require
 
@@ -112,7 +113,11 @@ class FetchBrax(Env):
     """
 
     def __init__(self, task: str, reward: str = "sparse", config: FetchConfig | None = None):
-        require(reward in REWARDS, "reward", reward, f"give one of {', '.join(REWARDS)}")
+        known = isinstance(reward, str) and reward in REWARDS
+        require(known, "reward", reward, f"give one of {', '.join(REWARDS)}")
+        checks.text(task, "task", f"give one of {', '.join(TASKS)}")
+        fits = config is None or isinstance(config, FetchConfig)
+        require(fits, "config", config, "give a FetchConfig, or leave it out")
         self.fetch, self.reward = make(task, FetchConfig() if config is None else config), reward
 
     def reset(self, rng: jax.Array) -> State:

@@ -197,7 +197,7 @@ class FetchVector(VectorEnv):
         timed: bool = True,
     ):
         """reward_type: see `FetchGymnasium`. max_episode_steps: None for the configuration's; -1 for no limit."""
-        num_envs = checks.whole(num_envs, "num_envs", 1)
+        num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
         check_mode(render_mode, self.metadata["render_modes"])
         check_reward_type(reward_type)
         self.env = with_limit(load(task, config), max_episode_steps, timed, FetchConfig().episode_length)

@@ -232,7 +232,7 @@ class TaskVector(VectorEnv):
         timed: bool = True,
     ):
         """max_episode_steps: None for those of the configuration; -1 for no limit."""
-        num_envs = checks.whole(num_envs, "num_envs", 1)
+        num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
         check_mode(render_mode, METADATA["render_modes"])
         self.env = with_limit(load(task, config), max_episode_steps, timed, default_length(task))
         self.num_envs, self.render_mode = num_envs, render_mode

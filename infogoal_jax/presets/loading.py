@@ -69,8 +69,10 @@ def preset_of(task: str) -> Preset:
         task,
         f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
     )
-    check_names(registry[task], task)
-    return registry[task]
+    preset = registry[task]
+    require(isinstance(preset, Preset), f"preset of {task}", preset, "register a presets.Preset")
+    check_names(preset, task)
+    return preset
 
 
 def check_names(preset: Preset, task: str) -> None:
@@ -115,10 +117,10 @@ def load(
         known = dataclasses.asdict(load(task, method, learner=learner, agent=agent))
         raise UserError(f"{name} = {shown(changes[name])}: no such field of TrainConfig.{whereabouts(name, known)}")
     asked = {
-        "learner": learner or named.learner,
-        "agent": agent or preset.agent,
-        "relabelling": relabelling or named.relabelling or preset.relabelling,
-        "explorer": explorer or named.explorer,
+        "learner": named.learner if learner is None else learner,
+        "agent": preset.agent if agent is None else agent,
+        "relabelling": (named.relabelling or preset.relabelling) if relabelling is None else relabelling,
+        "explorer": named.explorer if explorer is None else explorer,
     }
     names = {
         kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from infogoal_jax import presets
+from infogoal_jax import checks, presets
 from infogoal_jax.errors import nearest, require
 from infogoal_jax.loading import load_environment
 from infogoal_jax.report.canvas import (
@@ -72,6 +72,14 @@ def draw_comparison(
     Raises `UserError` for runs of different tasks, a folder without a run or without numbers, a metric that no run has,
     or a disk that refuses.
     """
+    remedy = "give a list of folders of runs"
+    require(isinstance(folders, list | tuple), "runs", folders, remedy)
+    for folder in folders:
+        checks.path(folder, "runs", remedy)
+    named = isinstance(metrics, list | tuple) and all(isinstance(metric, str) for metric in metrics)
+    require(named, "metrics", metrics, "give a tuple of names of columns")
+    captions = checks.flag(captions, "captions")
+    path = Path(checks.path(path, "path", "give the file to draw to"))
     check_format(path)
     given = tuple(map(str, folders))
     require(0 < len(given) <= len(COLOURS), "runs", given, f"give 1 to {len(COLOURS)} folders of runs")

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 
-from infogoal_jax import learners
+from infogoal_jax import checks, learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
@@ -53,7 +53,10 @@ def draw_figures(
     a figure goes into a text beside it; style: a style sheet of matplotlib, applied after the package's.
     Raises `UserError` for a folder without a run, a damaged file, or a disk that refuses.
     """
-    require(format in FORMATS, "format", format, f"give one of {', '.join(FORMATS)}")
+    checks.path(folder, "run", "give the folder of a run")
+    known = isinstance(format, str) and format in FORMATS
+    require(known, "format", format, f"give one of {', '.join(FORMATS)}")
+    captions = checks.flag(captions, "captions")
     with figure_style(style):
         subject = read_subject(folder, env)
         return draw_all(subject, subject.run.folder, format, captions)

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from scipy import stats
 
+from infogoal_jax import checks
 from infogoal_jax.errors import require
 
 CONFIDENCE = 0.95
@@ -44,10 +45,16 @@ class Interval:
         return f"{self.mean:.{decimals}f}{interval}"
 
 
+def seeds_first(values, field: str) -> np.ndarray:
+    """Numbers [seeds, ...] as float64; those of seeds that diverged may be NaN."""
+    remedy = "give numbers [seeds, ...]"
+    return np.asarray(checks.array(values, field, "numbers", ("seeds", ...), remedy, finite=False), float)
+
+
 def mean_interval(values) -> Interval:
     """Mean and 95 % confidence interval (Student's t) over the first axis, the seeds: values [seeds, ...] to an
-    interval of arrays [...]."""
-    values = np.asarray(values, float)
+    interval of arrays [...]. Raises `UserError` for what are no numbers of seeds."""
+    values = seeds_first(values, "values")
     count = len(values)
     if count == 0:
         nothing = np.full(values.shape[1:], np.nan)
@@ -64,14 +71,14 @@ def paired_difference(first, second) -> Interval:
 
     Seeds share the starts of evaluation and much of their luck, so that the difference is known better than either
     mean.
-    Raises `UserError` if the numbers of seeds differ.
+    Raises `UserError` if the shapes differ.
     """
-    first, second = np.asarray(first, float), np.asarray(second, float)
+    first, second = seeds_first(first, "first"), seeds_first(second, "second")
     require(
-        len(first) == len(second),
-        "seeds",
-        (len(first), len(second)),
-        "a paired difference needs the same seeds of both methods",
+        first.shape == second.shape,
+        "first, second",
+        (first.shape, second.shape),
+        "a paired difference needs the same seeds of both methods, [seeds, ...] of one shape",
     )
     return mean_interval(first - second)
 

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from PIL import Image
 
-from infogoal_jax import files
+from infogoal_jax import checks, files
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
@@ -58,6 +58,10 @@ def open_writer(path: Path, fps: float, size: tuple[int, int]) -> Any:
     return writer
 
 
+LARGEST_RATE = 1000
+"""Frames a second, of any video."""
+
+
 def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25) -> None:
     """Write frames, uint8 [H, W, 3] (RGB) all of one size, as an mp4 or a GIF. It is written beside its place and
     renamed: the file is whole or not there.
@@ -66,7 +70,10 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
     another, no frames are given, or the disk refuses.
     """
     path = check_path(path)
+    fps = checks.number(fps, "fps", 0, LARGEST_RATE)
     require(fps > 0, "fps", fps, "give a number greater than 0")
+    several = isinstance(frames, Iterable) and getattr(frames, "ndim", 1) > 0
+    require(several, "frames", frames, "give frames, uint8 [H, W, 3]")
     beside = files.beside(path, path.suffix)
     writer, count = None, 0
     with temporary(beside):
@@ -92,7 +99,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25)
 def check_path(path: str | Path, field: str = "path") -> Path:
     """The path. Raises `UserError`, naming the field, if its ending is not that of a video, or its folder is not
     there."""
-    path = Path(path)
+    path = Path(checks.path(path, field))
     require(path.suffix in ENDINGS, field, str(path), f"give a file that ends in {' or '.join(ENDINGS)}")
     require(path.parent.is_dir(), field, str(path), "its folder is not there; make it first, or give another")
     check_out(path, field)
@@ -104,7 +111,7 @@ def of_one_size(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     first."""
     shape = None
     for number, frame in enumerate(frames):
-        frame = np.asarray(frame)
+        frame = np.asarray(checks.array(frame, f"frames[{number}]", "numbers", remedy="give uint8 [H, W, 3]"))
         require(
             frame.dtype == np.uint8
             and frame.ndim == 3

@@ -15,6 +15,9 @@ from typing import Any, NamedTuple
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
 
+from infogoal_jax import checks
+from infogoal_jax.errors import require
+
 OPTIONS: dict[str, dict[str, int | bool]] = {
     "cpu": {"xla_backend_optimization_level": 1},
     "gpu": {"xla_gpu_triton_gemm_any": False},
@@ -61,7 +64,9 @@ def is_known(option: str, value: int | bool) -> bool:
 
 
 def jit(function: Callable, **options: Any) -> Callable:
-    """`jax.jit` with the `compiler_options` of the devices in use; other options are those of `jax.jit`."""
+    """`jax.jit` with the `compiler_options` of the devices in use; other options are those of `jax.jit`. Raises
+    `UserError` for what is no function."""
+    require(callable(function), "function", function, "give a function of arrays")
     return jax.jit(function, compiler_options=compiler_options(), **options)
 
 
@@ -138,7 +143,9 @@ def use_compilation_cache(folder: str | Path | None = None) -> Path | None:
     folder: None for $XDG_CACHE_HOME/infogoal/jax, or ~/.cache/infogoal/jax. The command line calls this; an import
     never does. Returns the folder, or None where it cannot be written to, which costs the cache and nothing else.
     """
-    folder = Path(folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal" / "jax")
+    if folder is None:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "infogoal" / "jax"
+    folder = Path(checks.path(folder, "folder", "give a folder, or None for the user's own cache"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -16,6 +16,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require, typed
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
+from infogoal_jax.runner.arguments import check_run
 from infogoal_jax.runner.sweep import WATCHED, Callback, Member, Programs, Sweep, side_by_side, train_sweep
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.checkpoint import BEGINNING, Point, last_point
@@ -129,6 +130,7 @@ def run(
     damaged checkpoint, or one of another configuration. Raises `Stopped` if a signal asked for it before the first
     checkpoint.
     """
+    check_run(config, folder, resume, listeners, env, compiling)
     folder, seeds = Path(folder), checked_seeds(seeds)
     writes = distributed.is_writer()
     if writes and not resume:

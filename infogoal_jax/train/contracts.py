@@ -24,7 +24,7 @@ def checked_policy(env: Environment, policy: Any) -> Callable:
     checks.function(policy, "policy", 3, "give a function of (observations, goals, key)")
 
     def checked(observation, goal, key):
-        actions = policy(observation, goal, key)
+        actions = checks.called("policy", policy, observation, goal, key)
         check_actions(env, actions, jax.tree.leaves(observation)[0].shape[0])
         return actions
 

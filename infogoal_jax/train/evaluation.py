@@ -86,7 +86,9 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
         check_starts(env, starts, desired)
         states = starts
     else:
-        count = checks.whole(starts, "starts", 1, remedy="give a whole number from 1 on, or start states [M, S]")
+        count = checks.whole(
+            starts, "starts", 1, checks.MOST_ENVS, "give a whole number from 1 on, or start states [M, S]"
+        )
         states = draw_starts(env, desired, count, seed)
     if is_view:
         check_shown(goals.shown, *states.goal.shape, "goals")
