@@ -1,15 +1,17 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
 import os
+import shutil
 import signal
 import sys
+import textwrap
 from importlib.metadata import entry_points
 
 import tyro
 
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
-from infogoal_jax.cli.commands import Group, check_names, first_word, help_of, mistake_of, type_of
+from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
@@ -22,24 +24,22 @@ HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin w
 `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
 
 
-COMMANDS = Group(
-    HELP,
-    {
+GROUPS = {
+    "to begin with": {
         "train": train,
         "evaluate": evaluate,
         "report": report,
         "compare": compare,
         "video": video,
         "export": export,
-        "pack": pack,
-        "methods": methods,
-        "tune": tune,
-        "final": final,
-        "pretrain": pretrain,
-        "data": DATA,
-        "check-fetch": check_fetch,
     },
-)
+    "to choose a method and its settings": {"methods": methods, "tune": tune, "final": final},
+    "data, files, low levels": {"data": DATA, "pack": pack, "pretrain": pretrain, "check-fetch": check_fetch},
+}
+"""The library's commands, as the help shows them."""
+ADDED = "beside the library"
+"""The help's title of commands that other packages bring."""
+COMMANDS = Group(HELP, {name: command for group in GROUPS.values() for name, command in group.items()})
 CHECKS = {"final": tuning.check_final}
 """What is looked at in all words of a command before it is taken apart."""
 BY_TASK = {"train": training.tasks, "tune": tuning.tasks, "pretrain": training.pretraining_tasks}
@@ -56,6 +56,19 @@ def commands(first: str = "") -> Group:
     return Group(HELP, COMMANDS.commands | added)
 
 
+def overview(known: dict[str, Command | Group], width: int) -> str:
+    """The help of `infogoal` itself: what each of these commands does, by groups, in lines of this many letters."""
+    lines = ["usage: infogoal COMMAND ...", "", *textwrap.wrap(" ".join(HELP.split()), width)]
+    column = max(map(len, known)) + 4
+    for title, names in (GROUPS | {ADDED: known.keys() - COMMANDS.commands.keys()}).items():
+        lines += ["", f"{title}:"] if names else []
+        for name in sorted(names, key=list(known).index):
+            said = (help_of(known[name]) or known[name].__doc__ or "").split("\n\n")[0]
+            first, *rest = textwrap.wrap(" ".join(said.split()), max(width - column, 20))
+            lines += [f"  {name:<{column - 2}}{first}", *(" " * column + line for line in rest)]
+    return "\n".join(lines)
+
+
 def run(arguments: list[str]) -> int:
     """Run a command. Returns its exit status. Raises `UserError` for a mistake, and `SystemExit` after a help and for
     an unknown flag."""
@@ -65,6 +78,9 @@ def run(arguments: list[str]) -> int:
     arguments, registry = arguments or ["--help"], None
     command = commands(arguments[0])
     check_names(command, arguments)
+    if arguments[0] in ("-h", "--help"):
+        print(overview(command.commands, min(shutil.get_terminal_size().columns, 100)))
+        raise SystemExit(0)
     words = ["infogoal"]
     if arguments[0] in CHECKS:
         CHECKS[arguments[0]](arguments)

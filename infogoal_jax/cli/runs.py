@@ -70,6 +70,7 @@ def compare(
     metrics: tuple[str, ...] = (),
     captions: FlagCreatePairsOff[bool] = False,
     style: str = "",
+    labels: tuple[str, ...] = (),
 ) -> int:
     """Draw several runs of one task in one figure: their success, or any metrics.
 
@@ -80,11 +81,12 @@ def compare(
             success while training, and by episode length.
         captions: Write what stands above and below the figure into a text beside it, for a paper's caption.
         style: Style sheet of matplotlib that is applied after the package's own.
+        labels: What the legend calls each run, in their order; empty: its method, and its folder where two are alike.
     """
     from infogoal_jax.report.comparison_figures import draw_comparison
 
     folders = [Path(run) for run in runs]
-    print(f"figure      {draw_comparison(folders, Path(out), None, metrics, captions, style)}")
+    print(f"figure      {draw_comparison(folders, Path(out), None, metrics, captions, style, labels)}")
     return 0
 
 

@@ -49,12 +49,14 @@ LOW_LEVEL = "; low level, content "
 
 
 class Compared(NamedTuple):
-    """A run, its tables without the seeds that diverged, and those seeds with the epoch."""
+    """A run, its tables without the seeds that diverged, and those seeds with the epoch. label: what the legend calls
+    it; empty: by `titles_of`."""
 
     run: Run
     evaluations: RunTable
     epochs: RunTable
     diverged: dict[int, int]
+    label: str = ""
 
 
 def draw_comparison(
@@ -64,13 +66,15 @@ def draw_comparison(
     metrics: tuple[str, ...] = (),
     captions: bool = False,
     style: str = "",
+    labels: tuple[str, ...] = (),
 ) -> Path:
     """Draw the runs in these folders as one figure; its path, whose ending names the format.
 
     env: the environment of the task if it is loaded already; metrics: names of the tables' columns, a panel each; none:
-    success while training and by length; captions and style: see `figures.draw_figures`.
-    Raises `UserError` for runs of different tasks, a folder without a run or without numbers, a metric that no run has,
-    or a disk that refuses.
+    success while training and by length; captions and style: see `figures.draw_figures`; labels: what the legend calls
+    each run; none: `titles_of` them.
+    Raises `UserError` for runs of different tasks, labels that are not one for each run and each of its own, a folder
+    without a run or without numbers, a metric that no run has, or a disk that refuses.
     """
     remedy = "give a list of folders of runs"
     require(isinstance(folders, list | tuple), "runs", folders, remedy)
@@ -83,7 +87,10 @@ def draw_comparison(
     check_format(path)
     given = tuple(map(str, folders))
     require(0 < len(given) <= len(COLOURS), "runs", given, f"give 1 to {len(COLOURS)} folders of runs")
-    compared = [read_compared(folder) for folder in folders]
+    require(len(labels) in (0, len(given)), "labels", labels, f"give {len(given)}, one for each run")
+    require(len(set(labels)) == len(labels), "labels", labels, "give each run a label of its own")
+    names = labels or ("",) * len(given)
+    compared = [read_compared(folder)._replace(label=label) for folder, label in zip(folders, names, strict=True)]
     check_same_task([each.run for each in compared])
     for metric in metrics:
         check_metric(metric, compared)
@@ -157,6 +164,12 @@ def titles_of(runs: list[Run]) -> list[str]:
     return titles
 
 
+def legend_titles(compared: list[Compared]) -> list[str]:
+    """What the legend calls each run: its label, or the title that the run has among the others."""
+    titles = titles_of([each.run for each in compared])
+    return [each.label or title for each, title in zip(compared, titles, strict=True)]
+
+
 def shortest_end(place: tuple[str, ...], others: list[tuple[str, ...]]) -> str:
     """As few of the last parts of a path as no other path ends in."""
     ends = (place[-count:] for count in range(1, len(place)))
@@ -183,7 +196,7 @@ def entry_of(title: str, table: RunTable) -> str:
 
 def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], env) -> Figure:
     """These metrics against progress of training, a panel each with a curve for every run that has it."""
-    titles = titles_of([each.run for each in compared])
+    titles = legend_titles(compared)
     without = [
         f"{title} has no {metric}"
         for metric in metrics
@@ -221,7 +234,7 @@ def metrics_while_training(compared: list[Compared], metrics: tuple[str, ...], e
 def comparison(compared: list[Compared], env) -> Figure:
     """Success against progress of training, beside success within so many steps at the last evaluation; training goals
     above test goals."""
-    runs, titles = [each.run for each in compared], titles_of([each.run for each in compared])
+    runs, titles = [each.run for each in compared], legend_titles(compared)
     groups = [group for group in env.goals.groups if group != "validation"]
     heading = f"{runs[0].config.task.replace('_', ' ')}: success while training, and by length at the last evaluation"
     figure = empty_figure(heading, small_print(compared, titles), (11, 1.4 + 3.2 * len(groups)))

@@ -5,6 +5,7 @@ import dataclasses
 import errno
 import os
 import pty
+import re
 import shlex
 import signal
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 import infogoal_jax
 from infogoal_jax import agents, envs, presets, stopping
 from infogoal_jax.cli.commands import mistake_of, new_folder
-from infogoal_jax.cli.main import main
+from infogoal_jax.cli.main import commands, main
 from infogoal_jax.hyperparameters import floats
 from infogoal_jax.presets import load
 from infogoal_jax.stopping import Stopped, stop_on_signal
@@ -102,10 +103,21 @@ def test_a_task_that_is_registered_later_is_a_subcommand(monkeypatch, help_of):
     assert "A task of my own." in help_of("train mine --help")
 
 
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_the_first_help_has_every_command_by_groups(help_of, monkeypatch, width):
+    """Those to begin with first, what other packages bring last; within the width of the terminal."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    lines = help_of("--help").splitlines()
+    named = [line.split()[0] for line in lines if re.match(r"  \w", line)]
+    assert named[:6] == ["train", "evaluate", "report", "compare", "video", "export"]
+    assert sorted(named) == sorted(commands().commands) and named[-1] == "reproduce"
+    assert max(map(len, lines)) <= width
+
+
 def test_help_and_the_version_come_without_jax():
     code = """
 import sys
-from infogoal_jax.cli.main import main
+from infogoal_jax.cli.main import commands, main
 assert main(["--version"]) == 0
 for words in ("", "--help", "train --help", "tune -h", "data --help", "evaluate --help", "methods --help"):
     try:

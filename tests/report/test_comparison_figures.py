@@ -242,6 +242,18 @@ def test_what_cannot_be_compared_is_refused(folders, env, tmp_path):
     assert not (tmp_path / "a.png").exists()
 
 
+def test_labels_name_the_runs_in_the_legend(folders, env, tmp_path):
+    """One for each run, each of its own; on the command line too."""
+    labelled = [read_compared(folder)._replace(label=label) for folder, label in zip(folders, "ab", strict=True)]
+    assert list(curves(comparison(labelled, env), 0)) == ["a, 3 seeds", "b, 2 seeds"]
+    assert list(curves(metrics_while_training(labelled, ("agent/loss",), env), 0)) == ["a, 3 seeds", "b, 2 seeds"]
+    assert draw_comparison(folders, tmp_path / "labelled.png", env, labels=("ours", "theirs")).exists()
+    with pytest.raises(UserError, match="labels = .*give 2, one for each run"):
+        draw_comparison(folders, tmp_path / "c.png", env, labels=("ours",))
+    with pytest.raises(UserError, match="labels = .*a label of its own"):
+        draw_comparison(folders, tmp_path / "c.png", env, labels=("ours", "ours"))
+
+
 def test_command(folders, tmp_path, capsys):
     """Mistakes are named without a traceback, and nothing is written."""
     assert main(["compare", str(folders[0]), str(tmp_path / "none"), "--out", str(tmp_path / "a.png")]) == 2
