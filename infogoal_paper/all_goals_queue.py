@@ -6,6 +6,7 @@ from infogoal_paper.trial_queue import (
     CORRUPTED,
     CUBE,
     CUBE_TASK,
+    DATASETS,
     HOUSE,
     HOUSE_TASK,
     NORMALISED,
@@ -93,6 +94,10 @@ def all_goals_trials(
         for short, method in LEARNING.items()
     }
 
+
+CARRIES = dict.fromkeys(DATASETS[CUBE_TASK], 7) | {"known_goals": "held_out"}
+"""A cube that no choice has seen, where test and validation goals never enter training."""
+NO_BETA = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}
 
 QUEUE = {
     # Learning from every transition under all goals at once: LEO, and the head that values a goal through its code.
@@ -208,6 +213,22 @@ QUEUE = {
             seeds=5,
         )
         for dataset in (0, 1, 2)
+    },
+    # What of InfoGoal carries its gain over the plain head on the held-out cube: compression, the intrinsic reward, or
+    # any contrastive or generative code?
+    **{
+        f"cube_carries_{short}": Trial(CUBE_TASK, method, CARRIES, lanes, seeds=5, agent="dqn")
+        for short, method, lanes in (
+            ("infogoal", "infogoal+all_goals", {"preset": {}, "beta 0": NO_BETA}),
+            (
+                "infogoal_no_reward",
+                "infogoal+all_goals",
+                {"no reward": {"intrinsic_weight": 0.0}, "beta 0, no reward": NO_BETA | {"intrinsic_weight": 0.0}},
+            ),
+            ("cogoal", "cogoal+all_goals", weighted("", {}, 1.0, 0.1)),
+            ("vae", "vae+all_goals", weighted("", {}, 1.0, 0.1)),
+            ("head", "all_goals", PRESET),
+        )
     },
 }
 """What is run, in order. Settings are looked for on dataset 100 of the cube and the shelf, in house 100: results are

@@ -49,7 +49,13 @@ TABLES = {
     "shelf": (("embodied_qa",), None),
 }
 """Tables of docs/research/trials.md: tasks, and the unit of the code's error with its decimals."""
-ALL_GOALS_TABLES = {"house_goals": None, "cube_dqn": ("degrees", 1), "cube_hrac": ("degrees", 1), "shelf_goals": None}
+ALL_GOALS_TABLES = {
+    "house_goals": None,
+    "cube_dqn": ("degrees", 1),
+    "cube_hrac": ("degrees", 1),
+    "cube_carries": ("degrees", 1),
+    "shelf_goals": None,
+}
 """Tables of docs/research/all_goals.md: how the names of their trials begin, and the unit of the code's error."""
 OF_NORMALISED = ("cube_dqn", "shelf_goals")
 """Of these, tables that show trials with normalised layers alone, as the presets have: without them units die, and
