@@ -9,6 +9,7 @@ them is replaced by what the numbers of the source give. Sources:
               docs/research/all_goals.md have all that is made of them, with intervals
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     trials    the trials of trials.py, in trials/numbers.csv.gz
+    noise     the study of noise at test, noise.py, in noise.csv.gz
     all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
@@ -16,7 +17,7 @@ them is replaced by what the numbers of the source give. Sources:
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures
-draws docs/results/learning.png, the picture of the README, sb3_her/learning.png and all_goals.png, too.
+draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png and all_goals.png, too.
 """
 
 import argparse
@@ -35,7 +36,7 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
-from infogoal_paper import all_goals, numbers, scores, trial_numbers, trials, tuning
+from infogoal_paper import all_goals, noise_numbers, numbers, scores, trial_numbers, trials, tuning
 from infogoal_paper.manifest import PROTOCOLS
 from infogoal_paper.table_formats import markdown_lines
 
@@ -263,6 +264,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS)),
+    "noise": lambda: noise_numbers.tables(noise_numbers.read()),
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),
@@ -322,8 +324,10 @@ def main():
         with figure_style():
             save(learning_figure(numbers.load(RESULTS)), picture := RESULTS / "learning.png")
             draw_sb3(sb3_curves(), SB3_HER / "learning.png")
+            save(noise_numbers.figure(noise_numbers.read()), RESULTS / "noise.png")
         all_goals.draw_figure(numbers.load(RESULTS), RESULTS / "all_goals.png")
-        Image.open(picture).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(picture, optimize=True)
+        for path in (picture, RESULTS / "noise.png"):
+            Image.open(path).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ what is kept on disk and when a sweep ends, is a `Callback`; what the program is
 """
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -247,6 +248,21 @@ def stacked(envs: Sequence[Any]) -> tuple[list[jax.Array], list[int | None]]:
     return leaves, axes
 
 
+def over_environments(whole: Any, axes: list[int | None], function: Callable, member_axes: tuple) -> Callable:
+    """The function (*member, env) for all members of all environments: (*members, leaves).
+
+    whole: the structure of an environment; axes: of the environments in each of its leaves, as `stacked` gives them;
+    member_axes: of the members of an environment in each argument before it; None for one that all share.
+    """
+
+    def of_one(*arguments):
+        *member, own = arguments
+        env = jax.tree.unflatten(whole, own)
+        return jax.vmap(lambda *each: function(*each, env), in_axes=member_axes)(*member)
+
+    return jax.vmap(of_one, in_axes=(*(None if axis is None else 0 for axis in member_axes), axes))
+
+
 def in_several(train: Train, envs: Sequence[Any], seeds: Sequence[int], hyper: Hyperparameters) -> Programs:
     """The programs of the same members in each of several environments of one shape, [environments, members].
 
@@ -256,18 +272,7 @@ def in_several(train: Train, envs: Sequence[Any], seeds: Sequence[int], hyper: H
         hyper: of each member, [environments, members].
     """
     leaves, axes = stacked(envs)
-    whole, config = jax.tree.structure(envs[0]), train.config
-
-    def over(function: Callable, member_axes: tuple) -> Callable:
-        """The function (*member, env) for all members of all environments: (*members, leaves)."""
-
-        def of_one(*arguments):
-            *member, own = arguments
-            env = jax.tree.unflatten(whole, own)
-            return jax.vmap(lambda *each: function(*each, env), in_axes=member_axes)(*member)
-
-        return jax.vmap(of_one, in_axes=(*(None if axis is None else 0 for axis in member_axes), axes))
-
+    over, config = functools.partial(over_environments, jax.tree.structure(envs[0]), axes), train.config
     shape = len(envs), len(seeds)
     numbered = jnp.broadcast_to(jnp.asarray(list(seeds), jnp.uint32), shape)
     initial = jit(over(lambda seed, own, env: train.initial(jax.random.key(seed), own, env), (0, 0)))

@@ -1,0 +1,212 @@
+"""Equal noise at test: success of every method against the probability of a random action, on sampled codes and on
+their means.
+
+    python -m infogoal_paper.noise --out FOLDER [--tasks ...] [--methods ...] [--minutes M]
+    python -m infogoal_paper.noise --merge FOLDER
+
+A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
+on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
+and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows.
+--merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the same tasks and
+methods; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says what came of it.
+"""
+
+import argparse
+import contextlib
+import csv
+import dataclasses
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import use_compilation_cache
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import UserError
+from infogoal_jax.hyperparameters import with_values
+from infogoal_jax.loading import load_environment
+from infogoal_jax.report.statistics import describe_machine
+from infogoal_jax.runner.compilation import jit
+from infogoal_jax.runner.sweep import Callback, Sweep, over_environments, stacked, train_sweep
+from infogoal_jax.runs.folder import BeingWrittenError, locked
+from infogoal_jax.stopping import StopRequest, stop_on_signal
+from infogoal_paper import batches, noise_numbers, tuning
+from infogoal_paper.manifest import PRESET, Lane, Run
+from infogoal_paper.noise_numbers import EPSILONS, METHODS, NUMBERS, SEEDS, TASKS
+from infogoal_paper.plan import config_of
+
+CHUNKS = 4
+"""Evaluations while training: none of them is kept."""
+GROUPS = ("train", "validation", "test")
+
+
+def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
+    """A method of `METHODS` on a data set, with its seeds."""
+    method, _, relabelling = method.partition("+")
+    seeds = tuple(range(2 if toy else SEEDS))
+    return Run(task, method, relabelling or None, None, data_set, Lane(*PRESET), seeds, toy)
+
+
+def to_its_end(config: TrainConfig, run: Run) -> TrainConfig:
+    """The configuration of a run, trained as long as its preset says."""
+    if run.toy:
+        return config
+    epochs = run.preset().num_epochs
+    return dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs // CHUNKS)
+
+
+def batches_on(runs: list[Run], folder: Path) -> list[batches.Batch]:
+    """The batches of a method on data sets of a task. The house of the tuning has a batch of its own, as its goals are
+    split differently; it is built in FOLDER unless it is there."""
+    others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
+    found = batches.batches_of(others, None, most_lanes=64) if others else []
+    for run in set(runs) - set(others):
+        _, dataset, _, split = tuning.tuning_house(folder)
+        config = with_values(
+            config_of(dataclasses.replace(run, goal_set=0)), {"env.dataset": dataset, "env.split": split}
+        )
+        lanes = tuple((run.lane, seed) for seed in run.seeds)
+        found.append(batches.Batch(config, (load_environment(config),), lanes, {(0, run.lane): run}))
+    return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0])) for batch in found]
+
+
+class Watch(Callback):
+    """Keeps what the learner said of every epoch, and stops in time."""
+
+    def __init__(self, name: str, learner: str, deadline: float):
+        self.name, self.learner, self.deadline = name, learner, deadline
+        self.learned: dict[str, list[np.ndarray]] = {}
+        self.ended = True
+
+    def compiled(self, sweep: Sweep) -> None:
+        """Say how long it took."""
+        print(f"{self.name}: compiled in {sweep.prepare_seconds:.0f} s", flush=True)
+
+    def has_time(self, sweep: Sweep) -> bool:
+        """Whether the clock allows another chunk."""
+        return time.time() + 1.2 * sweep.last_seconds <= self.deadline
+
+    def stopped(self, sweep: Sweep) -> None:
+        """Not trained to its end."""
+        self.ended = False
+
+    def evaluated(self, sweep: Sweep) -> None:
+        """Keep beta, accuracy and KL of each epoch, [sets, members, E]."""
+        for metric in batches.LEARNED:
+            if (name := f"{self.learner}/{metric}") in sweep.learned:
+                self.learned.setdefault(metric, []).append(np.asarray(sweep.learned[name]))
+        print(f"{self.name}: chunk {sweep.evaluations} in {sweep.last_seconds:.0f} s", flush=True)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What tells whether a seed's code collapsed, by column, [*members]; nothing for learners that do not steer
+        beta by their accuracy."""
+        if not self.learned.keys() >= set(batches.LEARNED):
+            return {}
+        beta, accuracy, kl = (np.concatenate(self.learned[metric], -1) for metric in batches.LEARNED)
+        half = kl.shape[-1] // 2
+        return {"accuracy": accuracy.max(-1), "beta": beta[..., -1], "kl_half": kl[..., half], "kl": kl[..., -1]}
+
+
+def evaluations(training: batches.Training) -> Iterator[tuple[float, dict[str, np.ndarray]]]:
+    """Each epsilon with the metrics of the last parameters at it, [sets, members]."""
+    train, envs = training.train, training.batch.envs
+
+    def evaluated(params, hyper, epsilon, env):
+        return train.evaluate(params, hyper.replace(test_epsilon=epsilon), env, train.config.evaluation_starts)
+
+    leaves, axes = stacked(envs)
+    over = jit(over_environments(jax.tree.structure(envs[0]), axes, evaluated, (0, 0, None)))
+    params, hyper = training.states.params, training.hyper
+    if len(envs) == 1:  # `over` has an axis of data sets.
+        params, hyper = jax.tree.map(lambda leaf: leaf[None], (params, hyper))
+        leaves = [leaf if axis is None else leaf[None] for leaf, axis in zip(leaves, axes, strict=True)]
+    for epsilon in EPSILONS:
+        metrics = over(params, hyper, jnp.float32(epsilon), leaves)
+        yield epsilon, {name: value for name, value in jax.device_get(metrics).items() if name.endswith("success_rate")}
+
+
+def rows_of(training: batches.Training, watch: Watch) -> Iterator[dict[str, str]]:
+    """The rows of all data sets, seeds, epsilons and codes of a batch that is trained."""
+    machine, config = describe_machine(), training.batch.config
+    learned = {name: value.reshape(-1, value.shape[-1]) for name, value in watch.columns().items()}
+    for epsilon, metrics in evaluations(training):
+        for (place, _), run in training.batch.runs.items():
+            for member, seed in enumerate(run.seeds):
+                for code, suffix in (("sampled", ""), ("mean", "_mean_code")):
+                    row = {
+                        "task": run.task,
+                        "method": run.label,
+                        "data_set": run.goal_set,
+                        "seed": seed,
+                        "epsilon": epsilon,
+                        "code": code,
+                    }
+                    for prefix in ("", "corrupted_"):
+                        for group in GROUPS:
+                            value = metrics.get(f"{prefix}{group}_goal{suffix}/success_rate")
+                            row[f"{prefix}{group}"] = "" if value is None else f"{value[place, member]:.4g}"
+                    row["updates"] = config.num_epochs * config.updates_per_epoch
+                    own = {name: f"{learned[name][place, member]:.4g}" for name in learned}
+                    row["threshold"] = f"{config.hyper.learner.beta_threshold:g}" if own else ""
+                    row |= {name: own.get(name, "") for name in noise_numbers.LEARNED}
+                    yield row | {"machine": machine}
+
+
+def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, sets: tuple[int, ...], toy: bool):
+    """Train and evaluate a method on data sets of a task, and write its file."""
+    runs, rows = [run_of(task, method, number, toy) for number in sets], []
+    for batch in batches_on(runs, path.parent):
+        training = batches.begin(batch)
+        watch = Watch(f"{task} {method}", training.train.parts.name, deadline)
+        train_sweep(training.sweep, watch, stop)
+        if not watch.ended:
+            print(f"{watch.name}: no time was left", flush=True)
+            return
+        rows += rows_of(training, watch)
+    partial = path.with_suffix(".partial")
+    with open(partial, "w", newline="") as file:
+        table = csv.DictWriter(file, rows[0])
+        table.writeheader()
+        table.writerows(rows)
+    partial.rename(path)
+    print(f"{task} {method}: written", flush=True)
+
+
+def main():
+    """Run what is not there yet, or merge it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--tasks", nargs="*", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--methods", nargs="*", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--data-sets", nargs="*", type=int, help="numbers; left out: those of the study")
+    parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
+    parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
+    parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the rows of this folder into the numbers")
+    arguments = parser.parse_args()
+    if arguments.merge is not None:
+        print(f"{NUMBERS.name}: {', '.join(noise_numbers.merge(arguments.merge))}")
+        return
+    if arguments.out is None:
+        parser.error("give --out FOLDER or --merge FOLDER")
+    use_compilation_cache()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    deadline = time.time() + 60 * arguments.minutes
+    with stop_on_signal() as stop:
+        for task in arguments.tasks:
+            for method in arguments.methods:
+                path = arguments.out / f"{task}_{method}.csv"
+                sets = tuple(arguments.data_sets or TASKS[task])
+                with contextlib.suppress(BeingWrittenError), locked(path.with_suffix(".lock"), arguments.out):
+                    if path.exists() or time.time() >= deadline or stop.requested:
+                        continue
+                    try:
+                        run(task, method, path, deadline, stop, sets, arguments.toy)
+                    except UserError as error:  # A part's own check refuses the task; the others go on.
+                        print(f"{task} {method}: {error}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

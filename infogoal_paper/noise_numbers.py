@@ -1,0 +1,256 @@
+"""What is kept of the study of noise at test (noise.py), docs/results/noise.csv.gz, one row for every method, data set,
+seed, epsilon and code; and the tables and the figure of docs/research/noise_at_test.md.
+
+    task, method, data_set, seed     what was trained; data_set: number of the goal set
+    epsilon, code                    probability of a random action at test; codes `sampled` a step, or their `mean`
+    train, validation, test          success on these goals, and `corrupted_...` of each; empty where a task has none
+    updates                          of each seed
+    threshold, accuracy, beta,       of InfoGoal: the threshold; the highest accuracy of an epoch; beta at the end; the
+    kl_half, kl                      KL in nats half way and at the end
+    machine                          device, versions and date
+
+Two rules make noise equal. *The same for all*: every method at one epsilon. *Each at its own best*: every method at the
+epsilon of `EPSILONS` at which it reaches the most validation goals, the smallest of equal ones; test goals have no say.
+"""
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from infogoal_jax.report import canvas
+from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
+from infogoal_paper import trial_numbers, tuning
+from infogoal_paper.paper import IMAGE_TASKS
+from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.trial_numbers import Row
+
+EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
+"""Probabilities of a random action at test."""
+SEEDS = 5
+TASKS = {
+    "object_search": (7, 8, 9, tuning.SEED),
+    "fetch_reach": (0,),
+    "embodied_qa": (7, 8, 9),
+    "fetch_pick_and_place": (0,),
+    "object_manipulation": (7, 8, 9),
+}
+"""The tasks, with their data sets: ones that no choice has seen, but for Fetch, which has the shipped goals. Houses
+have no validation goals, but the one of the tuning, which is not shown: it stands in for theirs."""
+METHODS = {
+    "infogoal": "InfoGoal",
+    "infogoal+her": "InfoGoal + HER",
+    "her": "HER",
+    "infobot": "InfoBot",
+    "infobot+her": "InfoBot + HER",
+    "cogoal": "COGOAL",
+    "vae": "VAE",
+    "rad": "RAD",
+    "gcb": "GCB",
+    "dgrl": "DGRL",
+    "none": "bare agent",
+    "cher": "CHER",
+    "ghrl": "GHRL",
+    "infogoal+all_goals": "InfoGoal + head",
+}
+"""The methods, in the order in which they are run."""
+TITLES = {
+    "object_search": "object search",
+    "fetch_reach": "FetchReach",
+    "embodied_qa": "questions",
+    "fetch_pick_and_place": "FetchPickAndPlace",
+    "object_manipulation": "cube",
+}
+SAME = 0.1
+"""The epsilon that tables show as the same for all."""
+PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal+all_goals", "her"))
+"""Methods whose difference is shown."""
+LINES = {
+    "infogoal": "tab:blue",
+    "infogoal+her": "tab:cyan",
+    "her": "tab:green",
+    "infobot+her": "tab:purple",
+    "cogoal": "tab:brown",
+    "infogoal+all_goals": "tab:red",
+    "none": "tab:orange",
+}
+"""Methods of the figure, with their colours."""
+NO_BETA = 1e-4
+"""A beta below it compresses nothing: seeds that do not collapse end above 0.001."""
+LEARNED = ("accuracy", "beta", "kl_half", "kl")
+"""Columns of InfoGoal."""
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "noise.csv.gz"
+
+
+def merge(folder: Path) -> list[str]:
+    """Put the files of FOLDER into the numbers, in place of what they hold of the same tasks and methods. Returns the
+    names of those that came in."""
+    new = {found.stem: trial_numbers.read(found) for found in sorted(folder.glob("*.csv"))}
+    came = {(row["task"], row["method"]) for rows in new.values() for row in rows}
+    kept = [row for row in read() if (row["task"], row["method"]) not in came]
+    places = {pair: place for place, pair in enumerate(itertools.product(TASKS, METHODS))}
+    rows = [*kept, *itertools.chain.from_iterable(new.values())]
+    trial_numbers.write(sorted(rows, key=lambda row: places[row["task"], row["method"]]), NUMBERS)
+    return list(new)
+
+
+def read() -> list[Row]:
+    """The rows; none where nothing was run yet."""
+    return trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
+
+
+def is_development(task: str, data_set: int) -> bool:
+    """Whether a data set is there for its validation goals alone, and is not shown."""
+    return task == "object_search" and data_set == tuning.SEED
+
+
+class Numbers:
+    """The rows by what they are of. values: {(task, method, epsilon, code): {(data set, seed): row}}."""
+
+    def __init__(self, rows: Sequence[Row]):
+        self.values: dict[tuple, dict[tuple[int, int], Row]] = {}
+        for row in rows:
+            key = row["task"], row["method"], float(row["epsilon"]), row["code"]
+            self.values.setdefault(key, {})[int(row["data_set"]), int(row["seed"])] = row
+
+    def has(self, task: str, method: str) -> bool:
+        """Whether the method was run on the task."""
+        return (task, method, EPSILONS[0], "sampled") in self.values
+
+    def success(
+        self, task: str, method: str, epsilon: float, code: str = "sampled", kind: str = "test"
+    ) -> dict[tuple[int, int], float]:
+        """Success by data set and seed, of data sets that are shown; nothing for goals that a task does not have."""
+        rows = self.values[task, method, epsilon, code]
+        return {
+            place: float(row[kind])
+            for place, row in sorted(rows.items())
+            if row.get(kind) and not is_development(task, place[0])
+        }
+
+    def best(self, task: str, method: str) -> float:
+        """The epsilon at which the method reaches the most validation goals, sampled codes."""
+
+        def reached(epsilon: float) -> float:
+            rows = self.values[task, method, epsilon, "sampled"].values()
+            return float(np.mean([float(row["validation"]) for row in rows if row["validation"]]))
+
+        return max(EPSILONS, key=lambda epsilon: (round(reached(epsilon), 6), -epsilon))
+
+
+def success_table(numbers: Numbers) -> str:
+    """A row for each method, a column for each task and kind of goals: success greedy, at `SAME`, at its own best."""
+    columns = [(task, "test") for task in TASKS] + [(task, "corrupted_test") for task in TASKS if task in IMAGE_TASKS]
+
+    def cell(task: str, kind: str, method: str) -> str:
+        if not numbers.has(task, method):
+            return ""
+        epsilons = 0.0, SAME, numbers.best(task, method)
+        values = [list(numbers.success(task, method, epsilon, kind=kind).values()) for epsilon in epsilons]
+        return "/".join(f"{np.mean(each):.2f}" for each in values)
+
+    rows = [[title, *(cell(task, kind, method) for task, kind in columns)] for method, title in METHODS.items()]
+    return markdown_lines(["method", *(goals_of(task, kind) for task, kind in columns)], rows)
+
+
+def goals_of(task: str, kind: str) -> str:
+    """Test goals of a task in words."""
+    return TITLES[task] + ", corrupted" * (kind != "test")
+
+
+def difference(numbers: Numbers, task: str, pair: tuple[str, str], kind: str, rule: str, code: str = "sampled"):
+    """The paired difference of two methods over seeds and data sets, `Interval`. rule: `best`, or an epsilon in words.
+    None for goals that a task does not have."""
+    values = []
+    for method in pair:
+        epsilon = numbers.best(task, method) if rule == "best" else float(rule)
+        values.append(numbers.success(task, method, epsilon, code, kind))
+    shared = sorted(values[0].keys() & values[1].keys())
+    if not shared:
+        return None
+    return paired_difference(*([value[place] for place in shared] for value in values))
+
+
+def signed(interval: Interval) -> str:
+    """A difference with its interval, bold where this excludes 0."""
+    text = f"{interval.mean:+.2f}±{interval.half_width:.2f}"
+    return f"**{text}**" if interval.low > 0 or interval.high < 0 else text
+
+
+def difference_table(numbers: Numbers) -> str:
+    """A row for each task, kind of goals and pair: greedy, at `SAME`, each at its own best, and at `SAME` on the mean
+    code."""
+    rows = []
+    for task, kind, pair in itertools.product(TASKS, ("test", "corrupted_test"), PAIRS):
+        if not all(numbers.has(task, method) for method in pair):
+            continue
+        rules = (("0", "sampled"), (str(SAME), "sampled"), ("best", "sampled"), (str(SAME), "mean"))
+        found = [difference(numbers, task, pair, kind, *rule) for rule in rules]
+        if None not in found:
+            named = " - ".join(METHODS[method].replace(" + ", "+") for method in pair)
+            rows.append([goals_of(task, kind), named, *map(signed, found)])
+    head = ["test goals of", "difference", "greedy", f"ε {SAME} for both", "each at its own best"]
+    return markdown_lines([*head, f"ε {SAME}, mean codes"], rows)
+
+
+def is_collapsed(row: Row) -> bool:
+    """Whether beta of a seed fell to 0 by the end, while its KL still grew: its codes are no bottleneck."""
+    return float(row["beta"]) < NO_BETA and float(row["kl"]) > float(row["kl_half"])
+
+
+def collapse_line(numbers: Numbers) -> str:
+    """How many seeds of InfoGoal collapsed, and what came of each."""
+    rows = [
+        row
+        for (_, method, epsilon, code), found in numbers.values.items()
+        if method.startswith("infogoal") and (epsilon, code) == (SAME, "sampled")
+        for row in found.values()
+    ]
+    said = [
+        f"{TITLES[row['task']]}, {METHODS[row['method']]}, data set {row['data_set']}, seed {row['seed']}: beta "
+        f"{float(row['beta']):.0e}, KL {float(row['kl']):,.0f} nats, {float(row['train']):.2f} of the training goals"
+        for row in filter(is_collapsed, rows)
+    ]
+    return f"{len(said)} of {len(rows)} seeds: {'; '.join(said)}."
+
+
+def tables(rows: Sequence[Row]) -> dict[str, str]:
+    """The tables of docs/research/noise_at_test.md by name; none before the study was run."""
+    if not rows:
+        return {}
+    numbers = Numbers(rows)
+    machines = "; ".join(sorted({row["machine"] for row in rows}))
+    return {
+        "differences": difference_table(numbers),
+        "success": success_table(numbers),
+        "collapse": collapse_line(numbers),
+        "machine": f"Measured on {machines}.",
+    }
+
+
+def figure(rows: Sequence[Row]) -> Figure:
+    """Success on test goals against epsilon, a panel a task: mean over seeds and data sets with its 95 % band; dashed:
+    on mean codes."""
+    numbers = Numbers(rows)
+    below = ("Lines: sampled codes, mean over seeds and data sets with its 95 % interval. Dashed: mean codes.",)
+    drawn = canvas.empty_figure("Test goals reached, by the probability of a random action at test", below, (15, 3.8))
+    panels = drawn.subplots(1, len(TASKS), sharey=True)
+    for axes, task in zip(panels, TASKS, strict=True):
+        for method, colour in LINES.items():
+            if not numbers.has(task, method):
+                continue
+            for code, style in (("sampled", "-"), ("mean", "--")):
+                values = np.array([list(numbers.success(task, method, each, code).values()) for each in EPSILONS])
+                interval = mean_interval(values.T)
+                label = METHODS[method] if code == "sampled" else ""
+                axes.plot(EPSILONS, interval.mean, color=colour, linestyle=style, label=label)
+                if code == "sampled":
+                    axes.fill_between(EPSILONS, interval.low, interval.high, color=colour, alpha=0.15, linewidth=0)
+        axes.set_title(TITLES[task])
+        axes.set_xlabel("probability of a random action")
+        canvas.finish_share_axis(axes, "")
+    panels[0].set_ylabel("success on test goals")
+    drawn.legend(*panels[0].get_legend_handles_labels(), loc="outside right center")
+    return drawn

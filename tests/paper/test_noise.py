@@ -1,0 +1,81 @@
+"""Equal noise at test: what is compared with what, and that test goals choose nothing."""
+
+import time
+
+import pytest
+
+from infogoal_jax.stopping import stop_on_signal
+from infogoal_paper import noise, noise_numbers, trial_numbers, tuning
+from infogoal_paper.noise_numbers import EPSILONS, Numbers
+
+
+def row(method: str, epsilon: float, test: str = "0.5", validation: str = "0.5", **others) -> dict[str, str]:
+    """A row of the cube, data set 7, seed 0, sampled codes; others: further columns."""
+    task = {"task": "object_manipulation", "data_set": "7", "seed": "0", "code": "sampled"}
+    return task | {"method": method, "epsilon": str(epsilon), "test": test, "validation": validation} | others
+
+
+def test_a_method_has_its_best_noise_by_validation_goals_and_the_least_of_equals():
+    validation = dict(zip(EPSILONS, ("0.1", "0.6", "0.7", "0.7", "0.2", "0.1"), strict=True))
+    rows = [row("her", epsilon, test=str(epsilon), validation=validation[epsilon]) for epsilon in EPSILONS]
+    assert Numbers(rows).best("object_manipulation", "her") == 0.05
+
+
+def test_the_house_of_the_tuning_chooses_for_houses_and_is_not_shown():
+    houses = [
+        row("her", epsilon, test, validation, task="object_search", data_set=str(number))
+        for epsilon in EPSILONS
+        for number, test, validation in ((7, "0.4", ""), (tuning.SEED, "", str(epsilon)))
+    ]
+    numbers = Numbers(houses)
+    assert numbers.best("object_search", "her") == EPSILONS[-1]
+    assert numbers.success("object_search", "her", 0.0) == {(7, 0): 0.4}
+
+
+def test_differences_are_paired_by_data_set_and_seed():
+    pairs = {("7", "0"): (0.9, 0.5), ("7", "1"): (0.5, 0.1), ("8", "0"): (0.6, 0.2)}
+    rows = [
+        row(method, 0.0, str(value), data_set=data_set, seed=seed)
+        for (data_set, seed), values in reversed(pairs.items())
+        for method, value in zip(("infogoal", "her"), values, strict=True)
+    ]
+    rows.append(row("her", 0.0, "1.0", data_set="9"))  # Without a partner.
+    found = noise_numbers.difference(Numbers(rows), "object_manipulation", ("infogoal", "her"), "test", "0")
+    assert found.mean == pytest.approx(0.4) and found.half_width == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("beta", "half", "kl", "collapsed"), [(1e-8, 1039, 1441, True), (0.017, 8, 9, False), (0.0, 50, 40, False)]
+)
+def test_a_seed_collapsed_where_beta_is_gone_and_its_code_still_grows(beta, half, kl, collapsed):
+    assert noise_numbers.is_collapsed({"beta": str(beta), "kl_half": str(half), "kl": str(kl)}) is collapsed
+
+
+def test_what_is_merged_replaces_rows_of_the_same_task_and_method_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(noise_numbers, "NUMBERS", tmp_path / "kept.csv.gz")
+    trial_numbers.write([row("her", 0.0, "0.1"), row("infogoal", 0.0, "0.2")], noise_numbers.NUMBERS)
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "object_manipulation_her.csv").write_text(
+        "task,method,data_set,seed,epsilon,code,test\nobject_manipulation,her,7,0,0.0,sampled,0.8\n"
+    )
+    assert noise_numbers.merge(tmp_path / "new") == ["object_manipulation_her"]
+    assert {each["method"]: each["test"] for each in noise_numbers.read()} == {"infogoal": "0.2", "her": "0.8"}
+
+
+def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(tmp_path):
+    path = tmp_path / "object_search_none.csv"
+    with stop_on_signal() as stop:
+        noise.run("object_search", "none", path, time.time() + 600, stop, (0,), toy=True)
+    rows = trial_numbers.read(path)
+    found = {(each["seed"], float(each["epsilon"]), each["code"]): each["test"] for each in rows}
+    assert set(found) == {
+        (seed, epsilon, code) for seed in "01" for epsilon in EPSILONS for code in ("sampled", "mean")
+    }
+    assert all(found[seed, epsilon, "mean"] == value for (seed, epsilon, _), value in found.items())  # It has no noise.
+
+
+def test_what_is_not_trained_to_its_end_leaves_no_rows(tmp_path):
+    path = tmp_path / "object_search_none.csv"
+    with stop_on_signal() as stop:
+        noise.run("object_search", "none", path, time.time() - 1, stop, (0,), toy=True)
+    assert not path.exists()
