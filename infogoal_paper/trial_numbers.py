@@ -174,8 +174,23 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
             cells = [f"`{trial}`", words, str(len({row["seed"] for row in shown})), updates]
             cells += [show(seed_means(shown, f"{kind}/success_rate"), 2, interval=True) for kind in kinds]
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
+    columns += [f"code error, {error[0]}"] if error else []
+    columns, lines, said = without_constants(columns, lines)
     machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
-    return markdown_lines(columns + ([f"code error, {error[0]}"] if error else []), lines) + f"\n\n{machines}."
+    return markdown_lines(columns, lines) + f"\n\n{said}{machines}."
+
+
+def without_constants(columns: list[str], lines: list[list[str]]) -> tuple[list[str], list[list[str]], str]:
+    """A table without the columns of seeds and updates in which all lines say the same, and that in words."""
+    same = [
+        place
+        for place, name in enumerate(columns)
+        if name in ("seeds", "updates") and len(lines) > 1 and len({line[place] for line in lines}) == 1
+    ]
+    kept = [place for place in range(len(columns)) if place not in same]
+    said = ", ".join(f"{lines[0][place]} {columns[place]}" for place in same)
+    shown = [[line[place] for place in kept] for line in lines]
+    return [columns[place] for place in kept], shown, f"{said}; " if said else ""
 
 
 def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:

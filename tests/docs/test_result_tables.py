@@ -123,7 +123,16 @@ def test_a_table_of_trials_has_an_interval_from_three_seeds_on(tmp_path):
     write_trial(tmp_path / "first", "three", 0.1, seeds=3)
     trial_numbers.merge(tmp_path / "first", tmp_path / trial_numbers.FILE, trials.QUEUE)
     text = trial_numbers.table(trial_numbers.read(tmp_path / trial_numbers.FILE), ["two", "three"], None)
-    assert "| `two` | preset | 2 | 3,000 | 0.30 |" in text and "| `three` | preset | 3 | 3,000 | 0.40 ± 0.50 |" in text
+    assert "| `two` | preset | 2 | 0.30 |" in text and "| `three` | preset | 3 | 0.40 ± 0.50 |" in text
+
+
+def test_what_all_lines_of_a_table_of_trials_share_stands_below_it(tmp_path):
+    """Seeds and updates; what differs keeps its column."""
+    write_trial(tmp_path / "first", "one", 0.1)
+    write_trial(tmp_path / "first", "other", 0.3)
+    trial_numbers.merge(tmp_path / "first", tmp_path / trial_numbers.FILE, trials.QUEUE)
+    text = trial_numbers.table(trial_numbers.read(tmp_path / trial_numbers.FILE), ["one", "other"], None)
+    assert "| `one` | preset | 0.30 |\n| `other` | preset | 0.50 |\n\n2 seeds, 3,000 updates; a machine." in text
 
 
 def test_what_is_listed_as_run_is_what_the_numbers_are_of():
