@@ -15,6 +15,7 @@ from types import ModuleType
 
 import numpy as np
 
+from infogoal_jax import checks
 from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError, require
@@ -75,7 +76,10 @@ def to_minari(dataset: FrameDataset, out: str | os.PathLike, progress: Callable[
 
     Raises UserError if Minari is missing, `out` is there already, its name is none of Minari's, or the disk refuses.
     """
-    out = Path(out)
+    require(
+        isinstance(dataset, FrameDataset), "dataset", type(dataset).__name__, "give a FrameDataset of data/frames.py"
+    )
+    out = Path(checks.path(out, "out"))
     require(
         re.fullmatch(r"[\w-]+-v\d+", out.name) is not None,
         "out",
@@ -138,15 +142,30 @@ def write_episodes(
     )
 
 
+def check_note(metadata: dict, path: str | os.PathLike) -> None:
+    """Raise `UserError` for metadata without the note of `to_minari`: Minari's `combine_datasets` does not copy it."""
+    combined = metadata.get("combined_datasets")
+    if NOTE not in metadata and combined is not None:
+        names = ", ".join(map(str, combined))
+        raise UserError(
+            f"path = {str(path)!r}: was combined of {names} by Minari, which drops the names of actions, objects and "
+            "joints and numbers frames of each from 0; give these to from_minari, one by one"
+        )
+    if NOTE not in metadata:
+        raise UserError(f"path = {str(path)!r}: its metadata has no {NOTE!r}; give a folder that to_minari wrote")
+
+
 def from_minari(path: str | os.PathLike) -> FrameDataset:
     """The dataset that `to_minari` wrote to `path`. Frames and states that no move showed are gone, the others numbered
     anew without gaps.
 
     Raises UserError if Minari is missing, or the folder is no dataset of `to_minari`.
     """
+    checks.path(path, "path", "give the folder that to_minari wrote")
     minari = import_minari()
     try:
         episodes = minari.MinariDataset(Path(path) / "data")
+        check_note(episodes.storage.metadata, path)
         note = json.loads(episodes.storage.metadata[NOTE])
         labels = [
             metadata["options"]["trajectory"]
@@ -171,6 +190,8 @@ def from_minari(path: str | os.PathLike) -> FrameDataset:
             )
             for column, values in zip(moves.values(), record, strict=True):
                 column.append(values)
+    except UserError:
+        raise
     except (OSError, KeyError, ValueError, AttributeError) as error:
         raise UserError(
             f"path = {str(path)!r}: is no dataset of infogoal data export-minari ({error}); give the folder that it "

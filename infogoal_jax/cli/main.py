@@ -17,7 +17,7 @@ from infogoal_jax.cli.export import export
 from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.stopping import NOTHING, STATUS
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
@@ -126,11 +126,25 @@ def refused_devices() -> str:
     return ""
 
 
+FOLDER_FLAGS = ("--resume", "--out")
+"""Flags whose default is an empty word, which nobody types."""
+
+
+def check_given(arguments: list[str]) -> None:
+    """Raise `UserError` for an empty word where a folder is named, as an unset variable of a shell leaves it: it would
+    count as not given, and something else would be written to."""
+    for word, following in zip(arguments, [*arguments[1:], None], strict=True):
+        flag = word.removeprefix("--").removesuffix("=")
+        empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
+        require(not empty, flag, "", "is empty; give a folder, or leave the flag out")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. A `UserError` is printed without a traceback, and so is what the system says of a path that was
     given; the exit status is then 2."""
     arguments = [at_home(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     try:
+        check_given(arguments)
         return run(arguments)
     except UserError as error:
         print(f"infogoal: {error}", file=sys.stderr)

@@ -5,6 +5,8 @@ import dataclasses
 import importlib.util
 import sys
 
+import hand_made
+import jax
 import numpy as np
 import pytest
 
@@ -140,3 +142,47 @@ def test_without_minari_the_message_says_what_to_install(missing, tmp_path, monk
     with pytest.raises(UserError, match=r'pip install "minari\[hdf5\]" pillow'):
         to_minari(walks(), tmp_path / "walks-v0")
     assert not list(tmp_path.iterdir())
+
+
+@needs_minari
+def test_what_minari_drops_when_it_combines_is_said(tmp_path, monkeypatch):
+    import minari
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    datasets = [to_minari(walks(20), tmp_path / name) and minari.load_dataset(name) for name in ("one-v0", "two-v0")]
+    minari.combine_datasets(datasets, "both-v0")
+    with pytest.raises(UserError, match="was combined of one-v0, two-v0 by Minari, which drops the names of actions"):
+        from_minari(tmp_path / "both-v0")
+
+
+@needs_minari
+def test_minari_collects_a_task_whose_images_have_one_channel(tmp_path, monkeypatch):
+    """Which it cannot keep as JPEG."""
+    import gymnasium
+    import minari
+
+    from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    rooms = hand_made.environment(3)
+    env = TaskGymnasium(rooms.replace(images=jax.device_put(np.kron(rooms.images, np.ones((1, 4, 4), np.uint8)))))
+    collector = minari.DataCollector(gymnasium.wrappers.PassiveEnvChecker(env), jpeg_encoding=False)
+    seen = [collector.reset(seed=0)[0]["observation"]]
+    for _ in range(3):
+        observation, _, terminated, truncated, _ = collector.step(0)
+        seen.append(observation["observation"])
+        if terminated or truncated:
+            break
+    kept = collector.create_dataset("rooms-v0", eval_env=None)
+    assert seen[0].shape == (32, 32, 1)
+    np.testing.assert_array_equal(next(iter(kept)).observations["observation"], np.stack(seen))
+
+
+@pytest.mark.parametrize("path", [None, "", 3, b"x"])
+def test_what_is_no_path_is_refused(path):
+    with pytest.raises(UserError, match="path|out"):
+        from_minari(path)
+    with pytest.raises(UserError, match="out"):
+        to_minari(walks(4), path)
+    with pytest.raises(UserError, match="dataset = 'NoneType'"):
+        to_minari(None, "x-v0")

@@ -298,3 +298,11 @@ assert not {'wandb', 'tensorboardX'} & {*sys.modules}
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "" and done.stderr == ""
+
+
+@pytest.mark.parametrize("words", [["--resume", ""], ["--resume="], ["--out", ""], ["--out="]])
+def test_a_folder_that_is_empty_is_not_one_that_is_left_out(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "object_search", *words]) == 2
+    assert "is empty; give a folder, or leave the flag out" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

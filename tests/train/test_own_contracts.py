@@ -11,8 +11,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from places import ROOT
 
-from infogoal_jax import UserError, agents, envs, exploration, learners, loading, make_train, relabelling
+from infogoal_jax import (
+    UserError,
+    agents,
+    checks,
+    envs,
+    exploration,
+    learners,
+    loading,
+    make_train,
+    presets,
+    relabelling,
+)
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.registry import Entry
@@ -188,3 +200,31 @@ def test_the_package_s_parts_keep_the_contract(monkeypatch, learner, relabelled)
     monkeypatch.setattr(loading, "is_foreign", lambda made_by: True)
     config = relabelling.registry[relabelled].config()
     trace(make_train(hand_made.config(learner, updates_per_epoch=1, relabelling=config), ENV))
+
+
+@pytest.mark.parametrize(
+    "mode",
+    [
+        lambda: jax.enable_x64(True),
+        lambda: jax.numpy_rank_promotion("raise"),
+        lambda: jax.numpy_dtype_promotion("strict"),
+    ],
+    ids=["64 bits", "ranks", "types"],
+)
+def test_the_documented_task_is_the_same_whatever_jax_is_set_to(mode):
+    """Traced, with the types that it has without."""
+    page = (ROOT / "docs" / "guides" / "own_task.md").read_text()
+    script = page.partition("```python\n")[2].partition("train = make_train")[0]
+
+    def traced():
+        names = {"__name__": "own_task"}
+        exec(script, names)
+        return trace(make_train(presets.load("walled_square", "infogoal", relabelling="her", updates_per_epoch=1)))
+
+    try:
+        with mode():
+            found = traced()
+        assert checks.shapes(found) == checks.shapes(traced())
+    finally:
+        for registry in (envs.registry, presets.registry):
+            registry.pop("walled_square", None)
