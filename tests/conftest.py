@@ -178,7 +178,7 @@ def evaluations(monkeypatch) -> list[int]:
     def slow(members):
         advance(members)
         count.append(members.evaluations)
-        members.last_seconds = 1e9 if len(count) == 3 else 1e-3
+        members.last_seconds = 1e8 if len(count) == 3 else 1e-3
 
     monkeypatch.setattr(sweep, "advance", slow)
     return count
