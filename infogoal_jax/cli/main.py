@@ -1,5 +1,6 @@
 """The command `infogoal`: the table of its subcommands, and what becomes of mistakes."""
 
+import itertools
 import os
 import shutil
 import signal
@@ -133,7 +134,7 @@ FOLDER_FLAGS = ("--resume", "--out")
 def check_given(arguments: list[str]) -> None:
     """Raise `UserError` for an empty word where a folder is named, as an unset variable of a shell leaves it: it would
     count as not given, and something else would be written to."""
-    for word, following in zip(arguments, [*arguments[1:], None], strict=True):
+    for word, following in itertools.pairwise([*arguments, None]):
         flag = word.removeprefix("--").removesuffix("=")
         empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
         require(not empty, flag, "", "is empty; give a folder, or leave the flag out")

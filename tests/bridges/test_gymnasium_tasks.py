@@ -109,7 +109,7 @@ def test_wrong_calls_are_explained(rooms):
     with pytest.raises(UserError, match="reset"):
         TaskGymnasium(hand_made.environment()).step(0)
     for count in (0, 2.0, True):
-        with pytest.raises(UserError, match="num_envs = .*whole number from 1"):
+        with pytest.raises(UserError, match="num_envs = .*whole number from 1 to"):
             TaskVector(hand_made.environment(), count)
     with pytest.raises(UserError, match="actions are vectors"):
         TaskGymnasium(hand_made_points.points())

@@ -280,7 +280,7 @@ def test_goals_have_names_and_what_is_mistaken_for_an_environment_or_a_key_is_na
     for play, message in (
         (lambda: rollout(policy, house, 1, key), "^env = "),
         (lambda: evaluate(house, policy, [1], 2), "^env = "),
-        (lambda: rollout(house, policy, 1, 0), "^key = 0: give one of jax.random.key"),
+        (lambda: rollout(house, policy, 1, 0), "^key = 0: give one key, such as jax.random.key"),
     ):
         with pytest.raises(UserError, match=message):
             play()
