@@ -1,8 +1,12 @@
-"""The finite goal space of a task as arrays, and the corruption of goal images (Sec. V-A).
+"""Goal spaces: which goals a task has, which of them are desired in training and asked for in evaluation, and what the
+goal encoder sees of them. And the corruption of goal images (Sec. V-A).
 
-A goal is an int32 index into a `GoalSet` everywhere; -1 means "no goal".
+A goal is a value: an int32 index [] into a `GoalSet`, or a vector float32 [D] of a `GoalBox`. An image of a goal, or
+anything else that the encoder sees of it, is what `inputs_of` makes of that value. Arrays of goals are [..., *shape],
+where `shape` is () or (D,). "No goal" is the index -1, or a vector of NaN.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import flax.struct
@@ -13,14 +17,48 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goal_uses import NO_USE, USES
+from infogoal_jax.keys import from_seed
+from infogoal_jax.shapes import with_rank
 
 MOST_CHANNELS = 4
 """Of an image; more of them last, and fewer first, are an image with its channels first."""
 
 
+def is_goal(goals: jax.Array) -> jax.Array:
+    """Where an array of goals [..., *shape] holds one, bool [...]."""
+    return goals >= 0 if jnp.issubdtype(goals.dtype, jnp.integer) else ~jnp.isnan(goals).any(-1)
+
+
+def select(mask: jax.Array, goals: jax.Array, others: jax.Array) -> jax.Array:
+    """These goals [..., *shape] where the mask [...] holds, else the others [..., *shape]."""
+    return jnp.where(mask.reshape(*mask.shape, *(1,) * (goals.ndim - mask.ndim)), goals, others)
+
+
+def no_goals_like(goals: jax.Array) -> jax.Array:
+    """Goals [..., *shape] of which none is one."""
+    return jnp.full_like(goals, -1 if jnp.issubdtype(goals.dtype, jnp.integer) else jnp.nan)
+
+
+def with_placeholders(goals: jax.Array) -> jax.Array:
+    """The goals [..., *shape], with one that can be encoded, 0, in every place that holds none."""
+    return jnp.maximum(goals, 0) if jnp.issubdtype(goals.dtype, jnp.integer) else jnp.nan_to_num(goals)
+
+
+def same(goals: jax.Array, others: jax.Array) -> jax.Array:
+    """Whether goals [..., *shape] are the very same values as the others, bool [...]."""
+    equal = goals == others
+    return equal if jnp.issubdtype(goals.dtype, jnp.integer) else equal.all(-1)
+
+
+def axes_of(goals: jax.Array) -> tuple[int, ...]:
+    """The leading axes [...] of an array of goals [..., *shape]."""
+    return goals.shape if jnp.issubdtype(goals.dtype, jnp.integer) else goals.shape[:-1]
+
+
 @flax.struct.dataclass
 class GoalSet:
-    """N goals, their inputs and their uses. Only training goals are desired goals while training."""
+    """A finite goal space: N goals, their inputs and their uses. Only training goals are desired goals while
+    training."""
 
     inputs: jax.Array
     """[M, *input] what the goal encoder sees: vectors float32 [M, D], such as text embeddings, or images uint8
@@ -48,6 +86,10 @@ class GoalSet:
     """int32 [N], row of `inputs` for each goal, where a dataset has more images than goals; None: row n is goal n."""
     by_index: bool = flax.struct.field(pytree_node=False, default=False)
     """Whether goals are shown to the goal encoder as their numbers alone."""
+
+    finite = True
+    shape = ()
+    dtype = "int32"
 
     @classmethod
     def of(cls, inputs, regions, uses, names: tuple[str, ...], region_names: tuple[str, ...], rows=None) -> "GoalSet":
@@ -91,6 +133,244 @@ class GoalSet:
     def num_goals(self) -> int:
         """Number of goals N."""
         return len(self.names)
+
+    @property
+    def examples(self) -> jax.Array:
+        """Goals that are desired in training, [M]: here all of them."""
+        return self.training_goals
+
+    def usable_mask(self, known_goals: str) -> jax.Array:
+        """Goals that may enter relabelling and representation learning once they are achieved, bool [N], under this
+        protocol (`TrainConfig.known_goals`)."""
+        if known_goals == "train":
+            return self.train_mask
+        return ~(self.validation_mask | self.test_mask) if known_goals == "held_out" else jnp.ones_like(self.train_mask)
+
+    def usable(self, goals: jax.Array, known_goals: str) -> jax.Array:
+        """Whether these goals [...] are among those of `usable_mask`, bool [...]."""
+        return self.usable_mask(known_goals)[goals]
+
+    def in_groups(self) -> jax.Array:
+        """Which of the evaluated goals [M] belong to each of `groups`, bool [G, M]."""
+        return jnp.stack([getattr(self, f"{group}_mask") for group in self.groups])[:, self.evaluated]
+
+    def only(self, group: str) -> "GoalSet":
+        """The same goals, of which those of one group alone are evaluated."""
+        scored = np.flatnonzero(getattr(self, f"{group}_mask"))
+        return self.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))
+
+    def name_of(self, goal: Any) -> str:
+        """The name of a goal, int32 []."""
+        return self.names[int(goal)]
+
+    def checked(self, goals: Any, field: str, axes: int) -> jax.Array:
+        """Goals with so many axes, given by number or by name. Raises `UserError` for what are no numbers of goals, as
+        a mask of them; of values that are traced the type alone is known."""
+        named = [goals] if isinstance(goals, str) else goals if isinstance(goals, list | tuple) else []
+        if {*map(type, named)} == {str}:
+            unknown = [name for name in named if name not in self.names]
+            require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
+            numbers = [self.names.index(name) for name in named]
+            goals = numbers[0] if isinstance(goals, str) else numbers
+        remedy = (
+            "give whole numbers of goals, such as np.flatnonzero(mask)" if axes else "give the whole number of a goal"
+        )
+        given = checks.array(goals, field, "whole numbers", (None,) * axes, remedy)
+        require(axes == 0 or given.shape[0] > 0, field, goals, "give at least one goal")
+        if checks.is_traced(given):
+            return given.astype(jnp.int32)
+        known, most = np.asarray(given), self.num_goals - 1
+        require(((known >= 0) & (known <= most)).all(), field, goals, f"the task has the goals 0 to {most}")
+        return np.asarray(given, np.int32)
+
+
+EVALUATED_GOALS = 32
+"""Goals that an evaluation asks for, of each use."""
+DRAWN = 4096
+"""Goals that are drawn to find those, and to check the sampler by."""
+TRIED = 128
+"""Candidates for a training goal. If an eighth of the drawn goals are training goals, all 128 are others once in 10^7
+draws."""
+LEAST_SHARE = 1 / 8
+
+
+@flax.struct.dataclass
+class GoalBox:
+    """A continuous goal space: vectors between two corners, of which some regions may be held out of training.
+
+    Desired goals of training are drawn anew in every episode. The goals that an evaluation asks for are drawn once.
+    """
+
+    low: jax.Array
+    """float32 [D], lowest corner."""
+    high: jax.Array
+    """float32 [D], highest corner."""
+    evaluated: jax.Array
+    """float32 [M, D], the goals that an evaluation asks for."""
+    uses: jax.Array
+    """int32 [M], use of each evaluated goal, a position in `USES`."""
+    groups: tuple[str, ...] = flax.struct.field(pytree_node=False)
+    """Those of "train", "validation" and "test" that have goals."""
+    sampler: Callable[[jax.Array], jax.Array] | None = flax.struct.field(pytree_node=False)
+    """(key) -> goal float32 [D]; None: uniform between the corners."""
+    use_of: Callable[[jax.Array], jax.Array] | None = flax.struct.field(pytree_node=False)
+    """(goal float32 [D]) -> a position in `USES`, or bool, True for a test goal; None: every goal is a training
+    goal."""
+    seen: Callable[[jax.Array], jax.Array] | None = flax.struct.field(pytree_node=False)
+    """(goals float32 [..., D]) -> what the goal encoder sees of them [..., *input]; None: their place between the
+    corners, from -1 to 1 along each axis."""
+
+    finite = False
+    dtype = "float32"
+    by_index = False
+    num_goals = None
+    regions = None
+
+    @classmethod
+    def of(
+        cls, low, high, *, sampler=None, use_of=None, seen=None, num_evaluated: int = EVALUATED_GOALS, seed: int = 0
+    ) -> "GoalBox":
+        """Make a goal space between two corners [D].
+
+        sampler: draws a goal from a key; None: uniform. use_of: says of a goal whether it is held out: True or 2 for a
+        test goal, 1 for a validation goal, False or 0 for a training goal. seen: what the goal encoder sees of goals.
+        num_evaluated: goals of each use that an evaluation asks for; seed: of these.
+
+        Raises `UserError`, naming the field, for corners that are none, for a sampler that draws outside of them or
+        goals of the wrong type, and where fewer than an eighth of what it draws are training goals.
+        """
+        with jax.ensure_compile_time_eval():  # A task may be made where something is traced.
+            return cls._of(low, high, sampler, use_of, seen, num_evaluated, seed)
+
+    @classmethod
+    def _of(cls, low, high, sampler, use_of, seen, num_evaluated: int, seed: int) -> "GoalBox":
+        remedy = "give the corners as numbers [D], such as [0.0, 0.0]"
+        low, high = (
+            np.asarray(checks.array(corner, name, "numbers", ("D",), remedy), np.float32)
+            for corner, name in ((low, "low"), (high, "high"))
+        )
+        require(low.shape == high.shape, "high", high.tolist(), f"give as many numbers as low has, {len(low)}")
+        require(len(low) > 0 and np.isfinite([low, high]).all(), "low", low.tolist(), "give finite corners")
+        require((low < high).all(), "high", high.tolist(), f"has to lie above low = {low.tolist()}")
+        checks.whole(num_evaluated, "num_evaluated", 1)
+        for function, name in ((sampler, "sampler"), (use_of, "use_of"), (seen, "seen")):
+            if function is not None:
+                checks.function(function, name, 1, f"see GoalBox.{name}")
+        corners = jax.device_put(low), jax.device_put(high)
+        space = cls(*corners, jnp.zeros((0, len(low)), jnp.float32), jnp.zeros(0, jnp.int32), (), sampler, use_of, seen)
+        key = from_seed(np.uint32(checks.seed(seed)))
+        keys = jax.random.split(key, DRAWN)
+        goal = checks.traced("sampler", space.draw_any, keys[0])
+        checks.returned(goal, "sampler", checks.Spec((len(low),), "float32"))
+        use = checks.traced("use_of", space.use, goal)
+        checks.returned(use, "use_of", checks.Spec((), "int32"))
+        drawn, uses = (np.asarray(each) for each in jax.jit(jax.vmap(space.draw_with_use))(keys))
+        require(np.isfinite(drawn).all(), "sampler", drawn[~np.isfinite(drawn).all(1)][:1], "draw finite goals")
+        outside = (drawn < low - 1e-6).any(1) | (drawn > high + 1e-6).any(1)
+        require(not outside.any(), "sampler", drawn[outside][:1].tolist(), "draws goals outside of low and high")
+        require(np.isin(uses, range(len(USES))).all(), "use_of", uses, f"give positions in {USES}, or bool")
+        share = (uses == 0).mean()
+        require(
+            share >= LEAST_SHARE,
+            "use_of",
+            f"{share:.0%} training goals",
+            f"leave at least {LEAST_SHARE:.0%} of what is drawn for training, or give a sampler that draws there",
+        )
+        chosen = [np.flatnonzero(uses == use)[:num_evaluated] for use in range(len(USES))]
+        which = np.concatenate(chosen)
+        return space.replace(
+            evaluated=jax.device_put(drawn[which]),
+            uses=jax.device_put(uses[which]),
+            groups=tuple(name for name, places in zip(USES, chosen, strict=True) if len(places)),
+        )
+
+    @property
+    def shape(self) -> tuple[int]:
+        """Of a goal: (D,)."""
+        return self.low.shape[-1:]
+
+    @property
+    def examples(self) -> jax.Array:
+        """Goals that are desired in training, float32 [M, D]: some of them."""
+        return jax.vmap(self.draw)(jax.random.split(from_seed(np.uint32(0)), EVALUATED_GOALS))
+
+    def draw_any(self, key: jax.Array) -> jax.Array:
+        """A goal float32 [D], of any use."""
+        if self.sampler is not None:
+            return self.sampler(key)
+        return self.low + (self.high - self.low) * jax.random.uniform(key, self.shape, jnp.float32)
+
+    def use(self, goal: jax.Array) -> jax.Array:
+        """The use of a goal [D], an int32 position in `USES`."""
+        if self.use_of is None:
+            return jnp.zeros((), jnp.int32)
+        use = jnp.asarray(self.use_of(goal))
+        return jnp.where(use, 2, 0).astype(jnp.int32) if use.dtype == bool else use.astype(jnp.int32)
+
+    def draw_with_use(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """A goal float32 [D] and its use."""
+        goal = self.draw_any(key)
+        return goal, self.use(goal)
+
+    def draw(self, key: jax.Array) -> jax.Array:
+        """A training goal float32 [D]: the first of several draws that is one."""
+        if self.use_of is None:
+            return self.draw_any(key)
+        goals, uses = jax.vmap(self.draw_with_use)(jax.random.split(key, TRIED))
+        return goals[(uses == 0).argmax()]
+
+    def is_training_goal(self, goals: jax.Array) -> jax.Array:
+        """Whether goals [..., D] are training goals, bool [...]."""
+        uses = jax.vmap(self.use)(goals.reshape(-1, goals.shape[-1]))
+        return (uses == 0).reshape(goals.shape[:-1])
+
+    def usable(self, goals: jax.Array, known_goals: str) -> jax.Array:
+        """Whether goals [..., D] may enter relabelling and representation learning once they are achieved, bool [...],
+        under this protocol (`TrainConfig.known_goals`)."""
+        if self.use_of is None or known_goals in ("visited", "all"):
+            return jnp.ones(goals.shape[:-1], bool)
+        return self.is_training_goal(goals)
+
+    def inputs_of(self, goals: jax.Array) -> jax.Array:
+        """Inputs of the goal encoder [..., *input] for goals float32 [..., D]."""
+        goals = jnp.asarray(goals)
+        if self.seen is not None:
+            return self.seen(goals)
+        centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        return (goals - with_rank(centre, goals.ndim)) / with_rank(half, goals.ndim)
+
+    def in_groups(self) -> jax.Array:
+        """Which of the evaluated goals [M] belong to each of `groups`, bool [G, M]."""
+        return jnp.stack([self.uses == USES.index(group) for group in self.groups])
+
+    def only(self, group: str) -> "GoalBox":
+        """The same goals, of which those of one group alone are evaluated."""
+        scored = np.flatnonzero(np.asarray(self.uses) == USES.index(group))
+        return self.replace(evaluated=self.evaluated[scored], uses=self.uses[scored], groups=(group,))
+
+    def name_of(self, goal: Any) -> str:
+        """The numbers of a goal float32 [D], as a name."""
+        return " ".join(f"{number:.3g}" for number in np.asarray(goal).tolist())
+
+    def checked(self, goals: Any, field: str, axes: int) -> jax.Array:
+        """Goals [..., D] with so many axes before that of a goal. Raises `UserError` for other shapes, for what is not
+        finite, and for goals outside of the corners; of values that are traced the type alone is known."""
+        size = self.shape[0]
+        remedy = f"give {'goals' if axes else 'a goal'} as numbers [{'M, ' * axes}{size}]"
+        given = checks.array(goals, field, "numbers", (None,) * axes + (size,), remedy)
+        require(axes == 0 or given.shape[0] > 0, field, goals, "give at least one goal")
+        if checks.is_traced(given):
+            return given.astype(jnp.float32)
+        values, low, high = (np.asarray(array, np.float32) for array in (given, self.low, self.high))
+        inside = (np.isfinite(values) & (values >= low - 1e-6) & (values <= high + 1e-6)).all(-1)
+        if not inside.all():
+            first = values.reshape(-1, size)[np.flatnonzero(~inside.reshape(-1))[0]]
+            spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low.tolist(), high.tolist(), strict=True))
+            raise UserError(f"{field} = {np.round(first.astype(float), 4).tolist()}: lies outside; give {spans}")
+        return values
+
+
+GoalSpace = GoalSet | GoalBox
 
 
 def checked_inputs(inputs: Any) -> Any:

@@ -46,8 +46,8 @@ def traits_declared(config: TrainConfig) -> Traits | None:
 def traits_seen(env) -> Traits:
     """The traits of an environment that was loaded or made by hand."""
     return Traits(
-        finite_goals=env.goals is not None,
-        image_goals=env.train_backgrounds is not None and not (env.goals is not None and env.goals.by_index),
+        finite_goals=env.goals.finite,
+        image_goals=env.train_backgrounds is not None and not env.goals.by_index,
         moves=env.discrete,
         finite_observations=env.num_observations is not None,
         recorded=env.recorded is not None,
@@ -91,12 +91,7 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     """Everything that speaks against this configuration of a task with these traits."""
     agent = agents.registry.name_of(config.agent)
     if not traits.finite_goals:
-        yield Refusal(
-            "env.goals",
-            getattr(config.env, "goals", None),
-            f"training {config.task} needs a finite set of goals",
-            "give images",
-        )
+        yield from refusals_of_continuous_goals(config)
     if not can_act(actions_of(config.agent), traits):
         reason = {
             "moves": f"this agent chooses among a few moves, and an action of {config.task} is a vector",
@@ -132,6 +127,21 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
             f"{learners.registry.name_of(config.learner)!r}",
             "give False, or another learner",
         )
+
+
+def refusals_of_continuous_goals(config: TrainConfig) -> Iterator[Refusal]:
+    """Parts that make sense for a finite set of goals alone."""
+    relabelled = relabelling.registry.name_of(config.relabelling)
+    learner, spec = learners.registry.name_of(config.learner), make_learner(config).sample_spec
+    finite = {
+        "relabelling": (relabelled, relabelled in ("cher", "ghrl", "all_goals"), "her or none"),
+        "relabelling.strategy": (getattr(config.relabelling, "strategy", None), "prefix", "future or soon"),
+        "learner": (learner, make_learner(config).by_index, "another learner"),
+        "learner.reward": (getattr(config.learner, "reward", None), spec.first_seen, "rarity"),
+    }
+    for field, (value, refused, remedy) in finite.items():
+        if refused is True or refused == value:
+            yield Refusal(field, value, f"goals of {config.task} are no finite set", f"give {remedy}")
 
 
 def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
@@ -244,7 +254,7 @@ def load_environment(config: TrainConfig, env: Any = None):
     check_environment(config, env)
     if is_foreign(type(env.unwrapped)):
         check_contract(env)
-    if make_learner(config).by_index and env.goals is not None:
+    if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
@@ -257,15 +267,15 @@ def check_environment(config: TrainConfig, env: Any) -> None:
     """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
     goals or of too many goals."""
     require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
-    count = 0 if env.goals is None else env.goals.num_goals
+    count = env.goals.num_goals or 0
     require(
         count <= MOST_GOALS,
         "env.goals",
         count,
         f"give at most {MOST_GOALS}: the dissimilarity matrix takes as many bytes a seed as there are pairs of goals",
     )
-    trained = count == 0 or len(env.goals.training_goals) > 0
-    require(trained, "env.goals", env.goals and env.goals.groups, "give one or more training goals, of use 0")
+    trained = not env.goals.finite or len(env.goals.training_goals) > 0
+    require(trained, "env.goals", env.goals.groups, "give one or more training goals, of use 0")
     check_same_task(config, env)
 
 

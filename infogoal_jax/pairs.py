@@ -1,13 +1,16 @@
 """Goal pairs within the time window and the dissimilarity matrix G_neg (Algorithm 1, lines 16 to 20).
 
-A step achieves the goals `goals [..., K]`, padded with -1. Two goals are similar once they were achieved within
-`window` steps of each other in one trajectory, and stay similar. Goals achieved in the same state are similar too (lag
-0).
+A step achieves the goals `goals [..., K, *shape]`, padded with "no goal". Two goals are similar once they were achieved
+within `window` steps of each other in one trajectory, and stay similar. Goals achieved in the same state are similar
+too (lag 0).
 """
 
 import flax.struct
 import jax
 import jax.numpy as jnp
+
+from infogoal_jax import replay
+from infogoal_jax.goals import is_goal
 
 REJECTION_TRIES = (
     16  # Candidates for a negative. If half of the goals are dissimilar, all 16 are rejected once in 65,536 draws.
@@ -16,16 +19,16 @@ REJECTION_TRIES = (
 
 @flax.struct.dataclass
 class GoalPairs:
-    """Anchors, positives and K negatives for the contrastive bound, as goal indices."""
+    """Anchors, positives and K negatives for the contrastive bound, as goals."""
 
     anchor: jax.Array
-    """int32 [B]."""
+    """[B, *shape]."""
     positive: jax.Array
-    """int32 [B], achieved within the window of the anchor."""
+    """[B, *shape], achieved within the window of the anchor."""
     contrast: jax.Array
-    """int32 [B, K], what each negative is compared with: the anchor, or another goal."""
+    """[B, K, *shape], what each negative is compared with: the anchor, or another goal."""
     negative: jax.Array
-    """int32 [B, K]."""
+    """[B, K, *shape]."""
     positive_weight: jax.Array
     """float32 [B], 0 where no pair was found."""
     negative_weight: jax.Array
@@ -69,9 +72,13 @@ def count_dissimilar_regions(dissimilarity: jax.Array, regions: jax.Array, seen:
 
 
 def choose_goal(key: jax.Array, goals: jax.Array) -> jax.Array:
-    """Draw one of the goals [..., K] that are not -1, uniformly; -1 where there is none."""
-    preference = jnp.where(goals >= 0, jax.random.uniform(key, goals.shape, jnp.float32), -1.0)
-    return jnp.take_along_axis(goals, preference.argmax(-1)[..., None], axis=-1)[..., 0]
+    """Draw one of the goals [..., K, *shape], uniformly among those that there are; "no goal" where there is none."""
+    there = is_goal(goals)
+    preference = jnp.where(there, jax.random.uniform(key, there.shape, jnp.float32), -1.0)
+    chosen = preference.argmax(-1)[..., None]
+    if goals.ndim == there.ndim:
+        return jnp.take_along_axis(goals, chosen, axis=-1)[..., 0]
+    return jnp.take_along_axis(goals, chosen[..., None], axis=-2)[..., 0, :]
 
 
 def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) -> jax.Array:
@@ -80,6 +87,42 @@ def choose_from_mask(key: jax.Array, mask: jax.Array, shape: tuple[int, ...]) ->
     count = jnp.cumsum(mask.astype(jnp.int32))
     rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1), jnp.int32)
     return jnp.minimum(jnp.searchsorted(count, rank, side="right"), mask.shape[0] - 1).astype(jnp.int32)
+
+
+@flax.struct.dataclass
+class KnownGoals:
+    """The goals of a finite set that may be drawn."""
+
+    mask: jax.Array
+    """bool [N]."""
+
+    def any(self) -> jax.Array:
+        """Whether there is one, bool []."""
+        return self.mask.any()
+
+    def draw(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Draw goals uniformly, int32 [*shape]. Meaningless if there is none."""
+        return choose_from_mask(key, self.mask, shape)
+
+
+@flax.struct.dataclass
+class AchievedGoals:
+    """The goals of a continuous space that may be drawn: all that the replay buffer achieved."""
+
+    goals: jax.Array
+    """float32 [R, T + 1, K, D], padded with NaN."""
+    count: jax.Array
+    """int32 [R * (T + 1)], running count of the steps that achieve one."""
+
+    def any(self) -> jax.Array:
+        """Whether there is one, bool []."""
+        return self.count[-1] > 0
+
+    def draw(self, key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
+        """Draw goals, each of a step drawn uniformly, float32 [*shape, D]. Meaningless if there is none."""
+        place_key, goal_key = jax.random.split(key)
+        row, step = replay.draw(place_key, self.count, shape, self.goals.shape[1])
+        return choose_goal(goal_key, self.goals[row, step])
 
 
 def sample_negatives(

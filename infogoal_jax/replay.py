@@ -5,6 +5,8 @@ A row holds T + 1 observations and the T transitions between them. A row may hol
 the last observation of an episode to the first of the next is marked invalid, and no function below looks across it.
 """
 
+from collections.abc import Callable
+
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -21,7 +23,7 @@ class Trajectories:
     action: jax.Array
     """int32 [R, T], or float32 [R, T, A]."""
     goal: jax.Array
-    """Desired goal, int32 [R, T], or floats [R, T, ...]."""
+    """Desired goal [R, T, *shape]."""
     valid: jax.Array
     """bool [R, T], whether t -> t + 1 is a transition of one episode."""
     terminated: jax.Array
@@ -47,7 +49,7 @@ class Transitions:
     action: jax.Array
     """[B, ...] of the first step."""
     goal: jax.Array
-    """[B, ...] desired goal."""
+    """[B, *shape] desired goal."""
     records: jax.Array
     """[B, n, ...] achieved after each step."""
     mask: jax.Array
@@ -76,22 +78,28 @@ def running_count(mask: jax.Array) -> jax.Array:
     return jnp.cumsum(mask.reshape(-1).astype(jnp.int32))
 
 
-def draw(key: jax.Array, count: jax.Array, num: int, width: int) -> tuple[jax.Array, jax.Array]:
-    """Draw `num` positions (row, column) uniformly among the true entries of a mask [R, width]. count: its
-    `running_count`."""
-    rank = jax.random.randint(key, (num,), 0, jnp.maximum(count[-1], 1), jnp.int32)
+def draw(key: jax.Array, count: jax.Array, num: int | tuple[int, ...], width: int) -> tuple[jax.Array, jax.Array]:
+    """Draw `num` positions (row, column), or positions of this shape, uniformly among the true entries of a mask [R,
+    width]. count: its `running_count`."""
+    shape = (num,) if isinstance(num, int) else num
+    rank = jax.random.randint(key, shape, 0, jnp.maximum(count[-1], 1), jnp.int32)
     flat = jnp.minimum(jnp.searchsorted(count, rank, side="right"), count.shape[0] - 1)
     return flat // width, flat % width
 
 
 def transitions_at(
-    buffer: Trajectories, row: jax.Array, first: jax.Array, num_steps: int, goal: jax.Array | None = None, reached=None
+    buffer: Trajectories,
+    row: jax.Array,
+    first: jax.Array,
+    num_steps: int,
+    goal: jax.Array | None = None,
+    reached: Callable | None = None,
 ) -> Transitions:
     """The transitions that start at these rows and steps, int32 [B] each, with at most `num_steps` steps of one
     episode.
 
-    goal: desired goals [B] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1]) -> bool [B, n]` then
-    decides where an episode terminates.
+    goal: desired goals [B, *shape] in place of the stored ones. `reached(records [B, n, ...], goal [B, 1, *shape]) ->
+    bool [B, n]` then decides where an episode terminates; None: reaching a goal ends nothing.
     """
     length = buffer.valid.shape[1]
     step = first[:, None] + jnp.arange(num_steps, dtype=jnp.int32)[None]
@@ -100,8 +108,8 @@ def transitions_at(
     going_on = inside & buffer.valid[row[:, None], step]
     mask = jnp.cumprod(going_on, axis=1, dtype=jnp.int32)
     records = jax.tree.map(lambda leaf: leaf[row[:, None], step + 1], buffer.record)
-    if goal is None:
-        goal = buffer.goal[row, first]
+    if goal is None or reached is None:
+        goal = buffer.goal[row, first] if goal is None else goal
         last = first + mask.sum(1, dtype=jnp.int32) - 1
         terminated = buffer.terminated[row, last]
     else:
@@ -141,7 +149,7 @@ def sample_within_window(
     The first step is uniform over all that achieve a goal, the second over those in its window, the first included (lag
     0).
     achieved: bool [R, T + 1], steps that achieve a goal. count: `running_count(achieved)`.
-    Returns the records of both steps, pytrees of [num, ...].
+    Returns the rows and both steps, int32 [num] each.
     """
     choose_first, choose_second = jax.random.split(key)
     width = achieved.shape[1]
@@ -156,7 +164,4 @@ def sample_within_window(
     possible = inside & same_episode & achieved[row[:, None], around]
     preference = jnp.where(possible, jax.random.uniform(choose_second, around.shape, jnp.float32), -1.0)
     second = jnp.take_along_axis(around, preference.argmax(1)[:, None], axis=1)[:, 0]
-    return (
-        jax.tree.map(lambda leaf: leaf[row, first], buffer.record),
-        jax.tree.map(lambda leaf: leaf[row, second], buffer.record),
-    )
+    return row, first, second

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from infogoal_jax import networks, presets, replay
+from infogoal_jax import networks, pairs, presets, replay
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data.active_vision import ACTIONS, SearchScenes
 from infogoal_jax.data.splits import make_split
@@ -208,7 +208,7 @@ def random_rows(several: int = 1) -> Trajectories:
 
 def context(rows: Trajectories, num_goals: int = GOALS, known=None, **changes) -> Context:
     """What a relabelling may look at of these rows, all of them written, before the first update."""
-    known = jnp.ones(num_goals, bool) if known is None else known
+    known = pairs.KnownGoals(jnp.ones(num_goals, bool) if known is None else known)
     achieved = Achievements(
         rows.record, replay.running_count((rows.record >= 0).any(-1)), replay.steps_left(rows.valid), known
     )

@@ -16,7 +16,7 @@ from infogoal_jax import learners, presets
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import StateEncoderConfig, TrainConfig
 from infogoal_jax.data.goal_images import grid_positions
-from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
+from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch
 from infogoal_jax.envs.fetch.image_goals import ImageGoals, lay_out
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.envs.target_states import SubgoalEnv
@@ -48,6 +48,7 @@ class Point:
     """A point that goes where it is told, in the place of `Fetch`."""
 
     task = TASKS["fetch_reach"]
+    units, render = Fetch.units, Fetch.render
     action_size = 4
     episode_length = EPISODE_LENGTH
 

@@ -114,7 +114,8 @@ def test_pairs_lie_within_the_window_of_one_episode(rows, window):
 
     @jax.jit
     def draw(key, rows, achieved):
-        return replay.sample_within_window(key, rows, achieved, replay.running_count(achieved), 3000, window)
+        row, *steps = replay.sample_within_window(key, rows, achieved, replay.running_count(achieved), 3000, window)
+        return [rows.observation[row, step] for step in steps]
 
     first, second = jax.device_get(draw(jax.random.key(0), rows, achieved))
     np.testing.assert_array_equal(first // 1000, second // 1000)

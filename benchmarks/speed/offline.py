@@ -25,7 +25,6 @@ import numpy as np
 
 from infogoal_jax import compiled, make_train, presets
 from infogoal_jax.report.statistics import describe_machine
-from infogoal_jax.train.experience import usable_mask
 
 MILLION = 1_000_000
 
@@ -68,7 +67,7 @@ def peer_arrays(train) -> dict[str, np.ndarray]:
     config, env = train.config, train.env
     rows, goals = env.recorded, env.goals
     seen = jax.jit(train.initial)(jax.random.key(0), config.hyper, env).seen
-    usable = np.asarray(usable_mask(config, env))
+    usable = np.asarray(env.goals.usable_mask(config.known_goals))
     known = usable & (np.asarray(seen) | (config.known_goals == "all"))
     images = jnp.arange(env.num_observations)
     achieved = np.asarray(env.goals_of(images))

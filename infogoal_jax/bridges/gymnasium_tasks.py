@@ -33,7 +33,7 @@ def load(task: str | Environment, config: Any) -> Environment:
     if isinstance(task, Environment):
         require(config is None, "config", config, "leave it out: the environment has one of its own")
     env = task if isinstance(task, Environment) else envs.load(task, config)
-    fits = env.goals is not None and env.discrete
+    fits = env.goals.finite and env.discrete
     require(
         fits,
         "task",

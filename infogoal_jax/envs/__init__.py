@@ -4,7 +4,7 @@
 from functools import partial
 from typing import Any
 
-from infogoal_jax.envs import embodied_qa, object_manipulation, object_search
+from infogoal_jax.envs import embodied_qa, object_manipulation, object_search, plane
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
@@ -17,13 +17,15 @@ def make_fetch(name: str, config: FetchConfig):
     """Make a Fetch task. MuJoCo is imported here, because it takes half a second and no other task needs it."""
     from infogoal_jax.envs.fetch import environment, image_goals
 
-    return (image_goals if config.goals == "images" else environment).make(name, config)
+    if config.goals == "images":
+        return image_goals.make(name, config)
+    return environment.with_positions(environment.make(name, config), config.held_out)
 
 
 def fetch_traits(config: FetchConfig) -> Traits:
     """What a Fetch task can be combined with follows from these."""
     images = config.goals == "images"
-    return Traits(finite_goals=images, image_goals=images, moves=False, target_states=True)
+    return Traits(finite_goals=images, image_goals=images, moves=False, target_states=images)
 
 
 registry = Registry(
@@ -34,6 +36,8 @@ registry = Registry(
             object_manipulation.ObjectManipulationConfig, object_manipulation.make, traits=object_manipulation.traits
         ),
         "embodied_qa": Entry(embodied_qa.EmbodiedQAConfig, embodied_qa.make, traits=embodied_qa.traits),
+        "point_maze": Entry(plane.PlaneConfig, plane.make_maze, traits=plane.traits),
+        "reacher": Entry(plane.PlaneConfig, plane.make_reacher, traits=plane.traits),
         **{name: Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits) for name in FETCH_TASKS},
     },
 )

@@ -12,7 +12,7 @@ from infogoal_jax import checks
 from infogoal_jax.checks import Spec
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalBox, GoalSet
 from infogoal_jax.replay import Trajectories
 
 FLAGS = ("terminated", "truncated", "diverged")
@@ -42,24 +42,23 @@ def check_contract(env: Environment) -> None:
 
 def check_members(env: Environment) -> None:
     """Raise `UserError` for members of other kinds than the contract has."""
-    asked = ("goals", "action_size", "episode_length", *(["source"] if getattr(env, "goals", None) else []))
+    asked = ("goals", "action_size", "episode_length", "source")
     missing = [name for name in asked if not hasattr(env, name)]
     require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
     kind = type(env.goals).__name__
-    require(env.goals is None or isinstance(env.goals, GoalSet), "env.goals", kind, "give a GoalSet of GoalSet.of")
+    require(isinstance(env.goals, GoalSet | GoalBox), "env.goals", kind, "give a GoalSet.of or GoalBox.of")
     for name in ("action_size", "episode_length", "num_cells"):
         checks.whole(getattr(env, name), f"env.{name}", 1)
     if env.num_observations is not None:
         checks.whole(env.num_observations, "env.num_observations", 1)
-    for name in ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path"):
+    for name in ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path", "ends_at_goal"):
         checks.flag(getattr(env, name), f"env.{name}")
-    if env.goals is not None:
-        checks.text(env.source, "env.source", "say in words what the data is")
+    checks.text(env.source, "env.source", "say in words what the data is")
     recorded = type(env.recorded).__name__
     require(
         env.recorded is None or isinstance(env.recorded, Trajectories), "env.recorded", recorded, "give Trajectories"
     )
-    num_goals = None if env.goals is None else env.goals.num_goals
+    num_goals = env.goals.num_goals
     arrays = {
         "train_backgrounds": ("uint8", ("B", "H", "W", "C")),
         "test_backgrounds": ("uint8", ("B", "H", "W", "C")),
@@ -80,8 +79,8 @@ def check_state(env: Environment, state: Any) -> None:
         require(hasattr(state, name), "the state of env.reset", type(state).__name__, f"has no field {name}")
     for name in FLAGS:
         check_flag(getattr(state, name), f"state.{name}")
-    for name in ("time",) if env.goals is None else ("time", "goal"):
-        checks.returned(getattr(state, name), f"state.{name}", Spec((), "int32"))
+    checks.returned(state.time, "state.time", Spec((), "int32"))
+    checks.returned(state.goal, "state.goal", Spec(env.goals.shape, env.goals.dtype))
 
 
 def check_flag(found: Any, name: str) -> None:
@@ -97,7 +96,7 @@ def check_stored(env: Environment, state: Any) -> None:
         require(len(jax.tree.leaves(tree)) > 0, name, tree, "return an array, or a pytree of them")
     if env.num_observations is not None:
         checks.returned(observation, "env.observe", Spec((), "int32"), "for env.num_observations is given")
-    goal = Spec((), "int32")
+    goal = Spec(env.goals.shape, env.goals.dtype)
     seen = checks.traced("env.render", env.render, observation)
     image_or_vector = checks.is_array(seen) and (
         (seen.dtype == jnp.uint8 and seen.ndim == 3) or (seen.dtype == jnp.float32 and seen.ndim == 1)
@@ -110,11 +109,9 @@ def check_stored(env: Environment, state: Any) -> None:
         ("env.action_mask", env.action_mask, (observation,), (env.action_size,), "bool"),
         ("env.reached", env.reached, (record, goal.struct), (), "bool"),
         ("env.cell_of", env.cell_of, (record,), (), "int32"),
-        ("env.goals_of", env.goals_of, (record,), ("K",), "int32"),
+        ("env.goals_of", env.goals_of, (record,), ("K", *env.goals.shape), env.goals.dtype),
     ]
     for name, function, arguments, shape, dtype in checked:
-        if env.goals is None and name in ("env.goals_of", "env.cell_of", "env.reached"):
-            continue
         for axes in ((), STORED):
             given = checks.with_axes(arguments, axes)
             found = checks.traced(name, function, *given)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalSpace, axes_of
 from infogoal_jax.replay import Trajectories
 
 
@@ -39,14 +39,13 @@ class Traits(NamedTuple):
 class Environment:
     """A task. Members without a value must be given; the others have the value that most tasks need.
 
-    A state is a pytree with at least `goal` (the desired goal), `time` (int32, steps taken), `terminated` (bool, the
-    goal is reached), `truncated` (bool, time is up; never together with terminated) and `diverged` (bool, the last step
-    of a simulation was thrown away and is not stored).
+    A state is a pytree with at least `goal` (the desired goal [*shape]), `time` (int32, steps taken), `terminated`
+    (bool, the goal is reached), `truncated` (bool, time is up; never together with terminated) and `diverged` (bool,
+    the last step of a simulation was thrown away and is not stored).
     """
 
-    goals: GoalSet | None
-    """The finite goal space, of at most `goal_uses.MOST_GOALS`. A goal is an int32 index into it. None: goals are not a
-    finite set; such a task can be stepped, but not trained on."""
+    goals: GoalSpace
+    """The goal space: a `GoalSet`, of at most `goal_uses.MOST_GOALS`, or a `GoalBox`. Goals are [..., *shape]."""
     action_size: int
     """Number of actions, or the size of an action vector."""
     episode_length: int
@@ -74,6 +73,9 @@ class Environment:
     near_goals: jax.Array | None = None
     """bool [N], goals that count as reached from a training goal: of test goals these are reported apart from the
     others. None: they are not told apart."""
+    ends_at_goal: bool = True
+    """Whether reaching the goal ends the episode, which then is worth 1 once. False: an episode goes on to its length,
+    every step at the goal is worth 1, and success is to be there at the end."""
     num_cells: int = 1
     """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False
@@ -84,12 +86,11 @@ class Environment:
     """Whether `shortest_path` is known."""
 
     def reset(self, key: jax.Array) -> Any:
-        """The state of a new episode: one of `goals.training_goals` and a start at which it is not reached, drawn
-        anew."""
+        """The state of a new episode: a training goal and a start at which it is not reached, both drawn anew."""
         raise NotImplementedError
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> Any:
-        """The state of a new episode for this desired goal, int32."""
+        """The state of a new episode for this desired goal [*shape]."""
         raise NotImplementedError
 
     def step(self, state: Any, action: jax.Array) -> Any:
@@ -115,13 +116,15 @@ class Environment:
         raise NotImplementedError
 
     def goals_of(self, record: jax.Array) -> jax.Array:
-        """The goals that records [...] achieve, for relabelling and representation learning: int32 [..., K], padded
-        with -1."""
-        raise NotImplementedError
+        """The goals that records [...] achieve, for relabelling and representation learning: [..., K, *shape], padded
+        with "no goal". In a continuous space a record is by itself the goal that it achieves."""
+        if self.goals.finite:
+            raise NotImplementedError
+        return record[..., None, :]
 
     def cell_of(self, record: jax.Array) -> jax.Array:
         """The cell that each record [...] lies in, int32 [...] below `num_cells`."""
-        return jnp.zeros(self.goals_of(record).shape[:-1], jnp.int32)
+        return jnp.zeros(axes_of(self.goals_of(record))[:-1], jnp.int32)
 
     def action_mask(self, observation: Any) -> jax.Array:
         """The actions that can be taken after stored observations [...], bool [..., A]."""
@@ -142,6 +145,6 @@ class Environment:
         """The task itself, without what is wrapped around it."""
         return self
 
-    def with_goals(self, goals: GoalSet | None) -> "Environment":
+    def with_goals(self, goals: GoalSpace) -> "Environment":
         """The same task with another goal set, such as one of which fewer goals are evaluated."""
         return self.replace(goals=goals)

@@ -12,7 +12,7 @@ import numpy as np
 
 from infogoal_jax.angles import on_circles, wrapped
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalSpace
 from infogoal_jax.shapes import with_rank
 
 
@@ -145,7 +145,7 @@ class SubgoalEnv(Environment):
     goal_positions, near_goals = of_env("goal_positions"), of_env("near_goals")
     train_backgrounds, test_backgrounds = of_env("train_backgrounds"), of_env("test_backgrounds")
     has_shortest_path, unwrapped = of_env("has_shortest_path"), of_env("unwrapped")
-    goals_are_observations = of_env("goals_are_observations")
+    goals_are_observations, ends_at_goal = of_env("goals_are_observations"), of_env("ends_at_goal")
     render, reached, goals_of, cell_of = of_env("render"), of_env("reached"), of_env("goals_of"), of_env("cell_of")
 
     @property
@@ -153,7 +153,7 @@ class SubgoalEnv(Environment):
         """Numbers of a subgoal."""
         return self.space.size
 
-    def with_goals(self, goals: GoalSet | None) -> "SubgoalEnv":
+    def with_goals(self, goals: GoalSpace) -> "SubgoalEnv":
         """The same task with another goal set."""
         return self.replace(env=self.env.with_goals(goals))
 

@@ -12,6 +12,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
+from infogoal_jax.goals import same
 from infogoal_jax.learners import none
 from infogoal_jax.learners.goal_encoder import (
     GoalEncoderConfig,
@@ -65,7 +66,7 @@ def make(config: CoGoalConfig) -> Learner:
             "accuracy": weighted_mean(log_positive[:, None] > log_negative, weights),
             "code_norm": jnp.sqrt(squared_norm),
             # Always correct: codes have no noise.
-            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
+            "self_pairs": weighted_mean(same(pairs.anchor, pairs.positive), pairs.positive_weight),
         }
         return contrastive + config.norm_penalty * squared_norm, metrics, state
 

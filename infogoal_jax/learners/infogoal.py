@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import goal_encoder
 from infogoal_jax.learners.goal_encoder import (
@@ -159,7 +160,7 @@ def make(config: InfoGoalConfig) -> Learner:
             "beta": state.beta,
             "kl": kl,
             "infomax": infomax,
-            "self_pairs": weighted_mean(pairs.anchor == pairs.positive, pairs.positive_weight),
+            "self_pairs": weighted_mean(same(pairs.anchor, pairs.positive), pairs.positive_weight),
             "no_negative": 1.0 - weighted_mean(pairs.negative_weight.max(1), pairs.positive_weight),
         }
         threshold = hyper.beta_threshold
@@ -178,8 +179,8 @@ def make(config: InfoGoalConfig) -> Learner:
         batch."""
         achieved, mask = visited.achieved, visited.mask
         target = encode(visited.desired).mean[:, None, None]
-        distance = jnp.linalg.norm(encode(jnp.maximum(achieved, 0)).mean - target, axis=-1)
-        nearest = jnp.where(achieved >= 0, distance, jnp.inf).min(-1)
+        distance = jnp.linalg.norm(encode(with_placeholders(achieved)).mean - target, axis=-1)
+        nearest = jnp.where(is_goal(achieved), distance, jnp.inf).min(-1)
         found = jnp.isfinite(nearest)
         farthest = jnp.where(found & (mask > 0), nearest, 0.0).max()
         distance = jax.lax.stop_gradient(jnp.where(found, nearest, farthest))

@@ -1,8 +1,8 @@
 """The contract of a goal-representation learner: a record of pure functions, like an optax transformation. No learner
 knows an environment.
 
-Shapes: B transitions or pairs, n steps of a transition, N goals, d numbers of a code, F features of a state. A goal is
-an int32 index.
+Shapes: B transitions or pairs, n steps of a transition, d numbers of a code, F features of a state. Arrays of goals are
+[..., *shape], see goals.py.
 """
 
 import itertools
@@ -13,7 +13,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalSet, GoalSpace, axes_of
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.relabelling.relabelling import Relabelling
 
@@ -41,7 +41,7 @@ class GoalCode:
 
 
 Encode = Callable[[jax.Array], GoalCode]
-"""Goals int32 [...] to their codes under fixed parameters. A table for small goal sets, the network for large ones."""
+"""Goals [..., *shape] to their codes [...] under fixed parameters. A table for small goal sets, else the network."""
 
 
 class SampleSpec(NamedTuple):
@@ -56,7 +56,10 @@ class SampleSpec(NamedTuple):
     anchored: bool = True
     """Compare a negative with the anchor of its pair; False: with another goal, drawn for it."""
     dissimilar: bool = True
-    """Draw negatives from the dissimilarity matrix; False: from all known goals."""
+    """Draw dissimilar goals as negatives; False: any known goals."""
+    by_cells: bool = False
+    """In a continuous space: which goals are dissimilar is kept for pairs of the environment's cells; False: asked of
+    the trajectory of each goal. A finite set has a matrix of all pairs of goals."""
     num_goals: int = 0
     """Goals that are known or desired in training: `LearnerBatch.goals`."""
     first_seen: bool = False
@@ -96,18 +99,18 @@ class LearnerBatch(NamedTuple):
     encode: Encode
     """Encodes goals with the parameters that are trained."""
     inputs_of: Callable[[jax.Array], jax.Array]
-    """Goals int32 [...] to the inputs of the goal encoder [..., *input]."""
+    """Goals [..., *shape] to the inputs of the goal encoder [..., *input]."""
     pairs: GoalPairs | None
     """Pairs as `SampleSpec` asks for; None without any."""
     goals: jax.Array | None
-    """int32 [num_goals], goals that are known or desired in training; None unless `SampleSpec` asks for them."""
+    """[num_goals, *shape], goals that are known or desired in training; None unless `SampleSpec` asks for them."""
     desired: jax.Array
-    """int32 [B], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
+    """[B, *shape], desired goals of the transitions: those of the agent's batch, or those that `SampleSpec.relabelling`
     gave them."""
     transitions: Steps
     """The transitions of the agent's batch, or the same steps under the goals that `SampleSpec.relabelling` gave."""
     features_of: Callable[[jax.Array], jax.Array] | None = None
-    """Goals int32 [...] to the features [..., F] of the observations that they are, without gradient; None unless
+    """Goals [..., *shape] to the features [..., F] of the observations that they are, without gradient; None unless
     `Learner.needs_features_of_goals`."""
 
 
@@ -116,9 +119,9 @@ class Visited:
     """Where B transitions of n steps led, for an intrinsic reward."""
 
     desired: jax.Array
-    """int32 [B], desired goals."""
+    """[B, *shape], desired goals."""
     achieved: jax.Array
-    """int32 [B, n, K], known goals achieved after each step, padded with -1."""
+    """[B, n, K, *shape], known goals achieved after each step, padded with "no goal"."""
     cell: jax.Array
     """int32 [B, n], the environment's cell that each step led to."""
     mask: jax.Array
@@ -132,9 +135,9 @@ class NewSteps(NamedTuple):
     """The steps that an epoch collected, R rows of T steps, for a learner whose state depends on all of them."""
 
     desired: jax.Array
-    """int32 [R, T], desired goals."""
+    """[R, T, *shape], desired goals."""
     achieved: jax.Array
-    """int32 [R, T, K], goals achieved after each step, padded with -1."""
+    """[R, T, K, *shape], goals achieved after each step, padded with "no goal"."""
     cell: jax.Array
     """int32 [R, T], the environment's cell that each step led to."""
     valid: jax.Array
@@ -201,7 +204,7 @@ GOALS_AT_ONCE = 256  # Images that are encoded together: their patches take 13 M
 
 
 class GoalEncoding(NamedTuple):
-    """Encodes goals with these parameters of a learner: all goals of the set once where they are at most `batch_size`,
+    """Encodes goals with these parameters of a learner: all goals of a set once where they are at most `batch_size`,
     else those that are asked for.
 
     With a view, each call varies every goal anew, with draws from `key`. Within a scan each place in the batch keeps
@@ -210,10 +213,15 @@ class GoalEncoding(NamedTuple):
 
     learner: Learner
     params: Any
-    goals: GoalSet
+    goals: GoalSpace
     batch_size: int
     view: View | None = None
     key: jax.Array | None = None
+
+    @property
+    def has_table(self) -> bool:
+        """Whether there are so few goals that all of them are encoded at once."""
+        return self.goals.finite and self.goals.num_goals <= self.batch_size
 
     def of_any(self) -> Encode:
         """Codes of any goals."""
@@ -223,13 +231,13 @@ class GoalEncoding(NamedTuple):
             return lambda indices: learner.encode(
                 params, self.view(jax.random.fold_in(self.key, next(calls)), goals.inputs_of(indices))
             )
-        if goals.num_goals <= self.batch_size:
+        if self.has_table:
             return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals, dtype=jnp.int32))).__getitem__
         return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
     def of_training_goals(self) -> Encode:
-        """Codes of training goals. They are few, so each is encoded once, however large the goal space is."""
-        if self.view is not None or self.goals.num_goals <= self.batch_size:
+        """Codes of training goals. Those of a set are few, so each is encoded once, however large the set is."""
+        if self.view is not None or not self.goals.finite or self.has_table:
             return self.of_any()
         goals, training = self.goals, self.goals.training_goals
         return lookup(self.learner.encode(self.params, goals.inputs_of(training)), goals, training)
@@ -237,13 +245,12 @@ class GoalEncoding(NamedTuple):
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:
     """Encode several arrays of goals in one pass: separate passes are so narrow that most of a GPU stays idle."""
-    codes, ends = (
-        encode(jnp.concatenate([array.ravel() for array in goals])),
-        list(itertools.accumulate(array.size for array in goals)),
-    )
+    axes = [axes_of(array) for array in goals]
+    flat = [array.reshape(-1, *array.shape[len(shape) :]) for array, shape in zip(goals, axes, strict=True)]
+    codes, ends = encode(jnp.concatenate(flat)), itertools.accumulate(map(len, flat))
     return [
-        jax.tree.map(lambda leaf, array=array, end=end: leaf[end - array.size : end].reshape(*array.shape, -1), codes)
-        for array, end in zip(goals, ends, strict=True)
+        jax.tree.map(lambda leaf, shape=shape, begin=begin, end=end: leaf[begin:end].reshape(*shape, -1), codes)
+        for shape, (begin, end) in zip(axes, itertools.pairwise([0, *ends]), strict=True)
     ]
 
 

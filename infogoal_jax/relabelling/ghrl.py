@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import replay
 from infogoal_jax.errors import require
+from infogoal_jax.pairs import KnownGoals
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Context, Relabelling
 
@@ -67,8 +68,8 @@ class Table:
     """int32 [R, T + 1], best goal of the episode of each step."""
     hit: jax.Array
     """int32 [R, T + 1], step at which the episode first reached it; -1 without such a goal."""
-    known: jax.Array
-    """bool [N], goals that may be drawn at random."""
+    known: KnownGoals
+    """Goals that may be drawn at random."""
 
 
 def best_goals(context: Context) -> Table:
@@ -87,7 +88,7 @@ def best_goals(context: Context) -> Table:
     """
     rows, achieved = context.rows, context.achievements
     num_rows, length, several = achieved.goals.shape
-    num_goals = achieved.known.shape[0]
+    num_goals = achieved.known.mask.shape[0]
     led_to = jnp.pad(rows.valid & context.written[:, None], ((0, 0), (1, 0)))  # States that a transition led to.
     begin = her.episode_starts(rows)
     at_start = jax.tree.map(

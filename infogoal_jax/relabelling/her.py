@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
+from infogoal_jax.goals import axes_of, is_goal, no_goals_like, select
 from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Trajectories
@@ -29,9 +30,10 @@ class HERConfig:
     """Share that gets a goal achieved later in the same episode (four of five, as in the paper on HER)."""
     random_share: float = 0.0
     """Share that gets any known goal. These are mostly failures, which offline learning sees nowhere else."""
-    strategy: Literal["future", "prefix"] = "future"
-    """`future`: every later step that achieves a goal is equally likely; `prefix`: every goal that the episode achieved
-    is [A]."""
+    strategy: Literal["future", "soon", "prefix"] = "future"
+    """`future`: every later step that achieves a goal is equally likely; `soon`: each is less likely by the discount
+    than the one before it, as contrastive RL asks; `prefix`: every goal that the episode achieved is equally likely
+    [A], for finite goals."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -73,8 +75,8 @@ class Prefixes:
     """int32 [R * W], running count of the first occurrences."""
     steps_left: jax.Array
     """int32 [R, T], as in `Achievements`."""
-    known: jax.Array
-    """bool [N], as in `Achievements`."""
+    known: pairs.KnownGoals
+    """As in `Achievements`."""
 
 
 def future_record(key: jax.Array, buffer: Trajectories, steps_left: jax.Array, row: jax.Array, step: jax.Array):
@@ -92,19 +94,58 @@ def relabel(key: jax.Array, goal: jax.Array, achieved_later: jax.Array, share: f
     return jnp.where(chosen, achieved_later, goal)
 
 
-def future_goal(key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array) -> jax.Array:
-    """Draw a goal achieved after `step` in the same episode, int32 [B]; -1 where there is none.
+def any_of(key: jax.Array, before: jax.Array, until: jax.Array) -> jax.Array:
+    """A rank from `before` to below `until`, uniformly, int32 [B]."""
+    return jax.random.randint(key, before.shape, before, jnp.maximum(until, before + 1), jnp.int32)
 
-    The later step is uniform among those that achieve a goal, the goal uniform among those achieved there.
+
+def soon(discount: jax.Array) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """A rank as `any_of`, but each one further on is `discount` times as likely (a geometric distribution, cut off)."""
+
+    def draw(key, before, until):
+        left = jnp.maximum(until - before, 1)
+        within = 1.0 - discount ** left.astype(jnp.float32)
+        drawn = jax.random.uniform(key, before.shape, jnp.float32)
+        ahead = jnp.floor(jnp.log1p(-drawn * within) / jnp.log(discount)).astype(jnp.int32)
+        return before + jnp.clip(ahead, 0, left - 1)
+
+    return draw
+
+
+def future_goal(
+    key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array, choose: Callable = any_of
+) -> jax.Array:
+    """Draw a goal achieved after `step` in the same episode, [B, *shape]; "no goal" where there is none.
+
+    The later step is drawn by `choose` among those that achieve a goal, the goal uniformly among those achieved there.
     """
     choose_step, choose_goal = jax.random.split(key)
     width = achievements.goals.shape[1]
     here = row * width + step
     before, until = achievements.count[here], achievements.count[here + achievements.steps_left[row, step]]
-    rank = jax.random.randint(choose_step, row.shape, before, jnp.maximum(until, before + 1), jnp.int32)
+    rank = choose(choose_step, before, until)
     place = jnp.minimum(jnp.searchsorted(achievements.count, rank, side="right"), achievements.count.shape[0] - 1)
-    goals = achievements.goals.reshape(-1, achievements.goals.shape[-1])[place]
-    return jnp.where(until > before, pairs.choose_goal(choose_goal, goals), -1)
+    goals = pairs.choose_goal(choose_goal, achievements.goals.reshape(-1, *achievements.goals.shape[2:])[place])
+    return select(until > before, goals, no_goals_like(goals))
+
+
+@flax.struct.dataclass
+class Soon:
+    """What the strategy `soon` draws from."""
+
+    achievements: Achievements
+    """What was achieved where."""
+    discount: jax.Array
+    """float32 [], discount of one step."""
+
+    @property
+    def known(self) -> pairs.KnownGoals | pairs.AchievedGoals:
+        """Goals that may be drawn at random."""
+        return self.achievements.known
+
+    def goal(self, key: jax.Array, row: jax.Array, step: jax.Array) -> jax.Array:
+        """As `future_goal`."""
+        return future_goal(key, self.achievements, row, step, soon(self.discount))
 
 
 def episode_starts(rows: Trajectories) -> jax.Array:
@@ -158,34 +199,38 @@ def prefix_goal(
 def prefixes(context: Context) -> Prefixes:
     """The table of an epoch for the strategy `prefix`."""
     achieved = context.achievements
-    seen = occurrences(achieved.goals, context.rows, achieved.known.shape[0])
+    seen = occurrences(achieved.goals, context.rows, achieved.known.mask.shape[0])
     return Prefixes(seen, replay.running_count(seen.size > 0), achieved.steps_left, achieved.known)
 
 
-def any_known(key: jax.Array, known: jax.Array, goal: jax.Array) -> jax.Array:
-    """Any known goal in place of each of these, int32 [B]; these themselves while no goal is known, bool [N]."""
-    return jnp.where(known.any(), pairs.choose_from_mask(key, known, goal.shape), goal)
+def any_known(key: jax.Array, known: pairs.KnownGoals | pairs.AchievedGoals, goal: jax.Array) -> jax.Array:
+    """Any known goal in place of each of these [B, *shape]; these themselves while no goal is known."""
+    return jnp.where(known.any(), known.draw(key, axes_of(goal)), goal)
 
 
 def relabel_shares(later_goal: Callable, share: float, random_share: float) -> Callable:
     """The `relabel` of a `Relabelling`: a share of the transitions gets what `later_goal` draws, if anything, and a
-    share any known goal. later_goal: (key, table, row, step) -> int32 [B], -1 for none."""
+    share any known goal. later_goal: (key, table, row, step) -> [B, *shape], "no goal" for none."""
 
     def relabel_goals(key, table, row, step, goal):
         later_key, random_key, choose_key = jax.random.split(key, 3)
         later = later_goal(later_key, table, row, step)
         anything = any_known(random_key, table.known, goal)
-        drawn = jax.random.uniform(choose_key, goal.shape, jnp.float32)
-        goal = jnp.where((drawn < share) & (later >= 0), later, goal)
-        return jnp.where(drawn >= 1.0 - random_share, anything, goal)
+        drawn = jax.random.uniform(choose_key, row.shape, jnp.float32)
+        goal = select((drawn < share) & is_goal(later), later, goal)
+        return select(drawn >= 1.0 - random_share, anything, goal)
 
     return relabel_goals
 
 
 def make(config: HERConfig) -> Relabelling:
-    """HER for goals that are indices."""
+    """HER."""
     prepare, later_goal = {
         "future": (lambda context: context.achievements, future_goal),
+        "soon": (
+            lambda context: Soon(context.achievements, context.discount),
+            lambda key, table, row, step: table.goal(key, row, step),
+        ),
         "prefix": (prefixes, prefix_goal),
     }[config.strategy]
     return Relabelling(prepare, relabel_shares(later_goal, config.future_share, config.random_share))

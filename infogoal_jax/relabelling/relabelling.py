@@ -1,8 +1,8 @@
 """The contract of a relabelling: functions that give sampled transitions other desired goals when a batch is drawn.
 Nothing is stored. And no relabelling: a transition keeps its desired goal.
 
-Shapes: R rows of T transitions, B transitions, N goals, K goals achieved at one step, D coordinates. A goal is an int32
-index.
+Shapes: R rows of T transitions, B transitions, N goals of a finite set, K goals achieved at one step, D coordinates.
+Arrays of goals are [..., *shape], see goals.py.
 """
 
 import dataclasses
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import flax.struct
 import jax
 
+from infogoal_jax.pairs import AchievedGoals, KnownGoals
 from infogoal_jax.replay import Trajectories
 
 
@@ -20,13 +21,13 @@ class Achievements:
     """What the rows of a replay buffer achieved. Fixed during the updates of an epoch."""
 
     goals: jax.Array
-    """int32 [R, T + 1, K], known goals achieved at each step, padded with -1."""
+    """[R, T + 1, K, *shape], known goals achieved at each step, padded with "no goal"."""
     count: jax.Array
     """int32 [R * (T + 1)], running count of the steps that achieve a goal."""
     steps_left: jax.Array
     """int32 [R, T] of `replay.steps_left`."""
-    known: jax.Array
-    """bool [N], goals that may be drawn at random."""
+    known: KnownGoals | AchievedGoals
+    """Goals that may be drawn at random."""
 
 
 class Context(NamedTuple):
@@ -39,14 +40,14 @@ class Context(NamedTuple):
     achievements: Achievements
     """What the rows achieved."""
     goal_positions: jax.Array | None
-    """float32 [N, D], where the goals lie, in the environment's units; None: unknown."""
+    """float32 [N, D], where the goals of a finite set lie, in the environment's units; None: unknown."""
     goal_codes: Callable[[], jax.Array]
-    """() -> float32 [N, d], mean codes of the goals with the epoch's first parameters."""
+    """() -> float32 [N, d], mean codes of the goals of a finite set with the epoch's first parameters."""
     value: Callable[[Any, jax.Array], jax.Array]
-    """(observation [B, ...], goal int32 [B]) -> float32 [B], value of the agent's policy with the epoch's first
+    """(observation [B, ...], goal [B, *shape]) -> float32 [B], value of the agent's policy with the epoch's first
     parameters."""
     reached: Callable[[Any, jax.Array], jax.Array]
-    """(record [...], goal int32 [...]) -> bool [...], as the environment decides."""
+    """(record [...], goal [..., *shape]) -> bool [...], as the environment decides."""
     discount: jax.Array
     """float32 [], discount of one step."""
     updates: jax.Array
@@ -72,7 +73,7 @@ class Relabelling(NamedTuple):
     prepare: Callable[[Context], Any]
     """(context: Context) -> table: what the draws of an epoch need, a pytree."""
     relabel: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array]
-    """(key, table, row int32 [B], step int32 [B], goal int32 [B]) -> goal int32 [B], for transitions that start at
+    """(key, table, row int32 [B], step int32 [B], goal [B, *shape]) -> goal [B, *shape], for transitions that start at
     these rows and steps."""
     choose: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
     """(key, table, row, step, goal) -> int32 [B / candidates]: which of the relabelled transitions to learn from; None:

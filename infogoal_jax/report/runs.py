@@ -18,7 +18,7 @@ from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
 from infogoal_jax.train.evaluation import GoalView, corrupted_view, has_image_goals
 from infogoal_jax.train.program import Train
-from infogoal_jax.train.rollout import Policy, numbers_of_goals
+from infogoal_jax.train.rollout import Policy
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,11 +62,11 @@ class Run(Description):
         return found
 
     def corrupted_view(self, goals: jax.Array, num_starts: int, weight: float, seed: int | None = None) -> GoalView:
-        """These goals, int32 [M], as the encoder of a seed sees their images under test backgrounds of this weight,
+        """These goals [M, *shape] as the encoder of a seed sees their images under test backgrounds of this weight,
         another background for each start; for `infogoal_jax.evaluate`. Raises `UserError` where goals are not images,
         for what are no goals, starts or weight, and as `policy` does.
         """
-        goals = numbers_of_goals(self.env, goals, "goals", axes=1)
+        goals = self.env.goals.checked(goals, "goals", axes=1)
         num_starts = checks.whole(num_starts, "num_starts", 1)
         weight = checks.number(weight, "weight", 0, 1, "give a number from 0 (clean) to 1 (the background alone)")
         require(

@@ -66,12 +66,11 @@ def working_bytes(train: Train) -> int:
     cut into patches, the goals that it achieved, and the episodes of an evaluation."""
     config, env = train.config, train.env
     observation = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
-    seen, goal = jax.eval_shape(env.render, observation), env.goals.inputs[0]
-    num_goals = (
-        env.goals.num_goals
-        if env.goals.num_goals <= config.batch_size
-        else config.batch_size * train.parts.agent.num_steps
-    )
+    seen = jax.eval_shape(env.render, observation)
+    goal = jax.eval_shape(lambda: env.goals.inputs_of(env.goals.examples[0]))
+    num_goals = config.batch_size * train.parts.agent.num_steps
+    if env.goals.finite and env.goals.num_goals <= config.batch_size:
+        num_goals = env.goals.num_goals
     encoded = (6 * config.batch_size * seen.size + 4 * num_goals * goal.size) * np.dtype("float32").itemsize
     return encoded + episode_bytes(train, config.evaluation_starts)
 

@@ -105,8 +105,7 @@ def check_seeds(seeds: Sequence[int], trials: int) -> None:
 def scored_goals_only(env) -> tuple[Any, str]:
     """The environment with no other goals evaluated than those that trials are scored on, and their group."""
     group = "validation" if "validation" in env.goals.groups else "train"
-    scored = np.flatnonzero(getattr(env.goals, f"{group}_mask"))
-    return env.with_goals(env.goals.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))), group
+    return env.with_goals(env.goals.only(group)), group
 
 
 def fields_that_matter(train: Train) -> tuple[str, ...]:

@@ -46,8 +46,8 @@ def check_actions(env: Environment, actions: Any, num_episodes: int) -> None:
 def check_starts(env: Environment, starts: Any, desired: jax.Array) -> None:
     """Raise `UserError` unless `starts` are states [M, S] of the environment for the M desired goals, in their
     order."""
-    one = jax.eval_shape(env.reset_to, jax.random.key(0), jax.ShapeDtypeStruct((), jnp.int32))
-    axes, goals = np.shape(starts.goal), jnp.shape(desired)
+    one = jax.eval_shape(env.reset_to, jax.random.key(0), jax.ShapeDtypeStruct(env.goals.shape, env.goals.dtype))
+    axes, goals = np.shape(starts.goal)[: np.ndim(starts.goal) - len(env.goals.shape)], jnp.shape(desired)
     remedy = f"give states [M, S] of env.reset_to for the {goals[0]} goals, goals first"
     require(len(axes) == 2, "starts", f"states {list(axes)}", remedy)
     if axes[0] != goals[0]:
@@ -59,12 +59,12 @@ def check_starts(env: Environment, starts: Any, desired: jax.Array) -> None:
     if checks.is_traced((starts.goal, desired)):
         return
     own, asked = np.asarray(starts.goal), np.asarray(desired)
-    different = np.flatnonzero((own != asked[:, None]).any(1))
+    different = np.flatnonzero((own != asked[:, None]).reshape(len(asked), -1).any(1))
     if different.size:
         row = different[0]
         raise UserError(
-            f"starts[{row}] = states for goal {shown(own[row].tolist())}, goals[{row}] = {asked[row]}: the states are "
-            "for other goals; give both in one order, or the number of starts"
+            f"starts[{row}] = states for goal {shown(own[row].tolist())}, goals[{row}] = {asked[row].tolist()}: the "
+            "states are for other goals; give both in one order, or the number of starts"
         )
 
 

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
-from infogoal_jax.goals import GoalSet, corrupt, draw_backgrounds
+from infogoal_jax.goals import GoalSpace, corrupt, draw_backgrounds
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
 from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
-from infogoal_jax.train.rollout import Episodes, Policy, numbers_of_goals, run_episodes, trained_policy
+from infogoal_jax.train.rollout import Episodes, Policy, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
 EVALUATION_SEED = 20_240_000
@@ -29,7 +29,7 @@ class GoalView:
     """M desired goals, and what the policy is shown in place of each."""
 
     goals: jax.Array
-    """int32 [M], the desired goals, which decide what counts as success."""
+    """[M, *shape], the desired goals, which decide what counts as success."""
     shown: Any
     """A pytree [M, S, ...], such as a `GoalCode`: what the policy is given in each of the S episodes of a goal. S is 1
     where it is the same for every start."""
@@ -40,9 +40,11 @@ class Scores:
     """How S episodes for each of M goals ended."""
 
     success: jax.Array
-    """bool [M, S], whether the goal was reached."""
+    """bool [M, S], whether the goal was reached; where reaching it ends no episode, whether it was at the end."""
     steps: jax.Array
     """int32 [M, S], steps until the end of the episode."""
+    first: jax.Array
+    """int32 [M, S], steps after which the goal was first reached, 1 more than an episode has where it never was."""
     spl: jax.Array | None
     """float32 [M, S], success * shortest path / max(steps, shortest path) (Anderson et al. 2018); None where shortest
     paths are unknown."""
@@ -52,10 +54,6 @@ class Scores:
         scores = {"success_rate": self.success, "episode_length": self.steps}
         return scores if self.spl is None else scores | {"spl": self.spl}
 
-    def first_reached(self, episode_length: int) -> jax.Array:
-        """Steps after which each goal was first reached, int32 [M, S]; episode_length + 1 where it never was."""
-        return jnp.where(self.success, self.steps, episode_length + 1)
-
 
 def seed_key(seed: int, number: int = 0) -> jax.Array:
     """The key of an evaluation's seed for the purpose of this number: 0 for starts, 1 for noise, 2 for backgrounds."""
@@ -63,8 +61,8 @@ def seed_key(seed: int, number: int = 0) -> jax.Array:
 
 
 def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_SEED) -> Any:
-    """Draw start states for each goal: goals int32 [M] to states [M, num_starts]."""
-    desired = jnp.repeat(goals, num_starts)
+    """Draw start states for each goal: goals [M, *shape] to states [M, num_starts]."""
+    desired = jnp.repeat(goals, num_starts, axis=0)
     states = jax.vmap(env.reset_to)(jax.random.split(seed_key(seed), desired.shape[0]), desired)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, num_starts, *leaf.shape[1:]), states)
 
@@ -72,8 +70,8 @@ def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_S
 def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10, seed: int = EVALUATION_SEED) -> Scores:
     """Run the policy to the end of an episode for each goal and start, all side by side. Compile it with `jax.jit`.
 
-    policy: (observations [E, ...], goals int32 [E] or what the view shows [E, ...], key) -> actions [E, ...].
-    goals: int32 [M], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
+    policy: (observations [E, ...], goals [E, *shape] or what the view shows [E, ...], key) -> actions [E, ...].
+    goals: [M, *shape], or a view of them. starts: how many are drawn for each goal, or states [M, S] of `env.reset_to`
     for these goals, in their order. seed: of the starts that are drawn and of the policy's noise. Raises `UserError`
     for goals that the task does not have, for starts that are neither or for other goals, for a view of another shape,
     and for what is no policy.
@@ -81,7 +79,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
     check_is_environment(env, "give the policy first, and an environment after it")
     policy = checked_policy(env, policy)
     seed, is_view = checks.seed(seed), isinstance(goals, GoalView)
-    desired = numbers_of_goals(env, goals.goals if is_view else goals, "goals", axes=1)
+    desired = env.goals.checked(goals.goals if is_view else goals, "goals", axes=1)
     if hasattr(starts, "goal"):
         check_starts(env, starts, desired)
         states = starts
@@ -91,7 +89,7 @@ def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10,
         )
         states = draw_starts(env, desired, count, seed)
     if is_view:
-        check_shown(goals.shown, *states.goal.shape, "goals")
+        check_shown(goals.shown, *states.time.shape, "goals")
     episodes = run_side_by_side(env, policy, [goals], states, seed_key(seed, 1))
     return score(env, states, jax.tree.map(lambda leaf: leaf[0], episodes))
 
@@ -102,7 +100,7 @@ def run_side_by_side(
     """Episodes [V, M, S] of the policy for each of V views of the goals, from the same start states [M, S] and with
     the same noise; all in one rollout, so that policy and environment are compiled once. What the views show has one
     structure."""
-    shape = starts.goal.shape
+    shape = starts.time.shape
     starts, blocks = jax.tree.map(flat, starts), (len(views), shape[0] * shape[1])
 
     def shown_to_all(goals):
@@ -127,18 +125,18 @@ def flat(leaf: jax.Array) -> jax.Array:
 def score(env, starts: Any, episodes: Episodes) -> Scores:
     """The scores of episodes [..., M, S] from these start states [M, S]."""
     if not env.has_shortest_path:
-        return Scores(episodes.success, episodes.steps, spl=None)
+        return Scores(episodes.success, episodes.steps, episodes.first_reached, spl=None)
     shortest = jax.vmap(jax.vmap(env.shortest_path))(starts)
     shortest = with_rank(shortest, episodes.steps.ndim)
     longer = jnp.maximum(jnp.maximum(episodes.steps, shortest), 1)
     spl = (episodes.success.astype(jnp.int32) * shortest).astype(jnp.float32) / longer.astype(jnp.float32)
-    return Scores(episodes.success, episodes.steps, spl)
+    return Scores(episodes.success, episodes.steps, episodes.first_reached, spl)
 
 
-def group_means(scores: Scores, goals: GoalSet) -> dict[str, dict[str, jax.Array]]:
+def group_means(scores: Scores, goals: GoalSpace) -> dict[str, dict[str, jax.Array]]:
     """The mean of each score over the goals of each group, {"train", "validation" or "test": {score: [...]}}, of scores
     [..., M, S] of all evaluated goals."""
-    masks = jnp.stack([getattr(goals, f"{group}_mask") for group in goals.groups])[:, goals.evaluated]
+    masks = goals.in_groups()
     counts = masks.sum(-1, dtype=jnp.int32).astype(jnp.float32)
 
     def mean_of_groups(value):
@@ -171,9 +169,11 @@ def near_and_far(env, first_reached: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def random_policy(env) -> Policy:
-    """Uniform over the actions that lead somewhere."""
+    """Uniform over the actions that lead somewhere, or over vectors in [-1, 1]."""
 
     def act(observation, goal, key):
+        if not env.discrete:
+            return jax.random.uniform(key, env.action_mask(observation).shape, jnp.float32, -1.0, 1.0)
         mask = env.action_mask(observation)
         return jnp.where(mask, jax.random.uniform(key, mask.shape, jnp.float32), -1.0).argmax(-1).astype(jnp.int32)
 
@@ -188,15 +188,15 @@ def has_image_goals(env) -> bool:
 def corrupted_images(
     env, goals: jax.Array, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED
 ) -> jax.Array:
-    """Images of the goals [M] under test backgrounds, uint8 [M, num_starts, H, W, C]: each start has a background of
-    its own."""
+    """Images of the goals [M, *shape] under test backgrounds, uint8 [M, num_starts, H, W, C]: each start has a
+    background of its own."""
     images = jnp.repeat(env.goals.inputs_of(goals)[:, None], num_starts, axis=1)
     backgrounds = draw_backgrounds(seed_key(seed, 2), env.test_backgrounds, (len(goals) * num_starts,))
     return corrupt(images, backgrounds.reshape(images.shape), weight)
 
 
 def clean_view(parts, params, env, goals: jax.Array) -> GoalView:
-    """The codes of goals int32 [M], the same for every start."""
+    """The codes of goals [M, *shape], the same for every start."""
     codes = parts.learner.encode(params["goal"], env.goals.inputs_of(goals))
     return GoalView(goals, jax.tree.map(lambda leaf: leaf[:, None], codes))
 
@@ -204,7 +204,7 @@ def clean_view(parts, params, env, goals: jax.Array) -> GoalView:
 def corrupted_view(
     parts, params, env, goals: jax.Array, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED
 ) -> GoalView:
-    """The codes of goals int32 [M] as `corrupted_images` shows them, which stay the same for the length of an
+    """The codes of goals [M, *shape] as `corrupted_images` shows them, which stay the same for the length of an
     episode."""
     images = corrupted_images(env, goals, num_starts, weight, seed)
     codes = parts.learner.encode(params["goal"], images.reshape(-1, *images.shape[2:]))
@@ -232,7 +232,7 @@ def evaluate_settings(
 
     corruption: weight of the backgrounds, None for the configuration's. seed: of starts, backgrounds and noise.
     `first_reached`: int32 [M, num_starts] of clean goals and sampled codes, episode_length + 1 where a goal was not
-    reached; success within t steps is `first_reached <= t`.
+    reached; success within t steps is `first_reached <= t`, at whatever time it was.
     """
     goals = env.goals.evaluated
     views = {False: clean_view(parts, params, env, goals)}
@@ -253,7 +253,7 @@ def evaluate_settings(
     key = seed_key(seed, 1)
     shown = [shown_in(setting) for setting in settings]
     scores = score(env, starts, run_side_by_side(env, policy, shown, starts, key))
-    metrics = {"first_reached": scores.first_reached(env.episode_length)[0]}
+    metrics = {"first_reached": scores.first[0]}
     for group, means in group_means(scores, env.goals).items():
         for name, values in means.items():
             metrics |= {setting.metric(group, name): value for setting, value in zip(settings, values, strict=True)}

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
+from infogoal_jax.goals import is_goal, no_goals_like, select
 from infogoal_jax.learners.learner import GoalCode, NewSteps, conditioned, encode_all
 from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements, Context
@@ -22,12 +23,12 @@ class Experience:
 
     buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved:
     bool [R, T + 1];
-    known: bool [N], goals that may be negatives; usable: bool [N], goals that may be anchors and positives;
-    dissimilarity: bool [N, N].
+    known: goals that may be negatives; dissimilarity: bool [N, N] of a finite set, or of the cells [C, C], or None.
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to
     encode in every update; or None.
     relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus:
     float32 [K, A] of each observation and action; None without such a part.
+    episode: int32 [R, T + 1], number of the episode that each observation belongs to; None for finite goals.
     first_seen: float32 [R, T + 1], known goals that each step was the first of its episode to achieve; None unless the
     learner asks for them.
     """
@@ -36,13 +37,13 @@ class Experience:
     decision_count: jax.Array
     achieved: jax.Array
     achieved_count: jax.Array
-    known: jax.Array
-    usable: jax.Array
-    dissimilarity: jax.Array
+    known: pairs.KnownGoals | pairs.AchievedGoals
+    dissimilarity: jax.Array | None
     codes: GoalCode | None
     relabelling: Any = None
     learner_relabelling: Any = None
     bonus: jax.Array | None = None
+    episode: jax.Array | None = None
     first_seen: jax.Array | None = None
 
 
@@ -59,9 +60,9 @@ def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainSt
     ended = jnp.maximum(terminated + truncated, 1)
     return state, {
         "collect/success_rate": terminated.astype(jnp.float32) / ended.astype(jnp.float32),
-        "collect/nothing_achieved": (env.goals_of(rows.record) < 0).all(-1).mean(dtype=jnp.float32),
+        "collect/nothing_achieved": (~is_goal(env.goals_of(rows.record))).all(-1).mean(dtype=jnp.float32),
         "collect/valid": rows.valid.mean(dtype=jnp.float32),
-        "collect/goals_seen": state.seen.sum(dtype=jnp.int32),
+        **({} if state.seen is None else {"collect/goals_seen": state.seen.sum(dtype=jnp.int32)}),
     }
 
 
@@ -75,57 +76,51 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
         learner=learner.observe(
             state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
         ),
-        seen=state.seen.at[jnp.where(achieved < 0, env.goals.num_goals, achieved)].set(True, mode="drop"),
     )
-    if not learner.sample_spec.num_pairs:
+    if env.goals.finite:
+        seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
+        state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
+    if not learner.sample_spec.num_pairs or state.dissimilarity is None:
         return state
-    similar = usable_goals(env, rows.record, usable_mask(parts.config, env))
+    # Of a continuous space the cells that were visited.
+    similar = usable_goals(parts.config, env, rows.record) if env.goals.finite else env.cell_of(rows.record)[..., None]
     return state.replace(
         dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
     )
 
 
-def usable_mask(config, env) -> jax.Array:
-    """Goals that may be anchors and positives, and that transitions may be relabelled with, once they are achieved:
-    bool [N]."""
-    goals = env.goals
-    if config.known_goals == "train":
-        return goals.train_mask
-    return (
-        ~(goals.validation_mask | goals.test_mask)
-        if config.known_goals == "held_out"
-        else jnp.ones_like(goals.train_mask)
-    )
+def initial_dissimilarity(spec, env) -> jax.Array | None:
+    """G_neg before any experience: of the goals of a finite set, or of the cells of a continuous space where the
+    learner asks for them; else None."""
+    if env.goals.finite:
+        return pairs.initial_dissimilarity(env.goals.num_goals)
+    return pairs.initial_dissimilarity(env.num_cells) if spec.num_pairs and spec.by_cells else None
 
 
-def goals_to_learn(experience: Experience, env) -> jax.Array:
-    """Goals that something may be learned of: known ones, and training goals, which are desired from the start; bool
-    [N]."""
-    return experience.known | env.goals.train_mask
-
-
-def usable_goals(env, record, usable: jax.Array) -> jax.Array:
-    """Goals achieved in these records that may enter representation learning: int32 [..., K], padded with -1."""
+def usable_goals(config, env, record) -> jax.Array:
+    """Goals achieved in these records that may be anchors and positives, and that transitions may be relabelled with:
+    [..., K, *shape], padded with "no goal"."""
     goals = env.goals_of(record)
-    return jnp.where((goals >= 0) & usable[goals], goals, -1)
+    usable = is_goal(goals) & env.goals.usable(goals, config.known_goals)
+    return select(usable, goals, no_goals_like(goals))
 
 
 def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experience, TrainState]:
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
-    offline, usable = env.recorded is not None, usable_mask(parts.config, env)
+    offline = env.recorded is not None
     buffer = env.recorded if offline else state.buffer
     written = jnp.arange(buffer.valid.shape[0], dtype=jnp.int32) < (
         buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs
     )
-    goals = usable_goals(env, buffer.record, usable)
-    achieved = (goals >= 0).any(-1) & written[:, None]
+    goals = usable_goals(parts.config, env, buffer.record)
+    achieved = is_goal(goals).any(-1) & written[:, None]
     achieved_count = replay.running_count(achieved)
-    known = jnp.ones_like(usable) if parts.config.known_goals == "all" else usable & state.seen
-    codes = (
-        encode_all(parts.learner, state.params["goal"], env.goals)
-        if env.goals.num_goals > parts.config.batch_size
-        else None
-    )
+    known, codes = pairs.AchievedGoals(goals, achieved_count), None
+    if env.goals.finite:
+        usable = env.goals.usable_mask(parts.config.known_goals)
+        known = pairs.KnownGoals(usable if parts.config.known_goals == "all" else usable & state.seen)
+        if env.goals.num_goals > parts.config.batch_size:
+            codes = encode_all(parts.learner, state.params["goal"], env.goals)
     bonus = table = learner_table = None
     learner_relabelling = parts.learner.sample_spec.relabelling
     if parts.relabelling is not None or learner_relabelling is not None:
@@ -147,12 +142,12 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         achieved=achieved,
         achieved_count=achieved_count,
         known=known,
-        usable=usable,
         dissimilarity=state.dissimilarity,
         codes=codes,
         relabelling=table,
         learner_relabelling=learner_table,
         bonus=bonus,
+        episode=None if env.goals.finite else buffer.episode(),
         first_seen=first_seen(goals, buffer, env.goals.num_goals) if parts.learner.sample_spec.first_seen else None,
     ), state
 

@@ -25,7 +25,13 @@ from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.evaluation import evaluate_settings
-from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
+from infogoal_jax.train.experience import (
+    Experience,
+    collect_epoch,
+    experience_of,
+    initial_dissimilarity,
+    update_statistics,
+)
 from infogoal_jax.train.parts import (
     INITIAL,
     UPDATE,
@@ -100,7 +106,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
     (`infogoal_jax.make_train` does). check_env: raises `UserError` for another environment that cannot take its
     place."""
     parts = make_parts(config, env)
-    learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
+    learner, agent, encoder, goals = parts.learner, parts.agent, parts.state_encoder, env.goals
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
@@ -110,12 +116,12 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
         features = encode_states(parts, params, env, 1)(observation)
         params["goal"], learner_state = learner.init(
-            keys[0], InputSpec(env.goals.inputs_of(env.goals.training_goals), features, env.num_cells), hyper.learner
+            keys[0], InputSpec(env.goals.inputs_of(env.goals.examples), features, env.num_cells), hyper.learner
         )
         code = conditioned(
             learner,
             params["goal"],
-            learner.encode(params["goal"], env.goals.inputs_of(jnp.arange(1, dtype=jnp.int32))),
+            learner.encode(params["goal"], env.goals.inputs_of(env.goals.examples[:1])),
             features[None],
         ).mean[0]
         params["agent"], agent_state = agent.init(keys[2], features, code)
@@ -130,8 +136,8 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
             learner=learner_state,
             agent=agent_state,
             explorer=explorer_state,
-            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
-            seen=jnp.zeros(env.goals.num_goals, bool),
+            dissimilarity=initial_dissimilarity(learner.sample_spec, env),
+            seen=jnp.zeros(env.goals.num_goals, bool) if goals.finite else None,
             buffer=None,
             env_states=None,
             key=key,
@@ -150,7 +156,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         update_key = numbered(state.key, UPDATE, number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
         metrics |= collected
-        if learner.sample_spec.num_pairs:
+        if learner.sample_spec.num_pairs and goals.finite:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}

@@ -2,23 +2,20 @@
 under a policy that is fixed for its length, to collect experience and to run evaluation episodes."""
 
 from collections.abc import Callable
-from typing import Any
 
 import flax.struct
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.agents.agent import Exploration
-from infogoal_jax.errors import require
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.contracts import check_is_environment, checked_policy
 from infogoal_jax.train.parts import encode_states, sees_means, tests_on_means, training_view
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
-"""Stored observations [E, ...], goals int32 [E] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
+"""Stored observations [E, ...], goals [E, *shape] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
 also takes the codes `GoalCode` [E] of goals, in place of the goals."""
 
 
@@ -48,7 +45,7 @@ def training_policy(parts, params, hyper, env, key) -> Policy:
 
 
 def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False) -> Policy:
-    """The policy that training is for: greedy but for `test_epsilon`. It takes goals int32 [E], or their codes
+    """The policy that training is for: greedy but for `test_epsilon`. It takes goals [E, *shape], or their codes
     `GoalCode` [E], which may be those of other inputs. use_mean: of the code, not a sample."""
 
     def encode(goal: jax.Array | GoalCode) -> GoalCode:
@@ -131,42 +128,27 @@ def chosen(mask: jax.Array, first, second):
 
 @flax.struct.dataclass
 class Episodes:
-    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E].
+    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E], whether the goal was reached, at
+    the end where reaching it ends no episode; first_reached: int32 [E], steps after which it first was, episode_length
+    + 1 where it never was.
 
     observations: [E, T + 1, ...] stored observations; after the end of an episode the last one is repeated.
     """
 
     steps: jax.Array
     success: jax.Array
+    first_reached: jax.Array
     observations: jax.Array
 
 
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
-    """One episode for a desired goal, its number or its name, from a start drawn from the key; without the axis of
-    episodes. Compile it with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
+    """One episode for a desired goal, a value of `env.goals` or its name, from a start drawn from the key; without the
+    axis of episodes. Compile it with `jax.jit`. Raises `UserError` for a goal that the task does not have."""
     check_is_environment(env, "give an environment, and the policy after it")
     policy = checked_policy(env, policy)
     start_key, act_key = jax.random.split(checks.key(key))
-    starts = jax.vmap(env.reset_to)(start_key[None], numbers_of_goals(env, goal, "goal", axes=0)[None])
+    starts = jax.vmap(env.reset_to)(start_key[None], env.goals.checked(goal, "goal", axes=0)[None])
     return jax.tree.map(lambda leaf: leaf[0], run_episodes(env, starts, policy, act_key))
-
-
-def numbers_of_goals(env, goals: Any, field: str, axes: int) -> jax.Array:
-    """Desired goals with so many axes, as int32, given by number or by name. Raises `UserError` for what are no numbers
-    of goals of the task, as a mask of them; of values that are traced the type alone is known."""
-    named = [goals] if isinstance(goals, str) else goals if isinstance(goals, list | tuple) else []
-    if env.goals is not None and {*map(type, named)} == {str}:
-        unknown = [name for name in named if name not in env.goals.names]
-        require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
-        numbers = [env.goals.names.index(name) for name in named]
-        goals = numbers[0] if isinstance(goals, str) else numbers
-    remedy = "give whole numbers of goals, such as np.flatnonzero(mask)" if axes else "give the whole number of a goal"
-    given = checks.array(goals, field, "whole numbers", (None,) * axes, remedy)
-    require(axes == 0 or given.shape[0] > 0, field, goals, "give at least one goal")
-    if env.goals is not None and not checks.is_traced(given):
-        known, most = np.asarray(given), env.goals.num_goals - 1
-        require(((known >= 0) & (known <= most)).all(), field, goals, f"the task has the goals 0 to {most}")
-    return given.astype(jnp.int32) if checks.is_traced(given) else np.asarray(given, np.int32)
 
 
 def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
@@ -177,10 +159,15 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
         finished = states.terminated | states.truncated
         stepped = jax.vmap(env.step)(states, policy(env.observe(states), states.goal, step_key))
         following = chosen(finished, states, stepped)
-        return following, env.observe(following)
+        at_goal = () if env.ends_at_goal else env.reached(env.achieved(following), following.goal)
+        return following, (env.observe(following), at_goal)
 
-    states, observations = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))
+    states, (observations, at_goal) = jax.lax.scan(step, starts, jax.random.split(key, env.episode_length))
     observations = jax.tree.map(
         lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations
     )
-    return Episodes(steps=states.time, success=states.terminated, observations=observations)
+    success, first = states.terminated, states.time
+    if not env.ends_at_goal:
+        success, first = at_goal[-1], at_goal.argmax(0).astype(jnp.int32) + 1
+    found = success if env.ends_at_goal else at_goal.any(0)
+    return Episodes(states.time, success, jnp.where(found, first, env.episode_length + 1), observations)

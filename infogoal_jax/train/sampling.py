@@ -7,10 +7,12 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs as goal_pairs
 from infogoal_jax import replay
+from infogoal_jax.goals import is_goal, same, select, with_placeholders
+from infogoal_jax.keys import draw_chance
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.experience import Experience, goals_to_learn, usable_goals
+from infogoal_jax.train.experience import Experience, usable_goals
 from infogoal_jax.train.parts import spec_of
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
@@ -21,7 +23,7 @@ class RelabelledBatch:
     """Steps of a `Sample` under goals of which some were achieved later: as much of such transitions, and of their
     rewards, as changes.
 
-    goal, next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
+    goal: [B, *shape]; next_observation: [B, ...]; mask, external: float32 [B, n]; terminated: bool [B].
     """
 
     goal: jax.Array
@@ -36,16 +38,14 @@ class Sample:
     """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside
     of the loop over updates.
 
-    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: int32 [B, n, K],
-    the known goals that were achieved after each, padded with -1; pairs: of goals, or None; goals: int32 [M], known
-    ones, as many as the learner asks for.
-    first_seen: float32 [B, n], as in `Visited`; None unless the learner asks for it.
-    bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next observation) [B];
-    None without an explorer.
-    all_goals: int32 [G], the goals that the agent learns every transition from; None without, or for all of the task.
-    goal_share: float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without.
-    relabelled: the same steps as the learner's loss sees them, some under goals achieved later; None where it sees what
-    the agent sees.
+    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: [B, n, K,
+    *shape], the known goals that were achieved after each, padded with "no goal"; pairs: of goals, or None; goals: [M,
+    *shape], known ones, as many as the learner asks for. first_seen: float32 [B, n], as in `Visited`; None unless the
+    learner asks for it. bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next
+    observation) [B]; None without an explorer. all_goals: int32 [G], the goals that the agent learns every transition
+    from; None without, or for all of the task. goal_share: float32 [G], of each of these goals in the agent's loss, as
+    in `AllGoals`; None without. relabelled: the same steps as the learner's loss sees them, some under goals achieved
+    later; None where it sees what the agent sees.
     """
 
     transitions: Transitions
@@ -72,14 +72,13 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         goal = buffer.goal[row, step]
     if parts.relabelling is not None:
         row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
-    drawn = with_rewards(env, experience, replay.transitions_at(buffer, row, step, num_steps, goal, env.reached))
+    ends = env.reached if env.ends_at_goal else None
+    drawn = with_rewards(parts.config, env, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
-        drawn = drawn.replace(pairs=sample_pairs(spec, env, experience, pair_key))
+        drawn = drawn.replace(pairs=sample_pairs(parts, env, experience, pair_key))
     if spec.num_goals:
-        drawn = drawn.replace(
-            goals=goal_pairs.choose_from_mask(goals_key, goals_to_learn(experience, env), (spec.num_goals,))
-        )
+        drawn = drawn.replace(goals=draw_goals_to_learn(goals_key, experience, env, spec.num_goals))
     if spec_of(parts) is not None:
         known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
         goals = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], goals_key)
@@ -92,9 +91,7 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         other = spec.relabelling.relabel(
             jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal
         )
-        relabelled = with_rewards(
-            env, experience, replay.transitions_at(buffer, row, step, num_steps, other, env.reached)
-        )
+        relabelled = with_rewards(parts.config, env, replay.transitions_at(buffer, row, step, num_steps, other, ends))
         kept = {
             name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")
         }
@@ -111,30 +108,89 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     return drawn
 
 
-def sample_pairs(spec, env, experience: Experience, key: jax.Array) -> GoalPairs:
+def goals_to_learn(experience: Experience, env) -> jax.Array:
+    """Goals of a finite set that something may be learned of: known ones, and training goals, which are desired from
+    the start; bool [N]."""
+    return experience.known.mask | env.goals.train_mask
+
+
+def draw_goals_to_learn(key: jax.Array, experience: Experience, env, num: int) -> jax.Array:
+    """Goals [num, *shape] that something may be learned of: known ones and training goals. In a continuous space half
+    of them are of each kind."""
+    if env.goals.finite:
+        return goal_pairs.choose_from_mask(key, goals_to_learn(experience, env), (num,))
+    known_key, desired_key, choose_key = jax.random.split(key, 3)
+    desired = jax.vmap(env.goals.draw)(jax.random.split(desired_key, num))
+    take_known = draw_chance(choose_key, 0.5, (num,)) & experience.known.any()
+    return select(take_known, experience.known.draw(known_key, (num,)), desired)
+
+
+def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPairs:
     """Goal pairs for the contrastive bound, as the learner's `SampleSpec` asks (Algorithm 1, lines 16 to 20)."""
-    keys = jax.random.split(key, 5)
-    records = replay.sample_within_window(
-        keys[0], experience.buffer, experience.achieved, experience.achieved_count, spec.num_pairs, spec.window
+    spec, buffer, count = parts.learner.sample_spec, experience.buffer, experience.achieved_count
+    keys, shape = (
+        jax.random.split(key, 5),
+        (parts.learner.sample_spec.num_pairs, parts.learner.sample_spec.num_negatives),
     )
-    records = jax.tree.map(lambda *both: jnp.stack(both), *records)
-    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(env, records, experience.usable))
+    row, first, second = replay.sample_within_window(
+        keys[0], buffer, experience.achieved, count, spec.num_pairs, spec.window
+    )
+    records = jax.tree.map(lambda leaf: jnp.stack([leaf[row, first], leaf[row, second]]), buffer.record)
+    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(parts.config, env, records))
     # Else the draw has nothing to choose from, and returned a row not written yet.
-    any_achieved = experience.achieved_count[-1] > 0
-    positive_weight = ((anchor >= 0) & (positive >= 0) & any_achieved).astype(jnp.float32)
-    anchor, positive = jnp.maximum(anchor, 0), jnp.maximum(positive, 0)
-    contrast = jnp.broadcast_to(anchor[:, None], (spec.num_pairs, spec.num_negatives))
-    if not spec.anchored:
-        contrast = goal_pairs.choose_from_mask(keys[3], experience.known, contrast.shape)
-    if spec.dissimilar:
+    any_achieved = count[-1] > 0
+    positive_weight = (is_goal(anchor) & is_goal(positive) & any_achieved).astype(jnp.float32)
+    anchor, positive = with_placeholders(anchor), with_placeholders(positive)
+    place = row[:, None], first[:, None]
+    contrast = jnp.broadcast_to(anchor[:, None], (*shape, *anchor.shape[1:]))
+    if not spec.anchored and env.goals.finite:
+        contrast = experience.known.draw(keys[3], shape)
+    elif not spec.anchored:
+        place_key, goal_key = jax.random.split(keys[3])
+        place = replay.draw(place_key, count, shape, buffer.valid.shape[1] + 1)
+        contrast = with_placeholders(goal_pairs.choose_goal(goal_key, experience.known.goals[place]))
+    if not spec.dissimilar:
+        # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
+        negative = experience.known.draw(keys[4], shape)
+        known = experience.known.mask[negative] if env.goals.finite else any_achieved & is_goal(negative)
+        negative_weight = (known & ~same(negative, contrast)).astype(jnp.float32)
+    elif env.goals.finite:
         negative, negative_weight = goal_pairs.sample_negatives(
-            keys[4], experience.dissimilarity, experience.known, contrast
+            keys[4], experience.dissimilarity, experience.known.mask, contrast
         )
     else:
-        # Any known goal, similar ones too; only where it is the very goal that it would be compared with, it is none.
-        negative = goal_pairs.choose_from_mask(keys[4], experience.known, contrast.shape)
-        negative_weight = (experience.known[negative] & (negative != contrast)).astype(jnp.float32)
-    return GoalPairs(anchor, positive, contrast, negative, positive_weight, negative_weight)
+        negative, negative_weight = sample_apart(spec, env, experience, keys[4], place, contrast)
+    return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight)
+
+
+def sample_apart(
+    spec, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Draw for each goal of a continuous space one from the buffer that is dissimilar to it (line 20), by rejection.
+
+    Two goals are similar if they were achieved within the window in one trajectory, or if one of them achieves the
+    other; by cells, if two goals of their cells ever were. place: row and step, int32 [B, 1] or [B, K], where the goals
+    contrast [B, K, D] were achieved. Returns goals [B, K, D] and weights float32 [B, K], 0 where every candidate was
+    rejected.
+    """
+    buffer, goals = experience.buffer, experience.known.goals
+    place_key, goal_key = jax.random.split(key)
+    tried = (*contrast.shape[:-1], goal_pairs.REJECTION_TRIES)
+    there = replay.draw(place_key, experience.achieved_count, tried, goals.shape[1])
+    candidates = goal_pairs.choose_goal(goal_key, goals[there])
+    here = tuple(jnp.broadcast_to(index[..., None], tried) for index in place)
+    record, other = (jax.tree.map(lambda leaf, at=at: leaf[at], buffer.record) for at in (here, there))
+    if spec.by_cells:
+        apart = experience.dissimilarity[env.cell_of(record), env.cell_of(other)]
+    else:
+        episode = experience.episode
+        apart = (here[0] != there[0]) | (episode[here] != episode[there]) | (jnp.abs(here[1] - there[1]) > spec.window)
+        one_achieves_other = env.reached(other, contrast[..., None, :]) | env.reached(record, candidates)
+        apart = apart & ~one_achieves_other
+    accepted = apart & is_goal(candidates) & (experience.achieved_count[-1] > 0)
+    first = accepted.argmax(-1)[..., None]
+    negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
+    return negative, accepted.any(-1).astype(jnp.float32)
 
 
 def draw_goals(
@@ -181,10 +237,10 @@ def with_relabelled_goals(
     return row[kept], step[kept], goal[kept]
 
 
-def with_rewards(env, experience: Experience, transitions: Transitions) -> Sample:
+def with_rewards(config, env, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
     external = env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
-    return Sample(transitions, external, usable_goals(env, transitions.records, experience.usable), pairs=None)
+    return Sample(transitions, external, usable_goals(config, env, transitions.records), pairs=None)
 
 
 def draws_at_once(parts, count: int) -> int:

@@ -255,7 +255,9 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
     target_params = optax.incremental_update(params, state.target_params, hyper.target_rate)
     state = state.replace(params=params, target_params=target_params, optimizer_state=optimizer_state, **states)
     metrics |= {"agent/gradient_norm": norm}
-    return state, metrics if pairs is None else metrics | named(parts.name, positive_regions(pairs, env.goals.regions))
+    if pairs is not None and env.goals.finite:
+        metrics |= named(parts.name, positive_regions(pairs, env.goals.regions))
+    return state, metrics
 
 
 def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):

@@ -78,12 +78,12 @@ def test_oracle_takes_shortest_paths_and_random_does_not(house):
     assert set(group_means(drawn, house.goals)) == {"train", "test"}
     assert all(means["spl"] < 0.7 for means in group_means(drawn, house.goals).values())
     starts = draw_starts(house, goals, 10)
-    np.testing.assert_array_equal(shortest.first_reached(99), jax.vmap(jax.vmap(house.shortest_path))(starts))
+    np.testing.assert_array_equal(shortest.first, jax.vmap(jax.vmap(house.shortest_path))(starts))
 
 
 def test_a_failed_goal_counts_as_reached_after_the_end(house):
     stay = evaluate(lambda observation, goal, key: jnp.full(goal.shape, 4), house, house.goals.evaluated, 5)
-    first = stay.first_reached(house.episode_length)
+    first = stay.first
     assert not stay.success.all() and (first[~stay.success] == house.episode_length + 1).all()
 
 

@@ -140,7 +140,13 @@ def test_goals_of_a_group_are_pulled_together_and_others_apart():
 
 
 STEPS, UNKNOWN = 8, GOALS - 1
-ENV = SimpleNamespace(goals_of=lambda record: record[..., None])
+GOAL_SET = SimpleNamespace(finite=True, usable=lambda goals, known_goals: jnp.ones(goals.shape, bool))
+ENV = SimpleNamespace(goals=GOAL_SET, goals_of=lambda record: record[..., None])
+
+
+def parts(spec: SampleSpec) -> SimpleNamespace:
+    """A learner that asks for this."""
+    return SimpleNamespace(learner=SimpleNamespace(sample_spec=spec), config=SimpleNamespace(known_goals="visited"))
 
 
 def experience(known: np.ndarray) -> Experience:
@@ -170,8 +176,7 @@ def experience(known: np.ndarray) -> Experience:
         decision_count=replay.running_count(rows.valid),
         achieved=achieved,
         achieved_count=replay.running_count(achieved),
-        known=jnp.asarray(known),
-        usable=jnp.ones(GOALS, bool),
+        known=pairs.KnownGoals(jnp.asarray(known)),
         codes=None,
         dissimilarity=pairs.remove_similar(
             pairs.initial_dissimilarity(GOALS), record[..., None], rows.episode(), STEPS
@@ -183,7 +188,7 @@ def experience(known: np.ndarray) -> Experience:
 def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never(dissimilar):
     known = np.arange(GOALS) != UNKNOWN
     spec = SampleSpec(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)
-    drawn = jax.jit(lambda key: sample_pairs(spec, ENV, experience(known), key))(jax.random.key(0))
+    drawn = jax.jit(lambda key: sample_pairs(parts(spec), ENV, experience(known), key))(jax.random.key(0))
     anchor, negative, weight = (
         np.asarray(drawn.anchor),
         np.asarray(drawn.negative)[:, 0],
@@ -203,7 +208,9 @@ def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never
 
 def test_no_random_negative_carries_weight_while_no_goal_is_known():
     spec = SampleSpec(num_pairs=20, window=STEPS, num_negatives=2, dissimilar=False)
-    drawn = jax.jit(lambda key: sample_pairs(spec, ENV, experience(np.zeros(GOALS, bool)), key))(jax.random.key(0))
+    drawn = jax.jit(lambda key: sample_pairs(parts(spec), ENV, experience(np.zeros(GOALS, bool)), key))(
+        jax.random.key(0)
+    )
     assert not drawn.negative_weight.any()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hand_made import GOALS, STEPS, context, episodes, later_goals, random_rows, rows_of
 
-from infogoal_jax import make_train, replay
+from infogoal_jax import make_train, pairs, replay
 from infogoal_jax import relabelling as relabellings
 from infogoal_jax.errors import UserError
 from infogoal_jax.learners.gcb import GCBConfig
@@ -70,7 +70,7 @@ def test_shares(rows):
     assert set(goal.tolist()) == {0, 8}
     assert set(relabelled(rows, HERConfig(future_share=0.0))[2].tolist()) == {0}
     # Before anything is known goals stay: the last of all, which could be one of the test, would come up instead.
-    nothing, own = jnp.zeros(GOALS, bool), jnp.arange(5)
+    nothing, own = pairs.KnownGoals(jnp.zeros(GOALS, bool)), jnp.arange(5)
     np.testing.assert_array_equal(any_known(jax.random.key(0), nothing, own), own)
 
 

@@ -203,11 +203,10 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
             decision_count=replay.running_count(buffer.valid),
             achieved=nowhere,
             achieved_count=replay.running_count(nowhere),
-            known=everything,
-            usable=everything,
+            known=pairs.KnownGoals(everything),
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
             codes=None,
         )
-        return sample_pairs(train.parts.learner.sample_spec, env, experience, key)
+        return sample_pairs(train.parts, env, experience, key)
 
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()

@@ -4,6 +4,7 @@
 A record of pure functions over the state of one robot; batch it with `jax.vmap`. Goals are positions here, [3] in m.
 """
 
+import dataclasses
 from functools import partial
 
 import flax.struct
@@ -16,8 +17,9 @@ from infogoal_jax.envs.fetch import model, physics
 from infogoal_jax.envs.fetch.physics import Motion, Physics, Pose
 from infogoal_jax.envs.fetch.tasks import FetchConfig, Task, find
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.keys import draw_chance
-from infogoal_jax.shapes import aligned
+from infogoal_jax.goals import GoalBox
+from infogoal_jax.keys import draw_chance, from_seed
+from infogoal_jax.shapes import aligned, with_rank
 
 DISTANCE_THRESHOLD = 0.05
 """Distance, in m, below which a goal is reached."""
@@ -29,6 +31,13 @@ LATE = 0.002
 """Delay, in s, of the positions in observations where fingers move: the reference reads them one substep late."""
 WORLD = 5.0
 """Distance from the robot's base, in m, beyond which the simulation counts as diverged."""
+POSITION_SCALE = 0.1
+"""Unit, in m, of positions relative to the grip's start in the input of networks."""
+VELOCITY_SCALE = 0.02
+"""Unit, in m, of velocities times 40 ms in the input of networks. A gripper at full speed moves twice as far in a
+step."""
+FINGER_SCALE = 0.05
+"""Unit, in m, of the fingers' opening in the input of networks: the widest opening."""
 FASTEST = 1000.0
 """Speed (m/s or rad/s) beyond which the simulation counts as diverged. A puck that slips from under the fingers may
 spin at a few hundred."""
@@ -38,6 +47,53 @@ def distances(record: jax.Array, goal: jax.Array) -> jax.Array:
     """Metres between positions [..., 3], float32 [...]. One of them may lack leading axes of the other."""
     record, goal = aligned(record, goal)
     return jnp.sqrt(((record - goal) ** 2).sum(-1))
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalsOf:
+    """Draws the goals of a task as the reference does."""
+
+    task: Task
+
+    def __call__(self, key: jax.Array) -> jax.Array:
+        """A goal [3] in m."""
+        around, height_key, air_key = jax.random.split(key, 3)
+        task = self.task
+        goal = jnp.array(task.start_grip, jnp.float32) + jax.random.uniform(
+            around, (3,), jnp.float32, minval=-task.goal_range, maxval=task.goal_range
+        )
+        if task.object_height is None:
+            return goal
+        lifted = (
+            draw_chance(air_key, 0.5).astype(jnp.float32)
+            * jax.random.uniform(height_key, dtype=jnp.float32, maxval=HIGHEST_GOAL)
+            if task.goals_in_air
+            else 0.0
+        )
+        return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted], jnp.float32)
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What the goal encoder sees of the goals of a task."""
+
+    task: Task
+
+    def __call__(self, goals: jax.Array) -> jax.Array:
+        """Goals [..., 3] in m, relative to the start of the grip, in units of 10 cm."""
+        grip = jnp.asarray(self.task.start_grip, jnp.float32)
+        return (goals - with_rank(grip, goals.ndim)) / POSITION_SCALE
+
+
+@dataclasses.dataclass(frozen=True)
+class InOctant:
+    """Whether a goal of a task lies ahead, to the left and above the middle of all goals: there it is held out."""
+
+    middle: tuple[float, ...]
+
+    def __call__(self, goal: jax.Array) -> jax.Array:
+        """bool [] of a goal [3] in m."""
+        return (goal > jnp.asarray(self.middle, jnp.float32)).all(-1)
 
 
 @flax.struct.dataclass
@@ -72,10 +128,12 @@ class Fetch(Environment):
     physics: Physics = flax.struct.field(pytree_node=False)
     episode_length: int = flax.struct.field(pytree_node=False)
     ends_at_goal: bool = flax.struct.field(pytree_node=False)
+    goals: GoalBox | None = None
+    """Positions in m; None in the robot of a task with goal images."""
 
     action_size = 4
     discrete = False
-    goals = None
+    source = "MJX physics of the Fetch robot"
 
     @property
     def observation_size(self) -> int:
@@ -117,21 +175,8 @@ class Fetch(Environment):
             )
 
     def sample_goal(self, key: jax.Array) -> jax.Array:
-        """A goal [3] as the reference draws it."""
-        around, height_key, air_key = jax.random.split(key, 3)
-        task = self.task
-        goal = jnp.array(task.start_grip, jnp.float32) + jax.random.uniform(
-            around, (3,), jnp.float32, minval=-task.goal_range, maxval=task.goal_range
-        )
-        if task.object_height is None:
-            return goal
-        lifted = (
-            draw_chance(air_key, 0.5).astype(jnp.float32)
-            * jax.random.uniform(height_key, dtype=jnp.float32, maxval=HIGHEST_GOAL)
-            if task.goals_in_air
-            else 0.0
-        )
-        return jnp.array([goal[0] + task.goal_offset, goal[1], task.object_height + lifted], jnp.float32)
+        """A goal [3] (m): a training goal, or as the reference draws it where the robot knows no goal space."""
+        return GoalsOf(self.task)(key) if self.goals is None else self.goals.draw(key)
 
     def sample_object(self, key: jax.Array) -> jax.Array:
         """Draw the object's start, [2] in m: uniform in a square around the grip, but not near it.
@@ -205,8 +250,30 @@ class Fetch(Environment):
         return state.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
-        """The input of the network: the observation."""
-        return observation
+        """The input of the network: the observation, centred and scaled so that each number is of the order of 1."""
+        centre, scale = (with_rank(jnp.asarray(unit, jnp.float32), observation.ndim) for unit in self.units)
+        return (observation - centre) / scale
+
+    @property
+    def units(self) -> tuple[np.ndarray, np.ndarray]:
+        """Centre and scale of each number of an observation, [10 or 25]: positions relative to the start of the grip,
+        velocities unchanged."""
+        grip = np.array(self.task.start_grip)
+        if self.task.object_height is None:
+            blocks = [(grip, POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(5), VELOCITY_SCALE)]
+        else:
+            thing = np.array([*grip[:2], self.task.object_height])
+            blocks = [
+                (grip, POSITION_SCALE),
+                (thing, POSITION_SCALE),
+                (np.zeros(3), POSITION_SCALE),
+                (np.zeros(2), FINGER_SCALE),
+                (np.zeros(3), 1.0),
+                (np.zeros(11), VELOCITY_SCALE),
+            ]
+        return np.concatenate([centre for centre, _ in blocks]), np.concatenate(
+            [np.full(len(centre), scale) for centre, scale in blocks]
+        )
 
     def achieved(self, state: FetchState) -> jax.Array:
         """The record of what was achieved: position [3] of the object, or of the grip without one (m)."""
@@ -267,3 +334,19 @@ def make(name: str, config: FetchConfig) -> Fetch:
         episode_length=config.episode_length,
         ends_at_goal=config.ends_at_goal,
     )
+
+
+def with_positions(robot: Fetch, held_out: str) -> Fetch:
+    """The robot with positions as goals, drawn as in the reference. held_out: as in `FetchConfig`."""
+    low, high = robot.workspace
+    with jax.ensure_compile_time_eval():
+        inside = np.asarray(jax.jit(jax.vmap(GoalsOf(robot.task)))(jax.random.split(from_seed(0), 512)))
+    middle = tuple(((inside.min(0) + inside.max(0)) / 2).tolist())
+    goals = GoalBox.of(
+        low,
+        high,
+        sampler=GoalsOf(robot.task),
+        use_of=InOctant(middle) if held_out == "octant" else None,
+        seen=Seen(robot.task),
+    )
+    return robot.replace(goals=goals)

@@ -21,13 +21,6 @@ from infogoal_jax.envs.target_states import Cells, flattened
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.shapes import with_rank
 
-POSITION_SCALE = 0.1
-"""Unit, in m, of positions relative to the grip's start in the input of networks."""
-VELOCITY_SCALE = 0.02
-"""Unit, in m, of velocities times 40 ms in the input of networks. A gripper at full speed moves twice as far in a
-step."""
-FINGER_SCALE = 0.05
-"""Unit, in m, of the fingers' opening in the input of networks: the widest opening."""
 VISIT_CELL = 0.025
 """Side of the cells in which visits are counted, in m."""
 SPACING = 0.025
@@ -109,11 +102,8 @@ class ImageGoals(Environment):
         return state.robot.observation
 
     def render(self, observation: jax.Array) -> jax.Array:
-        """The input of the network: the observation, centred and scaled so that each number is of the order of 1."""
-        centre, scale = (
-            with_rank(jnp.asarray(unit, jnp.float32), observation.ndim) for unit in observation_units(self.robot)
-        )
-        return (observation - centre) / scale
+        """The input of the network, as the robot has it."""
+        return self.robot.render(observation)
 
     def achieved(self, state: ImageGoalState) -> jax.Array:
         """The record of what was achieved: position [3] of the object, or of the grip without one (m)."""
@@ -164,27 +154,6 @@ class ImageGoals(Environment):
     def action_mask(self, observation: jax.Array) -> jax.Array:
         """Legal actions, bool [..., A]: all."""
         return jnp.ones((*observation.shape[:-1], self.action_size), bool)
-
-
-def observation_units(robot: environment.Fetch) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and scale of each number of an observation, [10 or 25]: positions relative to the start of the grip,
-    velocities unchanged."""
-    grip = np.array(robot.task.start_grip)
-    if robot.task.object_height is None:
-        blocks = [(grip, POSITION_SCALE), (np.zeros(2), FINGER_SCALE), (np.zeros(5), VELOCITY_SCALE)]
-    else:
-        thing = np.array([*grip[:2], robot.task.object_height])
-        blocks = [
-            (grip, POSITION_SCALE),
-            (thing, POSITION_SCALE),
-            (np.zeros(3), POSITION_SCALE),
-            (np.zeros(2), FINGER_SCALE),
-            (np.zeros(3), 1.0),
-            (np.zeros(11), VELOCITY_SCALE),
-        ]
-    return np.concatenate([centre for centre, _ in blocks]), np.concatenate(
-        [np.full(len(centre), scale) for centre, scale in blocks]
-    )
 
 
 def make(name: str, config: FetchConfig) -> ImageGoals:

@@ -196,6 +196,9 @@ class FetchConfig:
     goals: Literal["positions", "images"] = "positions"
     """What a goal is: a position (m), as in the reference, or an image of the object or gripper there, out of a finite
     set, as in the paper."""
+    held_out: Literal["nothing", "octant"] = "nothing"
+    """Positions that are never desired in training: `octant`: those ahead, to the left and above the middle of all, an
+    eighth; test goals lie there."""
     goal_images: str = ""
     """File of goal images, of `infogoal data build fetch`; empty: the one that the project ships for the task."""
     backgrounds: str = ""
@@ -217,6 +220,13 @@ class FetchConfig:
             "env.ends_at_goal",
             self.ends_at_goal,
             "an image goal counts as reached when its episode ends there: give True, or goals = positions",
+        )
+        require(self.held_out in ("nothing", "octant"), "env.held_out", self.held_out, "give nothing or octant")
+        require(
+            self.held_out == "nothing" or self.goals == "positions",
+            "env.held_out",
+            self.held_out,
+            "goal images have validation and test goals of their own: give nothing, or goals = positions",
         )
         require(
             self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"

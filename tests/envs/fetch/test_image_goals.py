@@ -18,8 +18,8 @@ from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import goal_images
-from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
-from infogoal_jax.envs.fetch.image_goals import lay_out, observation_units
+from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch
+from infogoal_jax.envs.fetch.image_goals import lay_out
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
@@ -107,7 +107,7 @@ def test_episodes_are_for_training_goals_each_as_often_as_the_others(env):
 @pytest.mark.parametrize("task", presets.FETCH_TASKS)
 def test_networks_see_numbers_of_the_order_of_one(task):
     robot = SimpleNamespace(task=TASKS[task])
-    centre, scale = observation_units(robot)
+    centre, scale = Fetch.units.fget(robot)
     assert centre.shape == scale.shape == ((10,) if robot.task.object_height is None else (25,)) and (scale > 0).all()
     np.testing.assert_array_equal(centre[:3], robot.task.start_grip)
     reach = np.abs((np.array(robot.task.start_grip) + 0.15 - centre[:3]) / scale[:3])
@@ -168,7 +168,7 @@ def test_corruption_of_weight_0_is_the_image_and_of_weight_1_the_background(env)
 
 PUSH = goal_images.shipped("fetch_push")
 MISTAKES = [
-    ("train fetch_reach --env.goals positions", ["env.goals = 'positions'", "images"]),
+    ("train fetch_reach --env.goals positions", ["agent = 'hrac'", "target states"]),
     ("train fetch_reach --env.no-ends-at-goal", ["env.ends_at_goal = False"]),
     ("train fetch_reach --training-corruption 1", ["training_corruption = 1.0", "below 1"]),
     ("train fetch_reach --training-corruption nan", ["training_corruption = nan"]),

@@ -1,0 +1,142 @@
+"""Tasks with continuous goals in a few lines: `GoalTask` keeps the goal, the time, the end of an episode and what
+diverged, so that a task says only how its world begins, moves and looks. docs/guides/own_task.md makes one.
+"""
+
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax.envs.environment import Environment
+from infogoal_jax.goals import GoalBox
+from infogoal_jax.shapes import aligned
+
+STARTS = 8
+"""Starts that are drawn to find one at which the goal is not reached yet."""
+MOST_CELLS = 4096
+"""Cells that the goal space is divided into, for learners that count visits or keep pairs of cells."""
+
+
+@flax.struct.dataclass
+class Episode:
+    """The state of an episode. `terminated` and `truncated` are never both set."""
+
+    world: Any
+    """What the task itself knows: a pytree of arrays."""
+    goal: jax.Array
+    """float32 [D], desired goal."""
+    time: jax.Array
+    """int32, steps so far."""
+    terminated: jax.Array
+    """bool, the goal is reached, where that ends the episode."""
+    truncated: jax.Array
+    """bool, the time is up, or the last step diverged."""
+    diverged: jax.Array
+    """bool, the last step led to numbers that are not finite, and was taken back."""
+
+
+@flax.struct.dataclass
+class GoalTask(Environment):
+    """A task whose goals are vectors, reached within a radius. Derive from it and write the four functions without a
+    body: all are pure, and take one world."""
+
+    goals: GoalBox
+    """The goal space, `GoalBox.of(low, high)`."""
+    radius: float = flax.struct.field(pytree_node=False, default=0.1)
+    """Distance below which a goal is reached, in the units of goals."""
+    episode_length: int = flax.struct.field(pytree_node=False, default=50)
+    """Steps of an episode."""
+    ends_at_goal: bool = flax.struct.field(pytree_node=False, default=True)
+    """Whether reaching the goal ends the episode."""
+
+    action_size = 1
+    discrete = False
+    source = "simulated"
+
+    def begin(self, key: jax.Array) -> Any:
+        """A world at the start of an episode."""
+        raise NotImplementedError
+
+    def move(self, world: Any, action: jax.Array) -> Any:
+        """The world after one action: float32 [action_size] in [-1, 1], or int32 where `discrete`."""
+        raise NotImplementedError
+
+    def observation(self, world: Any) -> jax.Array:
+        """What the agent sees: float32 [F], each number of the order of 1."""
+        raise NotImplementedError
+
+    def achieved_goal(self, world: Any) -> jax.Array:
+        """The goal that is achieved, float32 [D]."""
+        raise NotImplementedError
+
+    def reset(self, key: jax.Array) -> Episode:
+        """A new episode for a training goal."""
+        goal_key, start_key = jax.random.split(key)
+        return self.reset_to(start_key, self.goals.draw(goal_key))
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> Episode:
+        """A new episode for this goal [D]: the first of several starts at which it is not reached."""
+        worlds = jax.vmap(self.begin)(jax.random.split(key, STARTS))
+        away = ~self.reached(jax.vmap(self.achieved_goal)(worlds), goal)
+        false = jnp.zeros((), bool)
+        return Episode(
+            world=jax.tree.map(lambda leaf: leaf[away.argmax()], worlds),
+            goal=jnp.asarray(goal, jnp.float32),
+            time=jnp.zeros((), jnp.int32),
+            terminated=false,
+            truncated=false,
+            diverged=false,
+        )
+
+    def step(self, state: Episode, action: jax.Array) -> Episode:
+        """One step. One that leads to numbers that are not finite is undone, and ends the episode."""
+        action = action if self.discrete else jnp.clip(action, -1.0, 1.0)
+        moved = self.move(state.world, action)
+        finite = [
+            jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(moved) if jnp.issubdtype(leaf.dtype, jnp.floating)
+        ]
+        diverged = ~jnp.stack(finite).all() if finite else jnp.zeros((), bool)
+        world = jax.tree.map(lambda old, new: jax.lax.select(diverged, old, new), state.world, moved)
+        time = state.time + 1
+        terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved_goal(world), state.goal)
+        truncated = ((time >= self.episode_length) | diverged) & ~terminated
+        return state.replace(world=world, time=time, terminated=terminated, truncated=truncated, diverged=diverged)
+
+    def observe(self, state: Episode) -> jax.Array:
+        """The stored observation; of one state, or of states [E]."""
+        axes = state.time.ndim
+        return jax.vmap(self.observation)(state.world) if axes else self.observation(state.world)
+
+    def render(self, observation: jax.Array) -> jax.Array:
+        """The input of the network: the observation."""
+        return observation
+
+    def achieved(self, state: Episode) -> jax.Array:
+        """The record of what was achieved: the goal [D]; of one state, or of states [E]."""
+        axes = state.time.ndim
+        return jax.vmap(self.achieved_goal)(state.world) if axes else self.achieved_goal(state.world)
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether records [..., D] lie within the radius of goals [..., D], bool [...]."""
+        record, goal = aligned(record, goal)
+        return ((record - goal) ** 2).sum(-1) < self.radius**2
+
+    @property
+    def cells_per_axis(self) -> int:
+        """Cells along each axis of the goal space."""
+        return max(1, int(MOST_CELLS ** (1 / self.goals.shape[0]) + 1e-6))
+
+    @property
+    def num_cells(self) -> int:
+        """Number of cells."""
+        return self.cells_per_axis ** self.goals.shape[0]
+
+    def cell_of(self, record: jax.Array) -> jax.Array:
+        """The cell of each record [..., D], int32 [...]; one outside of the goal space lies in the nearest."""
+        count = self.cells_per_axis
+        record, low, high = aligned(record, self.goals.low, self.goals.high)
+        place = jnp.clip(((record - low) / (high - low) * count).astype(jnp.int32), 0, count - 1)
+        steps = count ** np.arange(self.goals.shape[0], dtype=np.int32)[::-1]
+        return (place * steps.astype(np.int32).reshape((1,) * (place.ndim - 1) + (-1,))).sum(-1, dtype=jnp.int32)

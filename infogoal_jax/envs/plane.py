@@ -1,0 +1,146 @@
+"""Tasks in the plane without a simulator, for a first try, for notebooks and for tests: a point in a maze of rooms, and
+an arm of two joints. Goals are continuous, and some lie where training never asks for one."""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.errors import require
+from infogoal_jax.goals import GoalBox
+
+ROOMS = 3
+"""Rooms along each side of the maze; each is a square with sides of 1."""
+DOORS = {"vertical": ((1, 0, 1), (1, 1, 0)), "horizontal": ((1, 1, 0), (1, 0, 1))}
+"""1 where a wall has a door. vertical: the walls at x = 1 and 2, for each row of rooms from below; horizontal: those at
+y = 1 and 2, for each column."""
+DOOR = 0.25
+"""Half of the width of a door."""
+TEST_ROOMS, VALIDATION_ROOMS = ((2, 0), (0, 2)), ((2, 2),)
+"""Column and row of rooms that no training goal lies in."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaneConfig:
+    """Sizes of a task in the plane."""
+
+    episode_length: int = 100
+    """Steps of an episode."""
+    radius: float = 0.15
+    """Distance at which a goal is reached; rooms, and the parts of the arm, are 1 long."""
+    held_out: bool = True
+    """Whether parts of the plane are never desired in training; test goals lie there."""
+    ends_at_goal: bool = True
+    """Whether reaching the goal ends the episode."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        require(0 < self.radius < 1, "env.radius", self.radius, "give a distance above 0 and below 1")
+
+
+def traits(config: PlaneConfig) -> Traits:
+    """What a task in the plane can be combined with follows from these."""
+    return Traits(finite_goals=False, moves=False)
+
+
+def use_of_place(goal: jax.Array) -> jax.Array:
+    """The use of a goal of the maze, by its room: int32, a position in `goal_uses.USES`."""
+    room = jnp.floor(goal).astype(jnp.int32)
+
+    def lies_in(rooms):
+        return jnp.stack([(room == jnp.array(each, jnp.int32)).all() for each in rooms]).any()
+
+    return jnp.where(lies_in(TEST_ROOMS), 2, jnp.where(lies_in(VALIDATION_ROOMS), 1, 0)).astype(jnp.int32)
+
+
+@flax.struct.dataclass
+class PointMaze(GoalTask):
+    """A point moves up to 0.1 a step along each axis through rooms with walls and doors. Its world is its place [2]."""
+
+    action_size = 2
+    source = "a maze of 3 x 3 rooms, simulated"
+
+    def begin(self, key: jax.Array) -> jax.Array:
+        """Anywhere, but away from the walls."""
+        room_key, place_key = jax.random.split(key)
+        room = jax.random.randint(room_key, (2,), 0, ROOMS, jnp.int32).astype(jnp.float32)
+        return room + jax.random.uniform(place_key, (2,), jnp.float32, 0.1, 0.9)
+
+    def move(self, place: jax.Array, action: jax.Array) -> jax.Array:
+        """Along x, then along y; a wall without a door there stops the point."""
+        for axis, walls in enumerate((DOORS["vertical"], DOORS["horizontal"])):
+            there = place.at[axis].add(0.1 * action[axis])
+            across = place[1 - axis]
+            row = jnp.clip(jnp.floor(across).astype(jnp.int32), 0, ROOMS - 1)
+            at_door = jnp.abs(across - row - 0.5) < DOOR
+            number = jnp.floor(jnp.maximum(place[axis], there[axis])).astype(jnp.int32)  # Of the wall on the way.
+            crosses = jnp.floor(place[axis]) != jnp.floor(there[axis])
+            inner = (number > 0) & (number < ROOMS)
+            is_open = jnp.array(walls, bool)[jnp.clip(number - 1, 0, ROOMS - 2), row] & at_door & inner
+            place = jnp.where(crosses & ~is_open, place, there)
+        return jnp.clip(place, 0.01, ROOMS - 0.01)
+
+    def observation(self, place: jax.Array) -> jax.Array:
+        """The place, from -1 to 1."""
+        return place / (ROOMS / 2) - 1.0
+
+    def achieved_goal(self, place: jax.Array) -> jax.Array:
+        """The place."""
+        return place
+
+
+def draw_in_reach(key: jax.Array) -> jax.Array:
+    """A goal of the arm [2]: anywhere that it can reach without folding up."""
+    distance_key, angle_key = jax.random.split(key)
+    distance = jnp.sqrt(jax.random.uniform(distance_key, (), jnp.float32, 0.5**2, 1.9**2))
+    angle = jax.random.uniform(angle_key, (), jnp.float32, -jnp.pi, jnp.pi)
+    return distance * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+def use_of_quarter(goal: jax.Array) -> jax.Array:
+    """The use of a goal of the arm: test goals lie ahead to the left, validation goals ahead to the right."""
+    return jnp.where(goal[0] > 0, jnp.where(goal[1] > 0, 2, 1), 0).astype(jnp.int32)
+
+
+@flax.struct.dataclass
+class Reacher(GoalTask):
+    """An arm of two joints turns each by up to 0.2 radians a step, to bring its tip to a place. Its world are the two
+    angles."""
+
+    action_size = 2
+    source = "an arm of two joints, simulated"
+
+    def begin(self, key: jax.Array) -> jax.Array:
+        """Any angles."""
+        return jax.random.uniform(key, (2,), jnp.float32, -jnp.pi, jnp.pi)
+
+    def move(self, angles: jax.Array, action: jax.Array) -> jax.Array:
+        """The angles, turned."""
+        return jnp.mod(angles + 0.2 * action + jnp.pi, 2 * jnp.pi) - jnp.pi
+
+    def observation(self, angles: jax.Array) -> jax.Array:
+        """Sines and cosines of the angles, and the tip."""
+        return jnp.concatenate([jnp.sin(angles), jnp.cos(angles), self.achieved_goal(angles) / 2])
+
+    def achieved_goal(self, angles: jax.Array) -> jax.Array:
+        """The place of the tip, [2]."""
+        first, second = angles[0], angles[0] + angles[1]
+        return jnp.stack([jnp.cos(first) + jnp.cos(second), jnp.sin(first) + jnp.sin(second)])
+
+
+def make_maze(config: PlaneConfig) -> PointMaze:
+    """The maze."""
+    use_of = use_of_place if config.held_out else None
+    goals = GoalBox.of([0.0, 0.0], [float(ROOMS)] * 2, use_of=use_of)
+    return PointMaze(goals, config.radius, config.episode_length, config.ends_at_goal)
+
+
+def make_reacher(config: PlaneConfig) -> Reacher:
+    """The task of the arm."""
+    use_of = use_of_quarter if config.held_out else None
+    goals = GoalBox.of([-2.0, -2.0], [2.0, 2.0], sampler=draw_in_reach, use_of=use_of)
+    return Reacher(goals, config.radius, config.episode_length, config.ends_at_goal)
