@@ -39,6 +39,11 @@ registry = Registry(
         "point_maze": Entry(plane.PlaneConfig, plane.make_maze, traits=plane.traits),
         "reacher": Entry(plane.PlaneConfig, plane.make_reacher, traits=plane.traits),
         **{name: Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits) for name in FETCH_TASKS},
+        # The same tasks by another name, under which the goals that training and presets mean are positions.
+        **{
+            f"{name}_positions": Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits)
+            for name in FETCH_TASKS
+        },
     },
 )
 

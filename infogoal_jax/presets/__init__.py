@@ -4,7 +4,7 @@ named."""
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search
+from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search, plane
 from infogoal_jax.presets.preset import Changes, Preset
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ registry: dict[str, Preset] = {
     "object_manipulation": object_manipulation.PRESET,
     **fetch.PRESETS,
     "embodied_qa": embodied_qa.PRESET,
+    **fetch.POSITION_PRESETS,
+    **plane.PRESETS,
 }
 TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)
 

@@ -116,3 +116,55 @@ PRESETS = {
         FOUND_FOR_PICK_AND_PLACE,
     ),
 }
+
+
+POSITIONS = {
+    "num_envs": 512,
+    "rollout_steps": 50,
+    "updates_per_epoch": 400,
+    "batch_size": 1024,
+    "buffer_steps": 1_000_000,
+    "num_epochs": 40,
+    "epochs_per_evaluation": 4,
+    "evaluation_starts": 5,
+}
+BOUNDED = {"hidden": (256, 256, 256), "layer_norm": True, "bounded": True}
+
+
+def preset_of_positions(description: str, training: dict) -> Preset:
+    """The preset of a task whose goals are positions, with actions of the gripper as in the reference."""
+    return Preset(
+        description=description,
+        agent="td3",
+        relabelling="her",
+        agents={"td3": BOUNDED, "sac": BOUNDED},
+        state_encoder={"features": 256},
+        training=POSITIONS | training,
+        hyper={
+            "learning_rate": 1e-3,
+            "discount": 0.98,
+            "target_rate": 0.05,
+            "epsilon": 0.3,
+            "noise": 0.2,
+            "intrinsic_weight": 0.0,
+        },
+        methods={name: Changes(learner={"window": 3, "num_pairs": 256}) for name in ("infogoal", "cogoal")},
+    )
+
+
+POSITION_PRESETS = {
+    "fetch_reach_positions": preset_of_positions(
+        "A robot arm moves its gripper to a position, as in Gymnasium-Robotics.",
+        {"num_envs": 64, "updates_per_epoch": 100, "batch_size": 256, "buffer_steps": 200_000, "num_epochs": 20},
+    ),
+    "fetch_push_positions": preset_of_positions(
+        "A robot arm pushes a cube to a position, as in Gymnasium-Robotics.", {}
+    ),
+    "fetch_pick_and_place_positions": preset_of_positions(
+        "A robot arm carries a cube to a position, as in Gymnasium-Robotics.", {"num_epochs": 80}
+    ),
+    "fetch_slide_positions": preset_of_positions(
+        "A robot arm hits a puck so that it slides to a position out of reach, as in Gymnasium-Robotics.",
+        {"num_epochs": 80},
+    ),
+}
