@@ -15,7 +15,7 @@ from infogoal_jax.cli import training, tuning
 from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
-from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
+from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError, require
@@ -35,7 +35,7 @@ GROUPS = {
         "export": export,
     },
     "to choose a method and its settings": {"methods": methods, "tune": tune, "final": final},
-    "data, files, low levels": {"data": DATA, "pack": pack, "pretrain": pretrain, "check-fetch": check_fetch},
+    "data, files, low levels": {"data": DATA, "pack": pack, "pretrain": pretrain},
 }
 """The library's commands, as the help shows them."""
 ADDED = "beside the library"

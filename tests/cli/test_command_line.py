@@ -306,3 +306,23 @@ def test_a_folder_that_is_empty_is_not_one_that_is_left_out(words, tmp_path, mon
     assert main(["train", "object_search", *words]) == 2
     assert "is empty; give a folder, or leave the flag out" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_of_the_user_is_known_behind_a_flag_too(tmp_path, monkeypatch, capsys):
+    """A shell leaves `--out=~/run` as it is."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text("mine")
+    assert main(["train", "object_search", "--out=~/run"]) == 2
+    assert f"out = '{tmp_path}/run': holds a run already" in capsys.readouterr().err
+    assert main(["evaluate", "~/run"]) == 2
+    assert f"{tmp_path}/run/config.json: is damaged" in capsys.readouterr().err
+
+
+def test_the_run_in_a_folder_comes_before_the_task_of_its_name(tmp_path, monkeypatch, capsys):
+    """`infogoal train fetch_reach --out fetch_reach` leaves such a folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch_reach").mkdir()
+    (tmp_path / "fetch_reach" / "config.json").write_text("{")
+    assert main(["video", "fetch_reach", "--out", "episode.mp4"]) == 2
+    assert "config.json: is damaged" in capsys.readouterr().err

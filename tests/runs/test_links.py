@@ -138,7 +138,6 @@ COMMANDS = {
     "evaluate": "evaluate {}.zip",
     "fly": "fly {}.npz --question where --simulate",
     "data check": "data check {}.npz",
-    "check-fetch": "check-fetch {}.npz",
     "report": "report {}",
 }
 
