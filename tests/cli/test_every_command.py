@@ -60,7 +60,7 @@ def help_of(capsys, monkeypatch):
         ),
         ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
-        ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
+        ("data build", ["house", "cube", "shelf", "fetch"]),
         ("evaluate", ["RUN", "--starts", "default: 50"]),
         ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount", "Transitions in an update"]),
     ],
