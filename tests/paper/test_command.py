@@ -16,7 +16,7 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import compilation
-from infogoal_paper import command, files, numbers, work
+from infogoal_paper import command, files, numbers, tables, work
 from infogoal_paper.command import DONE, MORE, Asked
 from infogoal_paper.figures import FIGURES
 
