@@ -251,16 +251,8 @@ CALLS = {
     ),
     "run": Call(
         run,
-        {
-            "config": None,
-            "seeds": [0],
-            "folder": "out",
-            "resume": False,
-            "listeners": (),
-            "env": ENV,
-            "compiling": stay,
-        },
-        {name: never for name in ("config", "seeds", "folder", "resume", "listeners", "env", "compiling")},
+        {"config": None, "seeds": [0], "folder": "out", "resume": False, "listeners": (), "env": ENV, "phase": stay},
+        {name: never for name in ("config", "seeds", "folder", "resume", "listeners", "env", "phase")},
     ),
     "reset": Call(
         ROOMS.reset,

@@ -165,7 +165,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     """Of this configuration and these seeds, or that in --out."""
     asked = []
 
-    def run(config, seeds, folder, resume, *listeners, compiling):
+    def run(config, seeds, folder, resume, *listeners, phase):
         asked.append((str(folder), resume, list(seeds)))
         raise UserError("that is enough")
 

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 import shutil
 import zipfile
 from pathlib import Path
@@ -73,6 +74,21 @@ def test_summary_names_data_seeds_and_times(sweep):
     assert "diverged" not in text
     from_disk = printed(print_run, sweep.folder)
     assert text == from_disk
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_summary_is_broken_between_words_alone(width, sweep):
+    """On a terminal of any width no line is longer, and every word is one of a wide terminal's."""
+    narrow, wide = (
+        Console(file=io.StringIO(), width=size, force_terminal=True, no_color=True) for size in (width, 400)
+    )
+    for console in (narrow, wide):
+        print_run(sweep.folder, console)
+    lines, words = (re.sub(r"\x1b\[[0-9;]*m", "", console.file.getvalue()) for console in (narrow, wide))
+    found, whole = ({word for word in text.split() if "─" not in word} for text in (lines, words))
+    assert found == whole
+    assert "…" not in lines
+    assert all(len(line.rstrip()) <= width for line in lines.splitlines() if str(sweep.folder) not in line)
 
 
 def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
