@@ -128,9 +128,9 @@ def run(
     own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
 
     phase: called when loading, tracing, compiling and training begin, with the epochs that are done; left: seconds
-    until it has to have stopped. Raises `UserError` before any compilation, and without a change on the disk, for a folder that holds another run or is being written, a
-    damaged checkpoint, or one of another configuration. Raises `Stopped` if a signal asked for it before the first
-    checkpoint.
+    until it has to have stopped. Raises `UserError` before any compilation, and without a change on the disk, for a
+    folder that holds another run or is being written, a damaged checkpoint, or one of another configuration. Raises
+    `Stopped` if a signal asked for it before the first checkpoint.
     """
     check_run(config, folder, resume, listeners, env, phase)
     folder, seeds = Path(folder), checked_seeds(seeds)
