@@ -302,7 +302,7 @@ def methods(
         raise UserError(f"method = {method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
     if task:
         presets.load(task)  # Refuses a name that does not exist.
-    table.print_methods((task,) if task else presets.TASKS)
+    table.print_methods((task,) if task else tuple(presets.registry))
     return 0
 
 

@@ -56,6 +56,10 @@ def method_named(name: str) -> Method:
 
 def preset_of(task: str) -> Preset:
     """The preset of a task, or a `UserError`."""
+    known = ", ".join(registry)  # Tasks that can be trained, as the help lists them.
+    require(isinstance(task, str), "task", task, f"give the name of a task. Known: {known}")
+    found = task in registry or task in envs.registry
+    require(found, "task", task, f"no such task.{nearest(task, list(registry))} Known: {known}")
     envs.registry.entry(task)
     require(
         task in registry,

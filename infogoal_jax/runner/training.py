@@ -14,6 +14,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require, typed
+from infogoal_jax.imports import checksums
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
 from infogoal_jax.runner.arguments import check_run
@@ -70,7 +71,8 @@ def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    return Description(configuration.located(config), seeds, env.source, versions, str(jax.devices()[0].device_kind))
+    device = str(jax.devices()[0].device_kind)
+    return Description(configuration.located(config), seeds, env.source, versions, device, imports=checksums())
 
 
 def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
