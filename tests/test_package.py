@@ -22,6 +22,7 @@ LAYERS = (
     {
         "errors",
         "stopping",
+        "imports",
         "files",
         "field_types",
         "config",

@@ -78,7 +78,8 @@ class ProgressLine:
     def repeat(self) -> None:
         """Say that the program is still being compiled until it is not."""
         while not self.over.wait(SIGN_OF_LIFE):
-            self.print(f"{self.words}: still compiling, {self.elapsed()}")
+            if not self.over.is_set():  # It may have been set while the line was being made.
+                self.print(f"{self.words}: still compiling, {self.elapsed()}")
 
     def advance(self, epoch: int, numbers: str, rates: str = "") -> None:
         """Show that so many epochs are done and what came of them, numbers that matter and rates that are shown where

@@ -147,7 +147,7 @@ def shown_line(width, done=3, numbers="train 0.95  test 0.41"):
     """The line of a run that has trained for a minute, in so many letters."""
     line = progress.ProgressLine("object_search infogoal x 16", 8, Console(file=io.StringIO()))
     line.phase("training")
-    line.since -= 60
+    line.since -= 60.3
     line.advance(done, numbers, "8,192 env steps/s  120 updates/s")
     return line.of_width(width)
 
