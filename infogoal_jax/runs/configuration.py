@@ -94,8 +94,8 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
     task = decode_value(str, values["task"], "task", place)
     if task not in presets.registry:
         raise UserError(
-            f"{place.path}: {place.prefix}task = {task!r}: no such task here; give the file that "
-            f"registers it (--import FILE). Known: {', '.join(presets.registry)}"
+            f"{place.path}: {place.prefix}task = {task!r}: no such task here; import the file that "
+            f"registers it first (--import FILE). Known: {', '.join(presets.registry)}"
         )
     base = built(place, lambda: presets.load(task, **names))
     records = {
