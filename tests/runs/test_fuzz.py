@@ -30,7 +30,7 @@ from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.stand_ins import cube, shelf
 from infogoal_paper import command, numbers
 
-SHORT, LONG = 100, 4300
+SHORT, LONG = 40, 4300
 """Inputs of this file; with those of test_fuzz_formats.py 10,000 in the long tests."""
 SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}
 
