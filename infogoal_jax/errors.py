@@ -1,7 +1,6 @@
 """The one error a user is meant to read: what was given, why it cannot be used, and what would be right; and what it is
 worded with."""
 
-import numbers
 import shlex
 
 LONGEST = 200
@@ -16,12 +15,6 @@ def require(condition: bool, field: str, value: object, remedy: str) -> None:
     """Raise `UserError` naming the field, its value and the remedy, unless the condition holds."""
     if not condition:
         raise UserError(f"{field} = {shown(value)}: {remedy}")
-
-
-def check_count(count: object, field: str, remedy: str = "give a whole number from 1 on") -> None:
-    """Raise `UserError` for what is no number of things: of Python or of NumPy, whole, and at least 1."""
-    whole = isinstance(count, numbers.Integral) and not isinstance(count, bool)
-    require(whole and count > 0, field, count, remedy)
 
 
 def shown(value: object) -> str:

@@ -7,11 +7,12 @@ parts of a configuration and at a few traits of its task, which are known before
 environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
-from infogoal_jax import agents, envs, exploration, learners, relabelling
+from infogoal_jax import agents, checks, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
@@ -26,14 +27,20 @@ from infogoal_jax.train.parts import check_hyperparameters, make_learner
 from infogoal_jax.train.program import Train
 
 
-def make_train(config: TrainConfig, env: Any = None) -> Train:
+def make_train(config: TrainConfig, env: Any = None, callback: Any = None) -> Train:
     """The training function of this configuration: pure, (key, hyper=None, env=None) -> TrainResult. It can be jitted
     and vmapped, reads no file and keeps no state.
 
-    env: an environment already loaded; None loads the one that the configuration names. Raises `UserError` for what
-    cannot be trained.
+    env: an environment already loaded; None loads the one that the configuration names.
+    callback: called with the epoch and the metrics of each evaluation while the compiled program runs; under `jax.vmap`
+        for each seed by itself. None: there is nothing of it in the program.
+
+    Raises `UserError` for what cannot be trained.
     """
-    return program.make_train(config, load_environment(config, env), partial(check_environment, config))
+    if callback is not None:
+        checks.function(callback, "callback", 2, "give a function of an epoch and metrics, or None")
+    train = program.make_train(config, load_environment(config, env), partial(check_environment, config))
+    return dataclasses.replace(train, callback=callback)
 
 
 def traits_declared(config: TrainConfig) -> Traits | None:

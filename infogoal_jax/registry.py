@@ -1,7 +1,8 @@
 """What stands in the registries of tasks, learners, agents, relabellings and explorers."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from infogoal_jax.errors import UserError, a, nearest, shown
@@ -20,6 +21,10 @@ class Entry(NamedTuple):
     traits: Callable[[Any], Any] | None = None
     """(config) -> what decides which other parts it can be combined with, known before anything is made: `Traits` of a
     task, `AgentTraits` of an agent. None: not declared."""
+    of_agent: Mapping[str, Any] = MappingProxyType({})
+    """What a learner or a relabelling changes in the configuration of an agent that has such fields."""
+    method: str = ""
+    """The method that a learner belongs to whose name is none; empty: it is a method by its own name."""
 
 
 class Registry(dict):
@@ -63,6 +68,10 @@ class Registry(dict):
         check_declared(entry.hyper, field)
         if entry.traits is not None and not callable(entry.traits):
             raise UserError(f"{field}.traits = {shown(entry.traits)}: give a function of the configuration, or None")
+        if not isinstance(entry.of_agent, Mapping):
+            raise UserError(f"{field}.of_agent = {shown(entry.of_agent)}: give fields by name")
+        if not isinstance(entry.method, str):
+            raise UserError(f"{field}.method = {shown(entry.method)}: give the name of a method")
 
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""

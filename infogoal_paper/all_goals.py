@@ -16,14 +16,13 @@ from infogoal_jax.report.comparison_figures import COLOURS
 from infogoal_jax.report.figures import finish_progress_axis
 from infogoal_jax.runs import disk
 from infogoal_paper import drawing
-from infogoal_paper.evidence import INTERVALS, finding, paired
+from infogoal_paper.claims import INTERVALS, finding, paired
 from infogoal_paper.files import Result
 from infogoal_paper.manifest import AGENTS, ALL_GOALS, PROTOCOLS, Choice, all_goals, all_goals_run, protocol_of
 from infogoal_paper.numbers import Results
-from infogoal_paper.progress import costs
 from infogoal_paper.scores import TITLES, Row, by_goal_set, has_scores
 from infogoal_paper.table_formats import Cell, Table, markdown
-from infogoal_paper.tables import legend, ranks
+from infogoal_paper.tables import costs, legend, ranks
 
 NAME = "all_goals"
 """Of the study and of its figure."""

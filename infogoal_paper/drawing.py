@@ -18,7 +18,7 @@ from PIL import Image, PngImagePlugin
 from infogoal_jax.report import canvas
 from infogoal_jax.runs import disk
 from infogoal_paper import claims, tables
-from infogoal_paper.evidence import INTERVALS
+from infogoal_paper.claims import INTERVALS
 from infogoal_paper.figures import FIGURES
 from infogoal_paper.manifest import BESIDE, STUDIES, Choice
 from infogoal_paper.numbers import Results

@@ -1,5 +1,5 @@
-"""Every table that there are numbers for: Tables I and II, test goals at equal training, near and far goals, and the
-comparison of methods over tasks."""
+"""Every table that there are numbers for: Tables I and II, test goals at equal training, near and far goals, the
+comparison of methods over tasks, and what all of it cost."""
 
 import functools
 import math
@@ -9,10 +9,10 @@ import numpy as np
 
 from infogoal_jax.goal_uses import TEST
 from infogoal_paper import plan
+from infogoal_paper.files import Result
 from infogoal_paper.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
 from infogoal_paper.numbers import Results
 from infogoal_paper.paper import TASKS, reported
-from infogoal_paper.progress import costs
 from infogoal_paper.scores import (
     KINDS,
     MARKS,
@@ -289,6 +289,63 @@ def left_out(rows: dict[tuple[str, str], Row], task: str, methods: list[str]) ->
     left = [method for method in methods if not counts_alone(rows[task, method])]
     names = [f"{METHODS[method]}{rows[task, method].marks()}" for method in left]
     return f"{', '.join(names)} on {TITLES[task]}" if names else ""
+
+
+def costs(results: Results) -> Table | None:
+    """Programs, updates, and the time of compiling and of running, by task."""
+    body, machines, totals = [], {}, np.zeros(5)
+    for task in TASKS:
+        own = [result for run, result in results.items() if run.task == task]
+        programs = {"\n".join(result.about["program"]["runs"]): result.about["program"] for result in own}
+        if not own:
+            continue
+        compiling, running = (
+            # As exact with every version of Python; its own `sum` rounds otherwise from 3.12 on.
+            math.fsum(program[f"{name}_seconds"] for program in programs.values())
+            for name in ("compile", "run")
+        )
+        measuring = math.fsum(result.about["measure_seconds"] for result in own)
+        updates = sum(result.evaluations["train_goal/success_rate"].size * result.about["updates"] for result in own)
+        numbers = np.array([len(own), len(programs), updates / 1e6, compiling + measuring, running])
+        totals += numbers
+        body.append([TITLES[task], *cost_cells(numbers, own)])
+        machines |= dict.fromkeys(result.about["machine"] for result in own)
+    if not body:
+        return None
+    body.append(["all", *cost_cells(totals, list(results.values()))])
+    head = ["task", "runs", "programs", "updates (million)"]
+    head += ["compiling and measuring (s)", "training (s)", "process-minutes"]
+    foot = (
+        "Updates are counted over all seeds. Seconds and process-minutes are sums over processes. Several share a GPU "
+        "and its host, each with a clock of its own, so that the sums are more than the time of the GPU."
+    )
+    if any("spans" in result.about["program"] for result in results.values()):
+        head.append("wall clock (min)")
+        foot += (
+            " Wall clock: the time in which at least one process was at work, on one GPU or on several side by side, "
+            "of the runs that recorded it; empty where none did."
+        )
+    else:
+        body = [row[:-1] for row in body]
+    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
+
+
+def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:
+    """The cells of a line of the costs: of these numbers, of which the last two are seconds, and of the wall clock of
+    the runs."""
+    timed = [result.about["program"]["spans"] for result in own if "spans" in result.about["program"]]
+    clock = f"{seconds_of(timed) / 60:,.0f}" if timed else ""
+    clock += f" ({len(timed)} of {len(own)} runs)" if 0 < len(timed) < len(own) else ""
+    return [*(f"{number:,.0f}" for number in numbers), f"{numbers[-2:].sum() / 60:,.0f}", clock]
+
+
+def seconds_of(spans_of_runs: list[list[list[float]]]) -> float:
+    """Seconds in which at least one of these spans, [from, to] of each run, was running."""
+    total, until = 0.0, -math.inf
+    for start, end in sorted((start, end) for spans in spans_of_runs for start, end in spans):
+        total += max(0.0, end - max(start, until))
+        until = max(until, end)
+    return total
 
 
 def all_tables(results: Results) -> list[Table]:

@@ -113,6 +113,12 @@ def sizes(**changes) -> dict:
     return {field.name: getattr(small, field.name) for field in dataclasses.fields(small) if field.name not in own}
 
 
+def initial(part, key, *given):
+    """What `init` of a learner, an agent or an explorer makes of a key and the rest, by one program: operation by
+    operation it is dozens, each of which is compiled."""
+    return jax.jit(lambda key: part.init(key, *given))(key)
+
+
 def example(inputs, features: int = 4, num_cells: int = 3) -> InputSpec:
     """What a learner's networks are made for: these goal inputs, and states of so many features."""
     return InputSpec(jnp.asarray(inputs), jnp.zeros(features), num_cells)

@@ -50,6 +50,11 @@ def of_goals(count: int):
     return env.replace(goals=env.goals.replace(names=("a goal",) * count))
 
 
+@dataclasses.dataclass(frozen=True)
+class OtherVAEConfig(VAEConfig):
+    """The configuration of a learner that is not registered yet."""
+
+
 def register(name: str, entry) -> None:
     """Into a registry of learners that is thrown away."""
     Registry("learner", learners.registry)[name] = entry
@@ -123,6 +128,14 @@ def without_training_goals():
         (
             lambda: register("my_vae", (VAEConfig, print)),
             r"learner = 'my_vae': give an Entry\(Config, make, ...\), not tup",
+        ),
+        (
+            lambda: register("my_vae", Entry(OtherVAEConfig, print, of_agent=3)),
+            "learner = 'my_vae': Entry.of_agent = 3: give fields by name",
+        ),
+        (
+            lambda: register("my_vae", Entry(OtherVAEConfig, print, method=3)),
+            "learner = 'my_vae': Entry.method = 3: give the name of a method",
         ),
         (lambda: load_with(methods={"infogaol": Changes()}), r"preset of object_search = \['infogaol'\].*'infogoal'"),
         (lambda: load_with(training={"num_epoch": 20}), r"preset of object_search = \['num_epoch'\].*'num_epochs'"),
@@ -240,6 +253,20 @@ def test_a_method_may_change_its_relabelling():
     sampled, mean = (presets.load("object_search", name, relabelling="all_goals") for name in ("none", "infogoal"))
     assert (sampled.relabelling.code, mean.relabelling.code) == ("sampled", "mean")
     assert mean.learner == presets.load("object_search", "infogoal").learner
+
+
+def test_a_part_says_itself_what_it_changes_in_an_agent(monkeypatch):
+    """Fields that an agent lacks are passed over; a learner's word is heard after a relabelling's."""
+
+    @dataclasses.dataclass(frozen=True)
+    class OwnConfig(relabelling.her.HERConfig):
+        """HER, with another agent."""
+
+    entry = Entry(OwnConfig, relabelling.her.make, of_agent={"num_steps": 7, "head": "product", "wings": 2})
+    monkeypatch.setitem(relabelling.registry, "own", entry)
+    config = presets.load("object_search", "her", relabelling="own", agent="dqn")
+    assert (config.agent.num_steps, config.agent.head) == (7, "product")
+    assert presets.load("object_search", relabelling="own", learner="index", agent="dqn").agent.head == "index"
 
 
 def test_all_public_names_can_be_completed():

@@ -223,8 +223,12 @@ CALLS = {
     "envs.load": Call(envs.load, {"task": "fetch_reach", "config": None}, {"task": never, "config": none}),
     "make_train": Call(
         make_train,
-        {"config": CONFIG, "env": ENV},
-        {"config": lambda value: value is CONFIG, "env": lambda value: none(value) or value is ENV},
+        {"config": CONFIG, "env": ENV, "callback": None},
+        {
+            "config": lambda value: value is CONFIG,
+            "env": lambda value: none(value) or value is ENV,
+            "callback": lambda value: none(value) or callable(value),
+        },
     ),
     "mean_interval": Call(mean_interval, {"values": [1.0]}, {"values": seeds}),
     "paired_difference": Call(
@@ -251,16 +255,8 @@ CALLS = {
     ),
     "run": Call(
         run,
-        {
-            "config": None,
-            "seeds": [0],
-            "folder": "out",
-            "resume": False,
-            "listeners": (),
-            "env": ENV,
-            "compiling": stay,
-        },
-        {name: never for name in ("config", "seeds", "folder", "resume", "listeners", "env", "compiling")},
+        {"config": None, "seeds": [0], "folder": "out", "resume": False, "listeners": (), "env": ENV, "phase": stay},
+        {name: never for name in ("config", "seeds", "folder", "resume", "listeners", "env", "phase")},
     ),
     "reset": Call(
         ROOMS.reset,

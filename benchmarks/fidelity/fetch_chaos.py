@@ -2,7 +2,7 @@
 micrometre (or `--micrometres`).
 
 What a micrometre changes is chaos, and no simulator can follow a recording closer than that; what 0.1 mm changes is how
-far the small differences of another simulator are amplified. `infogoal check-fetch` is read beside these numbers. Runs
+far the small differences of another simulator are amplified. `fetch_parity.py` is read beside these numbers. Runs
 where the reference does:
 
     python3.11 -m venv scratch && scratch/bin/pip install mujoco==3.3.7 gymnasium-robotics==1.4.2

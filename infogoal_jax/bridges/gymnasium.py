@@ -15,33 +15,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks, envs
-from infogoal_jax.bridges.gymnasium_goals import (
-    check_mode,
-    check_reward_type,
-    distance,
-    goal_of,
-    key_of,
-    load,
-    on_cpu,
-    reset,
-    rewards,
-    seeded,
-    view,
-    with_limit,
-)
+from infogoal_jax.envs.fetch import environment
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD, Fetch, FetchState
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.field_types import checked
 
 try:
     import gymnasium
-    from gymnasium.vector import AutoresetMode, VectorEnv
-    from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise UserError("gymnasium: is not installed; pip install 'infogoal-jax[gymnasium]'") from error
 
-from infogoal_jax.bridges.forks import RefusesForks
+from infogoal_jax.bridges.gymnasium_base import Batch, One, copied, key_of, on_cpu, options_of, with_limit
 from infogoal_jax.bridges.gymnasium_tasks import TaskGymnasium, TaskVector
+
+REWARD_TYPES = ("sparse", "dense")
+"""The reference's rewards: 0 at the goal and -1 elsewhere, or minus the distance in m."""
 
 
 def id_of(task: str) -> str:
@@ -54,6 +43,72 @@ IDS = {name: id_of(name) for name in envs.registry}
 FARTHEST, LARGEST = 10.0, 50.0
 """No goal (m) and no number of an observation gets beyond these unless the simulation has diverged, and then the step
 is taken back."""
+
+
+def load(task: str, config: FetchConfig | None) -> Fetch:
+    """The task; by default its episodes are never terminated, as in the reference. Raises `UserError` for a name that
+    is no Fetch task, and for a configuration of another kind."""
+    checks.not_forked()
+    fits = config is None or isinstance(config, FetchConfig)
+    require(fits, "config", config, "give a FetchConfig, or leave it out for the reference's episodes")
+    checks.text(task, "task", f"give one of {', '.join(TASKS)}")
+    return environment.make(task, FetchConfig(ends_at_goal=False) if config is None else checked(config, "config."))
+
+
+def check_reward_type(reward_type: Any) -> None:
+    """Raise `UserError` for a reward that the reference does not have."""
+    known = isinstance(reward_type, str) and reward_type in REWARD_TYPES
+    require(known, "reward_type", reward_type, f"give one of {', '.join(REWARD_TYPES)}")
+
+
+def reset(env: Fetch, key: jax.Array, goal: jax.Array, given: jax.Array) -> FetchState:
+    """A new episode, for `goal` [3] where one is given; otherwise as `env.reset` draws it."""
+    goal_key, object_key = jax.random.split(key)
+    return env.reset_to(object_key, jnp.where(given, goal, env.sample_goal(goal_key)))
+
+
+def view(env: Fetch, state: FetchState) -> dict[str, jax.Array]:
+    """The observation in the form of Gymnasium's goal environments."""
+    return {"observation": state.observation, "achieved_goal": env.achieved(state), "desired_goal": state.goal}
+
+
+def distance(achieved, desired) -> np.ndarray:
+    """Metres between positions [..., 3]. Raises `UserError` for other shapes, and for numbers that are not finite:
+    these are neither near nor far."""
+    remedy = "give positions [..., 3]"
+    achieved = np.asarray(checks.array(achieved, "achieved_goal", "numbers", remedy=remedy))
+    desired = np.asarray(checks.array(desired, "desired_goal", "numbers", remedy=remedy))
+    fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
+    require(
+        fit,
+        "achieved_goal",
+        f"of shape {achieved.shape}, desired_goal of {desired.shape}",
+        "give positions [..., 3] of one shape",
+    )
+    return np.linalg.norm(achieved - desired, axis=-1)
+
+
+def rewards(achieved, desired, reward_type: str = "sparse") -> np.ndarray:
+    """0 at the goal and -1 farther than 5 cm, or minus the distance in m, float32 [...]."""
+    apart = distance(achieved, desired)
+    return -(apart.astype(np.float32) if reward_type == "dense" else (apart > DISTANCE_THRESHOLD).astype(np.float32))
+
+
+def goal_of(env: Fetch, options: dict[str, Any] | None, shape: tuple[int, ...]) -> tuple[np.ndarray, bool]:
+    """The goal that `options` asks for, broadcast to `shape`, and whether it asks for one. Raises `UserError` for what
+    cannot be one."""
+    if not options_of(options):
+        return np.zeros(shape, np.float32), False
+    remedy = "give a position of 3 numbers, in m"
+    goal = np.asarray(checks.array(options["goal"], 'options["goal"]', "numbers", remedy=remedy), np.float32)
+    env.check_goals(goal)
+    require(
+        goal.ndim <= len(shape) and all(a in (1, b) for a, b in zip(goal.shape[::-1], shape[::-1], strict=False)),
+        'options["goal"]',
+        f"of shape {goal.shape}",
+        f"give {list(shape)} or [3]",
+    )
+    return np.broadcast_to(goal, shape), True
 
 
 def spaces_of(env: Fetch) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
@@ -79,7 +134,7 @@ jitted_reset = jax.jit(reset)
 jitted_step = jax.jit(Fetch.step)
 
 
-class FetchGymnasium(RefusesForks, gymnasium.Env):
+class FetchGymnasium(One):
     """One Fetch task. As in the reference an episode is truncated after its 50 steps and never terminated, unless
     `config` has it end at the goal.
 
@@ -100,18 +155,16 @@ class FetchGymnasium(RefusesForks, gymnasium.Env):
         """reward_type: "sparse", or "dense" for minus the distance in m. timed: False where Gymnasium keeps time."""
         if self.is_refused():
             return
-        check_mode(render_mode, self.metadata["render_modes"])
         check_reward_type(reward_type)
-        self.env = with_limit(load(task, config), None, timed, FetchConfig().episode_length)
-        self.render_mode, self.reward_type = render_mode, reward_type
+        self.begin(with_limit(load(task, config), None, timed, FetchConfig().episode_length), render_mode)
+        self.reward_type = reward_type
         self.observation_space, self.action_space = spaces_of(self.env)
-        self.state: FetchState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """A new episode. options: {"goal": [x, y, z]} in m. Raises `UserError` for a goal outside of the workspace."""
-        super().reset(seed=seeded(seed))
+        super().reset(seed=seed)
         goal, given = goal_of(self.env, options, (3,))
         with on_cpu():
             self.state = jitted_reset(self.env, key_of(self.np_random), goal, given)
@@ -119,7 +172,7 @@ class FetchGymnasium(RefusesForks, gymnasium.Env):
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """40 ms of simulation. Raises `UserError` before the first reset, and for an action of another shape."""
-        require(self.state is not None, "state", None, "call reset() before step()")
+        self.check_begun("step")
         action = action_of(action, "action", self.action_space.shape)
         with on_cpu():
             self.state = jitted_step(self.env, self.state, action)
@@ -130,8 +183,7 @@ class FetchGymnasium(RefusesForks, gymnasium.Env):
         return seen, reward, bool(self.state.terminated), bool(self.state.truncated), info
 
     def _view(self) -> dict[str, np.ndarray]:
-        """Copies of the state's parts, which users may keep."""
-        return {name: np.array(part) for name, part in view(self.env, jax.device_get(self.state)).items()}
+        return copied(view(self.env, jax.device_get(self.state)))
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> np.ndarray:
         """0 at the goal and -1 elsewhere, or minus the distance, float32 [...], for goals [..., 3]; what hindsight
@@ -142,17 +194,10 @@ class FetchGymnasium(RefusesForks, gymnasium.Env):
         """Whether reaching the goal would have ended the episode, bool [...]."""
         return (distance(achieved_goal, desired_goal) < DISTANCE_THRESHOLD) & self.env.ends_at_goal
 
-    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
-        """Never: the time limit does not depend on the goal."""
-        return False
-
-    def render(self) -> np.ndarray | None:
-        """A picture uint8 [480, 640, 3] in mode "rgb_array"."""
-        if self.render_mode is None:
-            return None
+    def pictures(self) -> np.ndarray:
+        """A picture uint8 [480, 640, 3]."""
         from infogoal_jax.envs.fetch.scene import draw_fetch
 
-        require(self.state is not None, "state", None, "call reset() before render()")
         return draw_fetch(self.env, self.state)
 
 
@@ -177,14 +222,10 @@ def jitted_vector_step(env: Fetch, states: FetchState, actions: jax.Array, keys:
     return jax.vmap(step)(states, actions, keys)
 
 
-class FetchVector(VectorEnv):
-    """Many environments of one task as one compiled program, on jax's default device.
+class FetchVector(Batch):
+    """Many environments of one Fetch task, as `Batch` has them."""
 
-    Autoreset is Gymnasium's `NEXT_STEP`: the step after the last of an episode starts the next one, with reward 0 and
-    its action unused.
-    """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 25, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - Gymnasium's own form.
+    metadata = FetchGymnasium.metadata | Batch.autoreset
 
     def __init__(
         self,
@@ -198,34 +239,29 @@ class FetchVector(VectorEnv):
     ):
         """reward_type: see `FetchGymnasium`. max_episode_steps: None for the configuration's; -1 for no limit."""
         num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
-        check_mode(render_mode, self.metadata["render_modes"])
         check_reward_type(reward_type)
-        self.env = with_limit(load(task, config), max_episode_steps, timed, FetchConfig().episode_length)
-        self.num_envs, self.render_mode, self.reward_type = num_envs, render_mode, reward_type
-        self.single_observation_space, self.single_action_space = spaces_of(self.env)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.state: FetchState | None = None
+        env = with_limit(load(task, config), max_episode_steps, timed, FetchConfig().episode_length)
+        self.begin(env, render_mode)
+        self.reward_type = reward_type
+        self.make_spaces(num_envs, *spaces_of(env))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Reset every environment. options: {"goal": [3] or [num_envs, 3]} in m, for this episode only."""
-        super().reset(seed=seeded(seed))
+        super().reset(seed=seed)
         goals, given = goal_of(self.env, options, (self.num_envs, 3))
-        keys = jax.random.split(key_of(self.np_random), self.num_envs)
-        self.state, seen = jitted_vector_reset(self.env, keys, goals, given)
-        return {name: np.array(part) for name, part in seen.items()}, {}
+        self.state, seen = jitted_vector_reset(self.env, self.new_keys(), goals, given)
+        return copied(seen), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """40 ms everywhere, actions [num_envs, 4]."""
-        require(self.state is not None, "state", None, "call reset() before step()")
+        self.check_begun("step")
         actions = action_of(actions, "actions", self.action_space.shape)
-        keys = jax.random.split(key_of(self.np_random), self.num_envs)
-        self.state, seen, fresh = jitted_vector_step(self.env, self.state, actions, keys)
-        seen, moved = {name: np.array(part) for name, part in seen.items()}, ~np.array(fresh)
+        self.state, seen, fresh = jitted_vector_step(self.env, self.state, actions, self.new_keys())
+        seen, moved = copied(seen), ~np.array(fresh)
         near = distance(seen["achieved_goal"], seen["desired_goal"]) < DISTANCE_THRESHOLD
         reward = np.where(moved, self.compute_reward(seen["achieved_goal"], seen["desired_goal"], {}), np.float32(0))
         info = {"is_success": (near & moved).astype(float), "diverged": np.array(self.state.diverged)}
@@ -237,13 +273,10 @@ class FetchVector(VectorEnv):
         """As `FetchGymnasium.compute_reward`."""
         return rewards(achieved_goal, desired_goal, self.reward_type)
 
-    def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture uint8 [480, 640, 3] of each environment in mode "rgb_array"."""
-        if self.render_mode is None:
-            return None
+    def pictures(self) -> tuple[np.ndarray, ...]:
+        """A picture uint8 [480, 640, 3] of each environment."""
         from infogoal_jax.envs.fetch.scene import draw_fetch
 
-        require(self.state is not None, "state", None, "call reset() before render()")
         return tuple(
             draw_fetch(self.env, jax.tree.map(lambda leaf, row=row: leaf[row], self.state))
             for row in range(self.num_envs)

@@ -14,12 +14,9 @@ import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from infogoal_jax import checks, envs
-from infogoal_jax.bridges.forks import RefusesForks
-from infogoal_jax.bridges.gymnasium_goals import check_mode, key_of, on_cpu, options_of, seeded, with_limit
+from infogoal_jax.bridges.gymnasium_base import Batch, One, copied, key_of, on_cpu, options_of, with_limit
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 
@@ -155,7 +152,7 @@ def picture(env: Environment, image: np.ndarray) -> np.ndarray:
     return np.array(np.broadcast_to(image, (*image.shape[:2], 3)))
 
 
-class TaskGymnasium(RefusesForks, gymnasium.Env):
+class TaskGymnasium(One):
     """One environment. An episode is terminated at the goal and truncated after the task's number of steps.
 
     `info`: `is_success` 0.0 or 1.0; `action_mask` int8 [A], the actions that can be taken next.
@@ -167,31 +164,28 @@ class TaskGymnasium(RefusesForks, gymnasium.Env):
         """timed: False where Gymnasium keeps the time."""
         if self.is_refused():
             return
-        check_mode(render_mode, METADATA["render_modes"])
         with on_cpu():
-            self.env = with_limit(load(task, config), None, timed, default_length(task))
-        self.render_mode = render_mode
+            self.begin(with_limit(load(task, config), None, timed, default_length(task)), render_mode)
         self.observation_space, self.action_space = spaces_of(self.env)
-        self.state, self.shown = None, None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """A new episode. options: {"goal": number or name}; without them a training goal is drawn."""
-        super().reset(seed=seeded(seed))
+        super().reset(seed=seed)
         goal = goal_number(self.env, options)
         with on_cpu():
             self.state, shown = start(self.env, key_of(self.np_random), goal)
             mask = self.env.action_mask(self.env.observe(self.state))
-        self.shown = {name: np.array(part) for name, part in shown.items()}
+        self.shown = copied(shown)
         return dict(self.shown), {"action_mask": np.array(mask, np.int8)}
 
     def step(self, action: int):
         """One move. Raises `UserError` before the first reset, and for an action that does not exist."""
-        require(self.state is not None, "state", None, "call reset() before step()")
+        self.check_begun("step")
         most = self.env.action_size - 1
         action = checks.whole(action, "action", 0, most, f"give 0 to {most}")
         with on_cpu():
             self.state, shown, mask = move(self.env, self.state, jnp.asarray(action, jnp.int32))
-        self.shown = {name: np.array(part) for name, part in shown.items()}
+        self.shown = copied(shown)
         reward = float(rewards(self.shown["achieved_goal"], self.shown["desired_goal"]))
         info = {"is_success": float(self.state.terminated), "action_mask": np.array(mask, np.int8)}
         return dict(self.shown), reward, bool(self.state.terminated), bool(self.state.truncated), info
@@ -204,23 +198,15 @@ class TaskGymnasium(RefusesForks, gymnasium.Env):
         """Whether these goals would have ended the episode, bool [...]."""
         return at_goal(achieved_goal, desired_goal)
 
-    def compute_truncated(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: Any) -> bool:
-        """Never: the time limit does not depend on the goal."""
-        return False
-
-    def render(self) -> np.ndarray | None:
-        """What the agent sees, uint8 [H, W, 3], in mode "rgb_array"."""
-        if self.render_mode is None:
-            return None
-        require(self.shown is not None, "state", None, "call reset() before render()")
+    def pictures(self) -> np.ndarray:
+        """What the agent sees, uint8 [H, W, 3]."""
         return picture(self.env, self.shown["observation"])
 
 
-class TaskVector(VectorEnv):
-    """Many environments of one task as one compiled program, on jax's default device. Autoreset is Gymnasium's
-    `NEXT_STEP`, as in `FetchVector`."""
+class TaskVector(Batch):
+    """Many environments of one task, as `Batch` has them."""
 
-    metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = METADATA | Batch.autoreset
 
     def __init__(
         self,
@@ -233,33 +219,27 @@ class TaskVector(VectorEnv):
     ):
         """max_episode_steps: None for those of the configuration; -1 for no limit."""
         num_envs = checks.whole(num_envs, "num_envs", 1, checks.MOST_ENVS)
-        check_mode(render_mode, METADATA["render_modes"])
-        self.env = with_limit(load(task, config), max_episode_steps, timed, default_length(task))
-        self.num_envs, self.render_mode = num_envs, render_mode
-        self.single_observation_space, self.single_action_space = spaces_of(self.env)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.state, self.shown = None, None
+        self.begin(with_limit(load(task, config), max_episode_steps, timed, default_length(task)), render_mode)
+        self.make_spaces(num_envs, *spaces_of(self.env))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Reset every environment. options: {"goal": number or name}, for this episode only."""
-        super().reset(seed=seeded(seed))
+        super().reset(seed=seed)
         goals = jnp.full(self.num_envs, goal_number(self.env, options), jnp.int32)
-        keys = jax.random.split(key_of(self.np_random), self.num_envs)
-        self.state, shown = start_all(self.env, keys, goals)
+        self.state, shown = start_all(self.env, self.new_keys(), goals)
         mask = np.array(self.env.action_mask(self.env.observe(self.state)), np.int8)
-        self.shown = {name: np.array(part) for name, part in shown.items()}
+        self.shown = copied(shown)
         return dict(self.shown), {"action_mask": mask, "_action_mask": np.ones(self.num_envs, bool)}
 
     def step(self, actions: np.ndarray):
         """One move everywhere, actions int [num_envs]."""
-        require(self.state is not None, "state", None, "call reset() before step()")
+        self.check_begun("step")
         whole = np.issubdtype(np.asarray(actions).dtype, np.integer)
         fits = whole and self.action_space.contains(np.asarray(actions, self.action_space.dtype))
         require(fits, "actions", actions, f"give {self.num_envs} whole numbers from 0 to {self.env.action_size - 1}")
-        keys = jax.random.split(key_of(self.np_random), self.num_envs)
-        self.state, shown, mask, fresh = move_all(self.env, self.state, jnp.asarray(actions, jnp.int32), keys)
-        self.shown, moved = {name: np.array(part) for name, part in shown.items()}, ~np.array(fresh)
+        actions = jnp.asarray(actions, jnp.int32)
+        self.state, shown, mask, fresh = move_all(self.env, self.state, actions, self.new_keys())
+        self.shown, moved = copied(shown), ~np.array(fresh)
         terminated, truncated = np.array(self.state.terminated), np.array(self.state.truncated)
         reward = np.where(moved, rewards(self.shown["achieved_goal"], self.shown["desired_goal"]), np.float32(0))
         info = {"is_success": (terminated & moved).astype(float), "action_mask": np.array(mask, np.int8)}
@@ -270,9 +250,6 @@ class TaskVector(VectorEnv):
         """As `TaskGymnasium.compute_reward`."""
         return rewards(achieved_goal, desired_goal)
 
-    def render(self) -> tuple[np.ndarray, ...] | None:
-        """What each agent sees, uint8 [H, W, 3], in mode "rgb_array"."""
-        if self.render_mode is None:
-            return None
-        require(self.shown is not None, "state", None, "call reset() before render()")
+    def pictures(self) -> tuple[np.ndarray, ...]:
+        """What each agent sees, uint8 [H, W, 3]."""
         return tuple(picture(self.env, image) for image in self.shown["observation"])

@@ -141,7 +141,7 @@ def known_names() -> dict[str, list[str]]:
     from infogoal_jax import presets
 
     names = {kind: list(registry) for kind, registry in presets.REGISTRIES.items()}
-    alone = [name for name in names["learner"] if name != presets.METHODS["leo"].learner]  # That goes with all goals.
+    alone = [name for name, entry in presets.REGISTRIES["learner"].items() if not entry.method]
     return {"method": list(dict.fromkeys([*presets.METHODS, *alone])), **names}
 
 

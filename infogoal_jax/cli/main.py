@@ -15,14 +15,16 @@ from infogoal_jax.cli import training, tuning
 from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
-from infogoal_jax.cli.runs import check_fetch, compare, evaluate, pack, report, video
+from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.imports import import_installed, take_imports
 from infogoal_jax.stopping import NOTHING, STATUS
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
-`infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version."""
+`infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version. With `--import my_task.py`
+every command knows the tasks and parts that this file registers."""
 
 
 GROUPS = {
@@ -35,7 +37,7 @@ GROUPS = {
         "export": export,
     },
     "to choose a method and its settings": {"methods": methods, "tune": tune, "final": final},
-    "data, files, low levels": {"data": DATA, "pack": pack, "pretrain": pretrain, "check-fetch": check_fetch},
+    "data, files, low levels": {"data": DATA, "pack": pack, "pretrain": pretrain},
 }
 """The library's commands, as the help shows them."""
 ADDED = "beside the library"
@@ -79,6 +81,8 @@ def run(arguments: list[str]) -> int:
     arguments, registry = arguments or ["--help"], None
     command = commands(arguments[0])
     check_names(command, arguments)
+    if arguments[0] not in ("-h", "--help"):
+        import_installed()
     if arguments[0] in ("-h", "--help"):
         print(overview(command.commands, min(shutil.get_terminal_size().columns, 100)))
         raise SystemExit(0)
@@ -146,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = [at_home(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     try:
         check_given(arguments)
-        return run(arguments)
+        return run(take_imports(arguments))
     except UserError as error:
         print(f"infogoal: {error}", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""Commands that look at what is there: evaluate, report, compare, video, pack, check-fetch."""
+"""Commands that look at what is there: evaluate, report, compare, video, pack."""
 
 import os
 from importlib.metadata import entry_points
@@ -107,33 +107,6 @@ def pack(run: Positional[str], out: str, seed: int | None = None) -> int:
     require(chosen not in diverged_seeds(folder), "seed", chosen, "diverged in training: give another one")
     folders.pack(folder, Path(out), chosen)
     print(f"{out}: {Path(out).stat().st_size / 1e6:.2f} MB; for example: infogoal evaluate {typed(out)}")
-    return 0
-
-
-def check_fetch(
-    file: Positional[str], faithful: FlagCreatePairsOff[bool] = False, kinds: str = "", out: str = ""
-) -> int:
-    """Replay recorded episodes of the reference Fetch tasks and measure the distance.
-
-    Args:
-        file: The episodes: an npz as benchmarks/fidelity/record_fetch_reference.py writes it.
-        faithful: Simulate as finely as the reference does, 20 steps of 2 ms and the whole body; otherwise the fast
-            default.
-        kinds: Kinds of the first, second, ... episode of each task, repeated over the episodes, to print them apart:
-            random,held,scripted.
-        out: File to write the numbers to, those of each episode too (json).
-
-    Returns:
-        0 whatever the numbers: it measures and passes no judgement.
-    """
-    from infogoal_jax.envs.fetch.parity import read_kinds
-    from infogoal_jax.envs.fetch.recordings import load_recordings
-    from infogoal_jax.report.fetch_parity import check_recordings
-    from infogoal_jax.runner.compilation import use_compilation_cache
-
-    words, recordings = read_kinds(kinds), load_recordings(file)
-    use_compilation_cache()
-    check_recordings(recordings, faithful, words, Path(out) if out else None)
     return 0
 
 

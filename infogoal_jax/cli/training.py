@@ -112,7 +112,7 @@ def train(
         several.part()
         return STATUS if sweep.stopped else 0
     with make_listeners(folder, config, len(numbers), tensorboard=tensorboard, wandb=wandb) as listeners:
-        sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, compiling=listeners.compiling)
+        sweep = training.run(config, numbers, folder, bool(resume), listeners.progress, phase=listeners.phase)
         several.part()  # Figures may take longer than the others would wait.
         listeners.end_progress()
         from infogoal_jax.report.summary import print_summary
@@ -126,8 +126,10 @@ def train(
                 return STATUS
             if figures:
                 from infogoal_jax.report.figures import draw_figures
+                from infogoal_jax.runner.progress import working_on
 
-                paths = draw_figures(folder, sweep.train.env)
+                with working_on("drawing"):
+                    paths = draw_figures(folder, sweep.train.env)
                 for path in paths:
                     print(f"figure      {path}")
                 video = [draw_video(folder, sweep.train.env)] if tensorboard or wandb else []
@@ -300,7 +302,7 @@ def methods(
         raise UserError(f"method = {method!r}: name a task and a method: infogoal methods TASK METHOD --agent ...")
     if task:
         presets.load(task)  # Refuses a name that does not exist.
-    table.print_methods((task,) if task else presets.TASKS)
+    table.print_methods((task,) if task else tuple(presets.registry))
     return 0
 
 

@@ -49,7 +49,7 @@ def load(path: str | os.PathLike = "", count: int = 1000) -> Backgrounds:
     """The backgrounds at `path`, at most `count` for training and as many for test, as the paper's authors use.
 
     path: empty, the shipped crops of photographs; "cifar10", what `infogoal data download cifar10` left in the cache;
-    otherwise a folder: CIFAR-10's binary version or the folder above it, what `infogoal data build backgrounds` wrote,
+    otherwise a folder: CIFAR-10's binary version or the folder above it, what `tools/build_backgrounds.py` wrote,
     or images.
 
     Raises UserError if there is no such folder, or if it has none of these or a damaged one.
@@ -94,7 +94,7 @@ def _chosen(total: int, count: int) -> np.ndarray:
 
 
 def _read_crops(folder: Path, count: int) -> Backgrounds:
-    """Crops of photographs, as `infogoal data build backgrounds` writes them."""
+    """Crops of photographs, as `tools/build_backgrounds.py` writes them."""
     with archives.naming("backgrounds", folder / CROPS_FILE, REMEDY):
         archive = archives.read(folder / CROPS_FILE, REMEDY)
         missing = sorted({"train", "test", "train_photographs", "test_photographs"} - archive.sizes.keys())

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from infogoal_jax.data import archives, frames_check, frames_schema
+from infogoal_jax.data import archives, frames_check
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import from_json
 
@@ -92,20 +92,18 @@ def next_state(dataset: FrameDataset) -> np.ndarray:
 
 def members_of(dataset: FrameDataset) -> dict[str, Any]:
     """The members of the file: the fields by their names, without those that are not known; small ones first."""
-    members = {name: getattr(dataset, name) for name in frames_schema.SCHEMA if name != "format_version"}
+    members = {name: getattr(dataset, name) for name in frames_check.SCHEMA if name != "format_version"}
     try:
-        members |= {"format_version": frames_schema.FORMAT_VERSION, "about": json.dumps(dataset.about)}
+        members |= {"format_version": frames_check.FORMAT_VERSION, "about": json.dumps(dataset.about)}
     except TypeError as error:
         raise UserError(
             f"about = {dataset.about!r}: {error}; give values that JSON has: texts, plain numbers, true and false, "
             "lists"
         ) from error
     members |= {name: np.array(getattr(dataset, name), np.str_) for name in TEXTS}
-    needed = {name for name, (_, _, needed) in frames_schema.SCHEMA.items() if needed}
+    needed = {name for name, (_, _, needed) in frames_check.SCHEMA.items() if needed}
     given = [
-        name
-        for name in frames_schema.SCHEMA
-        if name in needed or (members[name] is not None and np.size(members[name]))
+        name for name in frames_check.SCHEMA if name in needed or (members[name] is not None and np.size(members[name]))
     ]
     return {name: np.asarray(members[name]) for name in given}
 
@@ -124,12 +122,12 @@ def save(path: str | os.PathLike, dataset: FrameDataset) -> None:
 def load(path: str | os.PathLike) -> FrameDataset:
     """Read a dataset that `save` wrote. Raises `UserError` for a file that is missing, damaged or something else, and
     for its first error."""
-    with archives.naming("image dataset", path, frames_schema.GIVE_A_FILE):
-        archive = archives.read(path, frames_schema.REMEDY, version=None)
-    members, unreadable = frames_schema.read_members(archive)
+    with archives.naming("image dataset", path, frames_check.GIVE_A_FILE):
+        archive = archives.read(path, frames_check.REMEDY, version=None)
+    members, unreadable = frames_check.read_members(archive)
     frames_check.stop_at_first(path, iter(unreadable))
     frames_check.stop_at_first(path, frames_check.member_faults(members, set(archive.sizes)))
-    fields = {name: members.get(name) for name in frames_schema.SCHEMA if name != "format_version"}
+    fields = {name: members.get(name) for name in frames_check.SCHEMA if name != "format_version"}
     fields |= {name: tuple(members[name].tolist()) if name in members else () for name in TEXTS}
     return FrameDataset(**(fields | {"about": from_json(str(members["about"]))}))
 

@@ -14,6 +14,6 @@ registry = Registry(
         "vae": Entry(vae.VAEConfig, vae.make),
         "dgrl": Entry(dgrl.DGRLConfig, dgrl.make),
         "none": Entry(none.NoneConfig, none.make),
-        "index": Entry(index.IndexConfig, index.make),
+        "index": Entry(index.IndexConfig, index.make, of_agent={"head": "index"}, method="leo"),
     },
 )

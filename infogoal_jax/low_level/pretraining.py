@@ -28,7 +28,7 @@ from infogoal_jax.low_level.joints import JointPretrainConfig
 from infogoal_jax.low_level.trainer import COLLECT, EVALUATE, PretrainConfig, TargetAgent, make_trainer, save
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.compilation import jit, without_garbage_collection
-from infogoal_jax.runner.listeners import ProgressLine, progress_line
+from infogoal_jax.runner.progress import ProgressLine, progress_line
 from infogoal_jax.runner.sweep import Callback, Programs, Sweep, train_sweep
 from infogoal_jax.runner.training import checked_seeds
 from infogoal_jax.runs import tables

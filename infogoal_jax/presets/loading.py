@@ -32,27 +32,21 @@ class Method(NamedTuple):
 
 
 METHODS = (
-    {name: Method(name) for name in learners.registry}
+    {name: Method(name) for name, entry in learners.registry.items() if not entry.method}
     | {name: Method("none", name) for name in relabelling.registry if name != "none"}
     | {name: Method("none", None, name) for name in exploration.registry if name != "none"}
     | {"leo": Method("index", "all_goals")}
 )
 """What can be asked for by one name. Learners, relabellings and explorers can be combined by their own names too."""
-del METHODS["index"]
-
-AGENT_FIELDS = {
-    "all_goals": {"head": "product", "critic": "product", "bounded": True, "layer_norm": True, "num_steps": 1},
-    "index": {"head": "index"},
-}
-"""What a relabelling, and then a learner, changes in the configuration of an agent that has such fields."""
 
 
 def method_named(name: str) -> Method:
     """The method of this name, or a `UserError` with the nearest one."""
     require(isinstance(name, str), "method", name, f"give the name of a method. Known: {', '.join(METHODS)}")
-    leo = METHODS["leo"].learner
-    require(name != leo, "method", name, f"is a learner alone; give leo, or --learner {leo} with another relabelling")
     if name in learners.registry:
+        whole = learners.registry[name].method
+        remedy = f"is a learner alone; give {whole}, or --learner {name} with another relabelling"
+        require(not whole, "method", name, remedy)
         return Method(name)  # One that was registered after this module was imported, too.
     require(
         name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}"
@@ -62,6 +56,10 @@ def method_named(name: str) -> Method:
 
 def preset_of(task: str) -> Preset:
     """The preset of a task, or a `UserError`."""
+    known = ", ".join(registry)  # Tasks that can be trained, as the help lists them.
+    require(isinstance(task, str), "task", task, f"give the name of a task. Known: {known}")
+    found = task in registry or task in envs.registry
+    require(found, "task", task, f"no such task.{nearest(task, list(registry))} Known: {known}")
     envs.registry.entry(task)
     require(
         task in registry,
@@ -126,12 +124,12 @@ def load(
         kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()
     }
     changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
+    of_agent = {}
+    for kind in ("relabelling", "learner"):
+        of_agent |= REGISTRIES[kind].entry(names[kind]).of_agent
     fields = {
         "learner": fields_of("learner", names, preset.learner) | of_learner,
-        "agent": preset.agents.get(names["agent"], {})
-        | fields_of(
-            "agent", names, AGENT_FIELDS.get(names["relabelling"], {}) | AGENT_FIELDS.get(names["learner"], {})
-        ),
+        "agent": preset.agents.get(names["agent"], {}) | fields_of("agent", names, of_agent),
         "relabelling": preset.relabellings.get(names["relabelling"], {}) | changed.relabelling,
         "explorer": {},
     }
@@ -202,8 +200,9 @@ def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
     names = names_of(config)
     own = registry[config.task].relabelling if config.task in registry else "none"
-    if Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS["leo"]:
-        return "leo"
+    whole = learners.registry[names["learner"]].method
+    if whole and Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS.get(whole):
+        return whole
     name = names["relabelling"]
     relabelled = "none" if name == own else "unrelabelled" if name == "none" else name
     return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"
@@ -239,7 +238,7 @@ def changed_flags(config: Any, default: Any, prefix: str = "") -> list[str]:
 def train_flags(config: TrainConfig) -> list[str]:
     """What follows `infogoal train TASK` for this configuration: the inverse of `load`."""
     names, name = names_of(config), name_of(config)
-    alone = "leo" if names["learner"] == METHODS["leo"].learner else names["learner"]
+    alone = learners.registry[names["learner"]].method or names["learner"]
     method = name if name in METHODS else alone
     default, flags = names_of(load(config.task, method)), ["--method", method]
     for kind, own in names.items():

@@ -10,6 +10,6 @@ registry = Registry(
         "her": Entry(her.HERConfig, her.make),
         "cher": Entry(cher.CHERConfig, cher.make),
         "ghrl": Entry(ghrl.GHRLConfig, ghrl.make),
-        "all_goals": Entry(all_goals.AllGoalsConfig, all_goals.make),
+        "all_goals": Entry(all_goals.AllGoalsConfig, all_goals.make, of_agent=all_goals.OF_AGENT),
     },
 )

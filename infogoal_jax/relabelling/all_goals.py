@@ -12,6 +12,9 @@ from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 
+OF_AGENT = {"head": "product", "critic": "product", "bounded": True, "layer_norm": True, "num_steps": 1}
+"""What learning from all goals at once changes in the configuration of an agent."""
+
 
 @dataclasses.dataclass(frozen=True)
 class AllGoalsConfig:

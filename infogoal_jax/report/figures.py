@@ -1,5 +1,5 @@
 """The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by
-goal. Those of a house, of a shelf and of image goals are in files of their own.
+goal. What a task brings besides is found by its name (`task_figures`).
 """
 
 from pathlib import Path
@@ -33,10 +33,8 @@ from infogoal_jax.report.canvas import (
     save,
 )
 from infogoal_jax.report.codes_and_walks import representations
-from infogoal_jax.report.house_figures import draw_plans
-from infogoal_jax.report.image_goals import draw_image_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
-from infogoal_jax.report.shelf_figures import draw_shelves
+from infogoal_jax.report.task_figures import draw_of_task
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.folder import check_own, remove_abandoned
 from infogoal_jax.train.evaluation import draw_starts
@@ -68,8 +66,7 @@ def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> lis
         return []
     drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
     figures = {draw.__name__: draw(subject) for draw in drawings}
-    for draw_more in (draw_plans, draw_shelves, draw_image_goals):
-        figures |= draw_more(subject)
+    figures |= draw_of_task(subject)
     check_own(folder, ["figures"])
     remove_abandoned(folder)
     drawn = {name: figure for name, figure in figures.items() if figure is not None}

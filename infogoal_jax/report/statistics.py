@@ -8,7 +8,7 @@ import platform
 
 import jax
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from infogoal_jax import checks
 from infogoal_jax.errors import require
@@ -62,7 +62,7 @@ def mean_interval(values) -> Interval:
     if count == 1:
         return Interval(values[0], np.full(values.shape[1:], np.nan), 1)
     standard_error = values.std(axis=0, ddof=1) / np.sqrt(count)
-    return Interval(values.mean(axis=0), stats.t.ppf((1 + CONFIDENCE) / 2, count - 1) * standard_error, count)
+    return Interval(values.mean(axis=0), stdtrit(count - 1, (1 + CONFIDENCE) / 2) * standard_error, count)
 
 
 def paired_difference(first, second) -> Interval:

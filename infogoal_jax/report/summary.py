@@ -1,11 +1,13 @@
 """What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is
 from, what went wrong."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -50,10 +52,13 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
     [seeds]} with the names of `evaluation.Setting`."""
-    table = Table()
+    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     columns = {column: shown for column, shown in COLUMNS.items() if f"train_goal/{column}" in scores}
     for column in ("goals", "code", *(title for title, _ in columns.values())):
-        table.add_column(column, justify="left" if column in ("goals", "code") else "right")
+        # Numbers stay whole in a narrow terminal, where the words of the goals stand below each other.
+        words = column in ("goals", "code")
+        longest = max(len(word) for title in GOALS.values() for word in title.split()) if column == "goals" else None
+        table.add_column(column, justify="left" if words else "right", no_wrap=longest is None, min_width=longest)
     for goals, goals_title in GOALS.items():
         for suffix, code in CODES.items():
             if f"{goals}{suffix}/success_rate" in scores:
@@ -74,6 +79,19 @@ def corruption_in_words(scores: dict[str, np.ndarray], weight: float) -> str:
         if "corrupted_test_goal/success_rate" in scores
         else ""
     )
+
+
+def say(console: Console, text: str, label: str = "", style: str | None = None) -> None:
+    """Print a text, and what it is about before it. On a terminal lines are broken between words, below the text's
+    beginning; a word that is longer than a line, such as a path, stays whole. In a file each stays one line."""
+    line = f"{label:<11} {text}" if label else text
+    if console.is_terminal:
+        indent = " " * 12 if label else ""
+        line = "\n".join(
+            textwrap.fill(part, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            for part in line.splitlines()
+        )
+    console.print(line, style=style, soft_wrap=True, highlight=False, markup=False)
 
 
 def print_summary(sweep: training.RunResult, console: Console | None = None) -> None:
@@ -98,18 +116,14 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         num_goals, num_starts = last["first_reached"].shape[1:]
         steps = f"{last['env_steps'].mean():,.0f} {'environment' if acted else 'recorded'} steps a seed"
         corrupted = corruption_in_words(last, run.config.test_corruption)
-        console.print(
-            f"{head}, {steps}\n{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}",
-            style="bold",
-            soft_wrap=True,
-        )
+        protocol = f"{num_goals} goals x {num_starts} starts{corrupted}; {seeds_in_words(left)}"
+        say(console, f"{head}, {steps}\n{protocol}", style="bold")
         console.print(score_table(last))
     else:
-        console.print(
-            f"{head}: no numbers; " + ("every seed diverged" if diverged else "no evaluation is whole"), style="bold"
-        )
+        reason = "every seed diverged" if diverged else "no evaluation is whole"
+        say(console, f"{head}: no numbers; {reason}", style="bold")
     for sentence in diverged_in_words(diverged):
-        console.print(sentence, style="bold red", soft_wrap=True)
+        say(console, sentence, style="bold red")
     known = {
         "train": "training goals",
         "held_out": "goals achieved so far, validation and test goals excepted,",
@@ -133,7 +147,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         )
     lines["files"] = f"{run.folder}: {', '.join(name for name in RUN if (run.folder / name).exists())}"
     for label, text in lines.items():
-        console.print(f"{label:<11} {text}", soft_wrap=True, highlight=False, markup=False)
+        say(console, text, label)
 
 
 def learner_numbers(run: Run, epochs: RunTable) -> str:
@@ -235,12 +249,12 @@ def evaluate_run(
     if "near_test_goal/success_rate" in scores:
         protocol += "; near: test goals that count as reached from a training goal"
     head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
-    console.print(f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold", soft_wrap=True)
+    say(console, f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold")
     console.print(score_table(scores))
     for sentence in diverged_in_words(diverged):
-        console.print(sentence, style="bold red", soft_wrap=True)
-    console.print(f"data        {run.data}", soft_wrap=True, highlight=False, markup=False)
+        say(console, sentence, style="bold red")
+    say(console, run.data, "data")
     remove_abandoned(folder)
     write_evaluation(folder, found)  # After the table: a disk that refuses should not cost the numbers.
-    console.print(f"file        {folder / 'evaluation.json'}", soft_wrap=True, highlight=False, markup=False)
+    say(console, str(folder / "evaluation.json"), "file")
     return {name: value for name, value in scores.items() if name != "first_reached"}

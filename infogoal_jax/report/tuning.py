@@ -14,7 +14,7 @@ from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import counted
 from infogoal_jax.hyperparameters import search_space
 from infogoal_jax.presets.loading import train_flags
-from infogoal_jax.runner.listeners import progress_line
+from infogoal_jax.runner.progress import progress_line
 from infogoal_jax.runner.search import Trial, TuneResult, Watch
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.search import Best, TrialLine, read_plan, read_trials, write_scores

@@ -24,6 +24,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import infogoal_jax
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import read_bytes
+from infogoal_jax.imports import import_flags
 from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runs import disk
 from infogoal_jax.stopping import StopRequest, stop_on_signal
@@ -149,7 +150,7 @@ def run_in_processes(arguments: list[str], processes: int, gpus: int, say=print)
     with stop_on_signal() as stop:
         for number in range(processes):
             child = subprocess.Popen(
-                [sys.executable, "-m", "infogoal_jax", *arguments],
+                [sys.executable, "-m", "infogoal_jax", *arguments, *import_flags()],
                 env=environment(number, processes, gpus),
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,

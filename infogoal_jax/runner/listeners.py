@@ -1,98 +1,32 @@
-"""What watches a run: the progress bar, on a terminal, or lines in a log file; and TensorBoard or Weights & Biases when
+"""What watches a run: its line of progress; and TensorBoard or Weights & Biases when
 asked for (imported only then)."""
 
 import os
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
 from infogoal_jax import presets
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import training
+from infogoal_jax.runner.progress import progress_line
 
-SIGN_OF_LIFE = 60.0
-"""Seconds after which a log file gets another line while a program is compiled."""
-COMPILING = "compiling, some minutes the first time"
 NOTHING_SENT = ("offline", "dryrun", "disabled")
 """Values of WANDB_MODE with which Weights & Biases needs no login."""
-
-
-class ProgressLine:
-    """What is shown of a run. words: what is run; total: its epochs."""
-
-    def __init__(self, words: str, total: int, bar: Progress):
-        self.words, self.total, self.bar, self.started = words, total, bar, time.monotonic()
-        self.line = bar.add_task(words, total=total, numbers="preparing")
-        self.compiled = threading.Event()
-
-    def compiling(self) -> None:
-        """Say that the program is compiled now, and in a log file once a minute that it still is."""
-        self.bar.update(self.line, numbers=COMPILING)
-        if not self.bar.console.is_terminal:
-            self.print(f"{self.words}: {COMPILING}")
-            threading.Thread(target=self.repeat, daemon=True).start()
-
-    def repeat(self) -> None:
-        """Say that the program is still being compiled until it is not."""
-        while not self.compiled.wait(SIGN_OF_LIFE):
-            self.print(f"{self.words}: still compiling, {self.elapsed()}")
-
-    def advance(self, epoch: int, numbers: str) -> None:
-        """Show that so many epochs are done, and what came of them."""
-        self.compiled.set()
-        self.bar.update(self.line, completed=epoch, numbers=numbers)
-        if not self.bar.console.is_terminal:
-            self.print(f"epoch {epoch}/{self.total}  {self.elapsed()}  {numbers}")
-
-    def elapsed(self) -> str:
-        """Hours, minutes and seconds since the start."""
-        minutes, seconds = divmod(int(time.monotonic() - self.started), 60)
-        return f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
-
-    def print(self, words: str) -> None:
-        """Write a line to a log file."""
-        self.bar.console.print(words, soft_wrap=True, highlight=False, markup=False)
-
-
-@contextmanager
-def progress_line(words: str, total: int) -> Iterator[ProgressLine]:
-    """What shows how far a run is, until the end of the block."""
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[numbers]}"),
-        console=(console := Console()),
-        refresh_per_second=2,
-        disable=not console.is_terminal,
-    )
-    line = ProgressLine(words, total, bar)
-    try:
-        with bar:
-            yield line
-    finally:
-        line.compiled.set()
 
 
 SHOWN = {"train_goal/success_rate": "train", "test_goal/success_rate": "test"}
 
 
 class Listeners(NamedTuple):
-    """compiling: called before the program is compiled; progress: called after each chunk; end_progress: called after
-    the last, so that what is printed stands below the bar; pictures: called with files of figures (PNG) and videos
-    (GIF), which TensorBoard and Weights & Biases are to show."""
+    """phase: called when a phase of the run begins, with its name and the epochs that are done; progress: called after
+    each chunk; end_progress: called after the last, so that what is printed stands below the bar; pictures: called with
+    files of figures (PNG) and videos (GIF), which TensorBoard and Weights & Biases are to show."""
 
-    compiling: Callable[[], None]
+    phase: training.Phase
     progress: tuple[training.Listener, ...]
     end_progress: Callable[[], None]
     pictures: Callable[[Sequence[Path]], None]
@@ -197,13 +131,12 @@ def make_listeners(
         def advance(progress: training.Progress):
             means = seed_means(progress.evaluations)
             numbers = "  ".join(f"{label} {means[name]:.2f}" for name, label in SHOWN.items() if name in means)
-            if progress.env_steps_per_second:  # Who learns offline takes none.
-                numbers += f"  {progress.env_steps_per_second:,.0f} env steps/s"
-            line.advance(progress.epoch, f"{numbers}  {progress.updates_per_second:,.0f} updates/s")
+            rates = [f"{progress.env_steps_per_second:,.0f} env steps/s"] * bool(progress.env_steps_per_second)
+            line.advance(progress.epoch, numbers, "  ".join([*rates, f"{progress.updates_per_second:,.0f} updates/s"]))
 
         listeners.append(advance)
         try:
-            yield Listeners(line.compiling, tuple(listeners), bar.close, pictures)
+            yield Listeners(line.phase, tuple(listeners), bar.close, pictures)
         finally:
             for close in closing:
                 close()

@@ -14,6 +14,7 @@ import numpy as np
 import infogoal_jax
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require, typed
+from infogoal_jax.imports import checksums
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import distributed
 from infogoal_jax.runner.arguments import check_run
@@ -42,6 +43,8 @@ class Progress:
 
 
 Listener = Callable[[Progress], None]
+Phase = Callable[[str, int], None]
+"""Told the name of the phase that begins and how many epochs are done: loading, tracing, compiling, training."""
 
 
 @dataclasses.dataclass
@@ -68,7 +71,8 @@ def describe(config: TrainConfig, env: Any, seeds: list[int]) -> Description:
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    return Description(configuration.located(config), seeds, env.source, versions, str(jax.devices()[0].device_kind))
+    device = str(jax.devices()[0].device_kind)
+    return Description(configuration.located(config), seeds, env.source, versions, device, imports=checksums())
 
 
 def rows_of(epoch_numbers, seeds: list[int], metrics: dict[str, np.ndarray]) -> list[dict]:
@@ -118,25 +122,27 @@ def run(
     resume: bool = False,
     listeners: tuple[Listener, ...] = (),
     env: Any = None,
-    compiling: Callable[[], None] = lambda: None,
+    phase: Phase = lambda name, epoch: None,
     left: Callable[[], float] = lambda: math.inf,
 ) -> RunResult:
     """Train these seeds in one program and leave the run in `folder`. With `resume`, go on from its last checkpoint, or
     from the beginning if it was stopped before there was one. Of several processes (`distributed.join`) each trains its
     own seeds, and the first alone writes and has listeners; to go on, all have to see the folder.
 
-    compiling: called before the program is compiled; left: seconds until it has to have stopped. Raises `UserError`
-    before any compilation, and without a change on the disk, for a folder that holds another run or is being written, a
-    damaged checkpoint, or one of another configuration. Raises `Stopped` if a signal asked for it before the first
-    checkpoint.
+    phase: called when loading, tracing, compiling and training begin, with the epochs that are done; left: seconds
+    until it has to have stopped. Raises `UserError` before any compilation, and without a change on the disk, for a
+    folder that holds another run or is being written, a damaged checkpoint, or one of another configuration. Raises
+    `Stopped` if a signal asked for it before the first checkpoint.
     """
-    check_run(config, folder, resume, listeners, env, compiling)
+    check_run(config, folder, resume, listeners, env, phase)
     folder, seeds = Path(folder), checked_seeds(seeds)
     writes = distributed.is_writer()
     if writes and not resume:
         check_new(folder, RUN)
     with stop_on_signal() as stop, distributed.noted(stop):
+        phase("loading", 0)
         train = make_train(config, env)
+        phase("tracing", 0)
         programs = side_by_side(train, distributed.share(seeds))
         now = describe(config, train.env, list(seeds))
         if not resume:
@@ -153,7 +159,7 @@ def run(
                     configuration.write(folder, now)
             stop.advice = how_to_go_on(folder, point.epoch)
             distributed.check(stop)
-            files = RunFiles(folder, now, point.epoch, listeners, compiling, left, stop)
+            files = RunFiles(folder, now, point.epoch, listeners, phase, left, stop)
             return train_in(train, programs, point, files, stop)
 
 
@@ -189,18 +195,18 @@ class RunFiles(Callback):
         now: Description,
         epoch: int,
         listeners: tuple[Listener, ...],
-        compiling: Callable[[], None],
+        phase: Phase,
         left: Callable[[], float],
         stop: StopRequest,
     ):
         self.folder, self.now, self.listeners, self.stop = folder, now, listeners, stop
-        self.tell_compiling, self.left = compiling, left
+        self.phase, self.left = phase, left
         self.epoch = self.first = epoch
         self.steps_before = 0
 
     def compiling(self, sweep: Sweep) -> None:
         """Tell whoever waits."""
-        self.tell_compiling()
+        self.phase("compiling", self.epoch)
 
     def has_time(self, sweep: Sweep) -> bool:
         """Whether the clock allows another chunk."""
@@ -208,6 +214,7 @@ class RunFiles(Callback):
 
     def compiled(self, sweep: Sweep) -> None:
         """Note how many steps earlier sessions took."""
+        self.phase("training", self.epoch)
         self.steps_before = int(np.sum(distributed.gathered(jax.device_get(sweep.states.state.env_steps))))
 
     def evaluated(self, sweep: Sweep) -> None:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from infogoal_jax import presets
+from infogoal_jax import imports, presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
@@ -94,8 +94,8 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
     task = decode_value(str, values["task"], "task", place)
     if task not in presets.registry:
         raise UserError(
-            f"{place.path}: {place.prefix}task = {task!r}: no such task here. Where a script registers it, that script "
-            f"can look at the run: infogoal_jax.load_run. Known: {', '.join(presets.registry)}"
+            f"{place.path}: {place.prefix}task = {task!r}: no such task here; import the file that "
+            f"registers it first (--import FILE). Known: {', '.join(presets.registry)}"
         )
     base = built(place, lambda: presets.load(task, **names))
     records = {
@@ -153,22 +153,27 @@ class Written:
     data: str
     versions: dict[str, str]
     device: str
+    imports: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)
 class Description:
     """What a run is of. data: what the dataset was, in words (a stand-in is called one); versions: of this package,
-    jax, numpy and Python; device: its kind."""
+    jax, numpy and Python; device: its kind; imports: SHA-256 of each file of `--import` that it was made with, by its
+    name."""
 
     config: TrainConfig
     seeds: list[int]
     data: str
     versions: dict[str, str]
     device: str
+    imports: dict[str, str] = dataclasses.field(default_factory=dict, kw_only=True)
 
     def values(self) -> dict[str, Any]:
         """The description as JSON values."""
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(Written)}
+        if not self.imports:
+            del fields["imports"]  # A run without them reads the same in versions that do not know the field.
         return fields | {"config": to_dict(self.config)}
 
 
@@ -197,5 +202,11 @@ def from_values(values: Any, place: Place) -> Description:
         raise place.wrong("seeds", written.seeds, "should be different numbers")
     if min(written.seeds) < 0 or max(written.seeds) >= MOST_SEEDS:
         raise place.wrong("seeds", written.seeds, f"should lie from 0 to below {MOST_SEEDS}")
-    config = from_dict(written.config, place.within("config"))
-    return Description(config, written.seeds, written.data, written.versions, written.device)
+    imports.check_unchanged(written.imports, str(place.path))
+    try:
+        config = from_dict(written.config, place.within("config"))
+    except UserError as error:
+        if needed := imports.missing(written.imports):
+            raise UserError(f"{place.path}: {needed}") from error
+        raise
+    return Description(config, written.seeds, written.data, written.versions, written.device, imports=written.imports)

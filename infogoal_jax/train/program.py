@@ -6,8 +6,9 @@
 
 Offline there is nothing to collect: the environment brings its recorded rows, and the rest is the same.
 
-The command line runs the same chunk between checkpoints. What is here reads no file, calls nothing in Python and keeps
-no state: `infogoal_jax.make_train` loads the environment that a configuration names.
+The command line runs the same chunk between checkpoints. What is here reads no file, calls nothing in Python, but for a
+callback that is asked for, and keeps no state: `infogoal_jax.make_train` loads the environment that a configuration
+names.
 """
 
 import dataclasses
@@ -71,6 +72,8 @@ class Train:
     parts: Parts
     check_env: Callable[[Any], None] = lambda env: None
     """Raises `UserError` for an environment that cannot be given in the place of `env`."""
+    callback: Callable[[Any, dict[str, Any]], None] | None = None
+    """Called with the epoch and the metrics of each evaluation while the program runs; None: nothing in the program."""
 
     def __call__(self, key: jax.Array, hyper: Hyperparameters | None = None, env: Any = None) -> TrainResult:
         """Train one seed from a typed key (`jax.random.key(0)`), with these hyperparameters or the configuration's."""
@@ -88,6 +91,8 @@ class Train:
 
         def step(state, numbers):
             state, epoch_metrics, metrics = self.chunk(state, numbers, hyper, env)
+            if self.callback is not None:
+                jax.debug.callback(self.callback, numbers[-1] + 1, metrics)
             return state, (epoch_metrics, metrics)
 
         epochs = jnp.arange(self.config.num_epochs, dtype=jnp.int32).reshape(self.config.num_evaluations, -1)

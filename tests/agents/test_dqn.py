@@ -5,6 +5,7 @@ Learning from every transition under all goals: the authors' numbers for LEO, en
 and heads that value all goals as they value one.
 """
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -70,7 +71,7 @@ def test_values_of_unrecorded_moves_are_held_down(weight):
     below."""
     agent = agents.registry.entry("cql").make(CQLConfig(hidden=(32,)), FourActions())
     data = batch(jnp.ones(ACTIONS, bool))
-    params, state = agent.init(jax.random.key(3), data.features[0], data.code[0])
+    params, state = hand_made.initial(agent, jax.random.key(3), data.features[0], data.code[0])
     hyper = CQLHyperparameters(conservative_weight=weight)
 
     @jax.jit
@@ -135,7 +136,7 @@ def test_targets_loss_and_gradient_are_those_of_leos_authors():
     def loss(weights):
         return value_heads.value_loss(head, False, None, weights, recorded["weights"], batch, None)[0]
 
-    found, gradient = jax.value_and_grad(loss)(jnp.asarray(recorded["trained_weights"]))
+    found, gradient = jax.jit(jax.value_and_grad(loss))(jnp.asarray(recorded["trained_weights"]))
     np.testing.assert_allclose(found, recorded["loss"], atol=1e-5)
     np.testing.assert_allclose(gradient, recorded["gradient"], atol=1e-5)
 
@@ -167,14 +168,14 @@ def inputs_of(kind: str):
 @pytest.mark.parametrize("kind", [pytest.param("concatenated", marks=pytest.mark.long), "product", "index"])
 def test_all_goals_at_once_have_the_values_of_each_alone(kind):
     head, params, features, codes = inputs_of(kind)
-    values = jax.jit(head.values)
+    values, of_all = jax.jit(head.values), jax.jit(head.values_of_all)
     alone = jnp.stack([values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
-    np.testing.assert_allclose(head.values_of_all(params, features, codes), alone, atol=1e-6)
+    np.testing.assert_allclose(of_all(params, features, codes), alone, atol=1e-6)
     some = jnp.array([4, 1, 1])
-    np.testing.assert_allclose(head.values_of_all(params, features, codes[some]), alone[..., some], atol=1e-6)
+    np.testing.assert_allclose(of_all(params, features, codes[some]), alone[..., some], atol=1e-6)
     actions = jnp.arange(B) % A
     taken = alone[jnp.arange(B), actions]
-    np.testing.assert_allclose(head.taken_of_all(params, features, actions, codes), taken, atol=1e-6)
+    np.testing.assert_allclose(jax.jit(head.taken_of_all)(params, features, actions, codes), taken, atol=1e-6)
 
 
 def test_bounded_values_lie_between_0_and_1():
@@ -188,9 +189,9 @@ def test_goals_without_a_share_teach_nothing():
     predicted, target = jnp.zeros((B, 3)), jnp.array([[0.5, 0.5, 1.0]] * B)
     loss, _ = value_heads.td_loss_of_all(predicted, target, jnp.array([0.5, 0.5, 0.0]), huber=False)
     np.testing.assert_allclose(loss, 0.125)
-    gradient = jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([0.5, 0.5, 0.0]), True)[0])(
-        predicted
-    )
+    gradient = jax.jit(
+        jax.grad(lambda values: value_heads.td_loss_of_all(values, target, jnp.array([0.5, 0.5, 0.0]), True)[0])
+    )(predicted)
     assert (gradient[:, 2] == 0).all() and (gradient[:, :2] != 0).all()
 
 

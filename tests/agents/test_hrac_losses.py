@@ -45,7 +45,7 @@ def test_subgoals_cost_from_1_1_on():
 
 
 def test_lengths_have_a_finite_gradient_at_0():
-    assert np.isfinite(jax.grad(lambda vector: hrac.length(vector))(jnp.zeros(3))).all()
+    assert np.isfinite(jax.jit(jax.grad(lambda vector: hrac.length(vector)))(jnp.zeros(3))).all()
 
 
 @pytest.mark.parametrize("task", presets.FETCH_TASKS)
@@ -95,7 +95,7 @@ def test_adjacency_loss_and_its_gradients_are_those_of_the_authors_code():
     assert_relatively_close(hrac.length(first - second), FIXTURE["distance"])
     of_each = jax.vmap(lambda weight: loss(first, second, weight))(jnp.eye(len(adjacent)))
     assert_relatively_close(of_each, FIXTURE["pair_losses"])
-    value, gradients = jax.value_and_grad(loss, argnums=(0, 1))(first, second, jnp.ones(len(adjacent)))
+    value, gradients = jax.jit(jax.value_and_grad(loss, argnums=(0, 1)))(first, second, jnp.ones(len(adjacent)))
     assert_relatively_close(value, FIXTURE["loss"])
     assert_relatively_close(gradients[0], FIXTURE["gradient_first"])
     assert_relatively_close(gradients[1], FIXTURE["gradient_second"])
@@ -112,9 +112,11 @@ def test_penalty_of_subgoals_and_its_gradient_are_those_of_the_authors_code():
     }
     states = jnp.asarray(FIXTURE["states"])
 
+    @jax.jit
     def embed(states):
         return network.apply({"params": layers}, states)
 
+    @jax.jit
     def penalties(subgoals):
         return hrac.adjacency_penalty(hrac.length(embed(states) - embed(states + subgoals)))
 
@@ -122,7 +124,7 @@ def test_penalty_of_subgoals_and_its_gradient_are_those_of_the_authors_code():
     assert_relatively_close(embed(states), FIXTURE["embedding_states"])
     assert_relatively_close(embed(states + subgoals), FIXTURE["embedding_targets"])
     assert_relatively_close(penalties(subgoals), FIXTURE["goal_losses"])
-    value, gradient = jax.value_and_grad(lambda subgoals: penalties(subgoals).mean())(subgoals)
+    value, gradient = jax.jit(jax.value_and_grad(lambda subgoals: penalties(subgoals).mean()))(subgoals)
     assert_relatively_close(value, FIXTURE["goal_loss"])
     assert_relatively_close(gradient, FIXTURE["gradient_subgoals"])
 
@@ -148,9 +150,9 @@ def remembered(interval: int, trajectories) -> np.ndarray:
     """What `observe` remembers as adjacent after these trajectories, three at a time, between the recorded cells: bool
     [49, 49]."""
     agent, cells = high_level(interval)
-    apart = pairs.initial_dissimilarity(cells.count)[None]
+    apart, observe = pairs.initial_dissimilarity(cells.count)[None], jax.jit(agent.observe)
     for start in range(0, len(trajectories), 3):
-        apart = agent.observe(apart, rows_of(trajectories[start : start + 3]))
+        apart = observe(apart, rows_of(trajectories[start : start + 3]))
     place = np.asarray(cells.of(jnp.asarray(FIXTURE["cells"], jnp.float32)))
     assert (place >= 0).all() and len(set(place.tolist())) == len(place)
     return ~np.asarray(apart[0])[np.ix_(place, place)]
@@ -208,7 +210,7 @@ def test_smoothing_noise_is_clipped_and_actions_stay_in_range():
 def test_the_smaller_critic_sets_the_target_for_both():
     values, target = jnp.array([[0.0, 3.0], [2.0, 3.0]]), jnp.array([1.0, 3.0])
     assert td3.critic_loss(values, target, huber=True) == pytest.approx((0.5 + 0.5) / 2)
-    assert jax.grad(lambda target: td3.critic_loss(values, target, huber=True))(target).max() == 0
+    assert jax.jit(jax.grad(lambda target: td3.critic_loss(values, target, huber=True)))(target).max() == 0
     both = td3.TwinCritic((8,))
     params = both.init(jax.random.key(0), jnp.zeros(2), jnp.zeros(1))
     one, other = both.apply(params, jnp.ones((5, 2)), jnp.ones((5, 1)))

@@ -165,7 +165,7 @@ def test_resume_auto_goes_on_with_the_newest_run_or_starts_one(tmp_path, monkeyp
     """Of this configuration and these seeds, or that in --out."""
     asked = []
 
-    def run(config, seeds, folder, resume, *listeners, compiling):
+    def run(config, seeds, folder, resume, *listeners, phase):
         asked.append((str(folder), resume, list(seeds)))
         raise UserError("that is enough")
 
@@ -289,12 +289,13 @@ def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
 
 
 def test_importing_the_package_starts_no_device_and_prints_nothing():
+    """And what draws does without the statistics of scipy, whose import takes a second."""
     code = """
 import sys
-import infogoal_jax
+import infogoal_jax, infogoal_jax.report.figures
 from jax._src import xla_bridge
 assert not xla_bridge._backends
-assert not {'wandb', 'tensorboardX'} & {*sys.modules}
+assert not {'wandb', 'tensorboardX', 'scipy.stats'} & {*sys.modules}
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "" and done.stderr == ""
@@ -306,3 +307,23 @@ def test_a_folder_that_is_empty_is_not_one_that_is_left_out(words, tmp_path, mon
     assert main(["train", "object_search", *words]) == 2
     assert "is empty; give a folder, or leave the flag out" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_folder_of_the_user_is_known_behind_a_flag_too(tmp_path, monkeypatch, capsys):
+    """A shell leaves `--out=~/run` as it is."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text("mine")
+    assert main(["train", "object_search", "--out=~/run"]) == 2
+    assert f"out = '{tmp_path}/run': holds a run already" in capsys.readouterr().err
+    assert main(["evaluate", "~/run"]) == 2
+    assert f"{tmp_path}/run/config.json: is damaged" in capsys.readouterr().err
+
+
+def test_the_run_in_a_folder_comes_before_the_task_of_its_name(tmp_path, monkeypatch, capsys):
+    """`infogoal train fetch_reach --out fetch_reach` leaves such a folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fetch_reach").mkdir()
+    (tmp_path / "fetch_reach" / "config.json").write_text("{")
+    assert main(["video", "fetch_reach", "--out", "episode.mp4"]) == 2
+    assert "config.json: is damaged" in capsys.readouterr().err

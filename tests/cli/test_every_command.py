@@ -60,7 +60,7 @@ def help_of(capsys, monkeypatch):
         ),
         ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
-        ("data build", ["house", "cube", "shelf", "backgrounds", "fetch"]),
+        ("data build", ["house", "cube", "shelf", "fetch"]),
         ("evaluate", ["RUN", "--starts", "default: 50"]),
         ("pretrain fetch_push", ["--evaluation-episodes", "--hyper.discount", "Transitions in an update"]),
     ],
@@ -338,10 +338,13 @@ def test_devices_that_are_not_there_are_named_with_the_extra(platforms):
     assert len(done.stderr.splitlines()) == 1 and ("infogoal-jax[cuda]" in done.stderr) == (platforms == "cuda")
 
 
-BACKENDS = ["module://matplotlib_inline.backend_inline", "inline", "module://nowhere", "no_such", "tkagg", "qtagg"]
+BACKENDS = ["inline", "module://nowhere", "no_such", "tkagg", "qtagg"]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "backend",
+    ["module://matplotlib_inline.backend_inline", *(pytest.param(name, marks=pytest.mark.long) for name in BACKENDS)],
+)
 def test_figures_are_drawn_whatever_backend_is_set(backend, tmp_path):
     """By a script; the command sets its own."""
     code = "from infogoal_jax.report import canvas\nfrom pathlib import Path\nimport os\n"

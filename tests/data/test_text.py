@@ -23,9 +23,6 @@ INSTANCE_NAMES = """
     nature_valley_sweet_and_salty_nut_roasted_mix_nut paper_plate red_cup
 """.split()
 
-TINY_VOCABULARY = ("[PAD]", "[UNK]", "[CLS]", "[SEP]", "a", "red", "mug", "blue", "bottle", "of", "soda", "word")
-LAYER_NORM_EPSILON = 1e-12
-
 
 def test_shipped_embeddings_have_every_object_of_the_dataset():
     embeddings = text.load_shipped()

@@ -120,7 +120,7 @@ def test_next_state_is_learned_to_be_told():
     world = make_world(jax.random.key(1))
     size = world.features.shape[1]
     explorer = sse_db.make(dataclasses.replace(SMALL, kl_weight=1e-3, prediction_weight=0.1 * size))
-    params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
+    params, state = hand_made.initial(explorer, jax.random.key(2), world.features[0], ACTIONS)
     share = jnp.full((STATES, ACTIONS), 1 / (STATES * ACTIONS))
     metrics = jax.jit(lambda key: trained(explorer, params, state, world, share, key, 400)[1])(jax.random.key(3))
     first, last = (
@@ -160,7 +160,7 @@ def test_loss_is_the_sum_of_its_parts_and_a_state_is_right_wherever_it_stands():
         {"kl_weight": 0.3, "prediction_weight": 0.02, "contrastive_weight": 5.0},
     )
     explorer = sse_db.make(dataclasses.replace(SMALL, **weights))
-    params, state = explorer.init(jax.random.key(1), world.features[0], ACTIONS)
+    params, state = hand_made.initial(explorer, jax.random.key(1), world.features[0], ACTIONS)
     moves, loss_of = world.moves(jnp.arange(STATES), jnp.arange(STATES) % ACTIONS), jax.jit(explorer.loss)
     loss, metrics, _ = loss_of(params, state, moves, jax.random.key(2))
     parts = sum(
@@ -176,7 +176,7 @@ def test_gradient_reaches_the_state_and_never_the_next_state():
     """The loss shapes the state encoder through the state that is left; the momentum code of the next is a target
     only."""
     explorer, world = sse_db.make(SMALL), make_world(jax.random.key(0))
-    params, state = explorer.init(jax.random.key(1), world.features[0], ACTIONS)
+    params, state = hand_made.initial(explorer, jax.random.key(1), world.features[0], ACTIONS)
     moves = world.moves(jnp.arange(STATES), jnp.arange(STATES) % ACTIONS)
 
     def loss(params, features, following):
@@ -209,7 +209,7 @@ def test_returns_of_the_bonus_have_deviation_one():
     written = jnp.arange(6) < 4
     for square_root in (False, True):
         explorer = sse_db.make(dataclasses.replace(SMALL, square_root=square_root))
-        params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
+        params, state = hand_made.initial(explorer, jax.random.key(2), world.features[0], ACTIONS)
         bonus, after = compute_bonus(explorer, params, state, world, rows, written)
         assert bonus.shape == (STATES, ACTIONS) and (bonus >= 0).all()
         np.testing.assert_allclose(
@@ -227,7 +227,7 @@ def test_returns_of_the_bonus_have_deviation_one():
 def test_steps_that_were_not_taken_do_not_enter_the_scale():
     """Whatever stands at invalid steps and in rows that are not written yet."""
     explorer, world, rows = sse_db.make(SMALL), make_world(jax.random.key(0)), random_rows(jax.random.key(1))
-    params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
+    params, state = hand_made.initial(explorer, jax.random.key(2), world.features[0], ACTIONS)
     written = jnp.arange(6) < 4
     other = random_rows(jax.random.key(3))
     counted = rows.valid & written[:, None]
@@ -245,7 +245,7 @@ def test_steps_that_were_not_taken_do_not_enter_the_scale():
 
 def test_nothing_collected_gives_no_endless_bonus():
     explorer, world, rows = sse_db.make(SMALL), make_world(jax.random.key(0)), random_rows(jax.random.key(1))
-    params, state = explorer.init(jax.random.key(2), world.features[0], ACTIONS)
+    params, state = hand_made.initial(explorer, jax.random.key(2), world.features[0], ACTIONS)
     bonus, after = compute_bonus(explorer, params, state, world, rows, jnp.zeros(6, bool))
     assert np.isfinite(bonus).all() and after.scale == 0  # The next compute_bonus is the first.
 

@@ -63,7 +63,7 @@ def test_pairs_and_negatives_without_weight_count_for_nothing():
     without_negative = pairs_of([0, 4], [1, 5], [[2], [3]], negative_weight=[[1.0], [0.0]])
     np.testing.assert_allclose(loss_of(codes, without_negative)[0], metrics["contrastive"], rtol=1e-5)
     nothing = pairs_of([0], [1], [[2]], [0.0])
-    gradient = jax.grad(lambda codes: loss_of(codes, nothing, 0.1)[0])(codes)
+    gradient = jax.jit(jax.grad(lambda codes: loss_of(codes, nothing, 0.1)[0]))(codes)
     assert not gradient.any() and np.isfinite(gradient).all()
 
 
@@ -77,7 +77,7 @@ def test_norm_penalty_is_the_mean_squared_norm():
 def test_gradient_is_finite_where_codes_are_equal():
     inputs = jnp.ones((4, 16))
     learner = cogoal.make(cogoal.CoGoalConfig())
-    params, state = learner.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters())
+    params, state = hand_made.initial(learner, jax.random.key(0), hand_made.example(inputs), NoHyperparameters())
     batch = pairs_of([0, 1], [0, 2], [[3], [3]])
 
     def objective(params):

@@ -37,7 +37,7 @@ def test_paired_loss_and_its_gradient_are_those_of_the_authors_code(variant, rew
         )
         return gcb.paired_loss(codes, target, partner)
 
-    value, gradient = jax.value_and_grad(loss)(phi)
+    value, gradient = jax.jit(jax.value_and_grad(loss))(phi)
     assert_relatively_close(value, FIXTURE[f"{variant}_loss"])
     assert_relatively_close(gradient, FIXTURE[f"{variant}_gradient_phi"])
 
@@ -51,7 +51,7 @@ def test_difference_loss_and_its_gradients_are_those_of_the_authors_code(variant
     def loss(state, goal):
         return gcb.difference_loss(goal - state, paired, *([grounding] if grounded else []))
 
-    value, (of_state, of_goal) = jax.value_and_grad(loss, argnums=(0, 1))(state, goal)
+    value, (of_state, of_goal) = jax.jit(jax.value_and_grad(loss, argnums=(0, 1)))(state, goal)
     assert_relatively_close(value, FIXTURE[f"psi_{variant}_loss"])
     assert_relatively_close(of_state, FIXTURE[f"psi_{variant}_gradient_state"])
     assert_relatively_close(of_goal, FIXTURE[f"psi_{variant}_gradient_goal"])
@@ -85,10 +85,12 @@ def test_targets_carry_no_gradient():
         jnp.full(3, 0.9),
     )
     partner, codes = jnp.array([1, 2, 0]), jax.random.normal(jax.random.key(1), (3, 4))
-    gradients = jax.grad(
-        lambda *of: gcb.paired_loss(codes, gcb.bisimulation_target(*of, partner, 1.0), partner), argnums=(0, 1, 2)
+    gradients = jax.jit(
+        jax.grad(
+            lambda *of: gcb.paired_loss(codes, gcb.bisimulation_target(*of, partner, 1.0), partner), argnums=(0, 1, 2)
+        )
     )(rewards, following, discounts)
-    gradients += jax.grad(gcb.difference_loss, argnums=(1, 2))(codes, codes + 1.0, codes + 3.0)
+    gradients += jax.jit(jax.grad(gcb.difference_loss, argnums=(1, 2)))(codes, codes + 1.0, codes + 3.0)
     assert all(not gradient.any() for gradient in gradients)
 
 
@@ -100,7 +102,7 @@ def test_gradients_are_finite_where_codes_are_equal():
             codes, gcb.bisimulation_target(jnp.arange(3.0), codes, jnp.full(3, 0.9), partner, 1.0), partner
         )
 
-    assert np.isfinite(jax.grad(loss)(equal)).all()
+    assert np.isfinite(jax.jit(jax.grad(loss))(equal)).all()
 
 
 INPUTS = jax.random.normal(jax.random.key(0), (2, 16))
@@ -123,7 +125,9 @@ def learner_and_params(**changes):
     features and rewards."""
     settings = {"hidden": (64, 64), "paired_hidden": (64, 64), "latent_size": 8, "reward_weight": 2.0}
     learner = gcb.make(gcb.GCBConfig(**(settings | changes)))
-    params, state = learner.init(jax.random.key(2), hand_made.example(INPUTS, features=8), NoHyperparameters())
+    params, state = hand_made.initial(
+        learner, jax.random.key(2), hand_made.example(INPUTS, features=8), NoHyperparameters()
+    )
 
     def loss(params, features, next_features, rewards, key):
         codes = learner.encode(params, INPUTS)
@@ -135,7 +139,7 @@ def learner_and_params(**changes):
         assert after == state
         return value, metrics
 
-    return learner, params, loss
+    return learner, params, jax.jit(loss)
 
 
 def test_the_loss_trains_every_network_of_the_method_and_nothing_of_the_agent():
@@ -204,9 +208,13 @@ def test_the_grounding_is_the_paired_code_of_a_goal_with_itself():
     _, without = learner_and_params()[2](params, *arguments)
     paired = gcb.PairedEncoder((64, 64), (64, 64), 8, False)
     codes, grounding = (
-        paired.apply(params["paired"], features, INPUTS[GOALS]) for features in (FEATURES[STATES], GOAL_FEATURES[GOALS])
+        jax.jit(paired.apply)(params["paired"], features, INPUTS[GOALS])
+        for features in (FEATURES[STATES], GOAL_FEATURES[GOALS])
     )
-    difference = learner.condition(params, learner.encode(params, INPUTS[GOALS]), FEATURES[STATES]).mean
+    differing = jax.jit(
+        lambda params: learner.condition(params, learner.encode(params, INPUTS[GOALS]), FEATURES[STATES])
+    )
+    difference = differing(params).mean
     np.testing.assert_allclose(
         metrics["psi_loss"], np.square(difference - (codes - grounding)).mean(), rtol=1e-5, atol=1e-7
     )

@@ -32,7 +32,9 @@ def start(**changes):
     inputs = jax.random.normal(jax.random.key(0), (GOALS, 16))
     return (
         learner,
-        *learner.init(jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), InfoBotHyperparameters()),
+        *hand_made.initial(
+            learner, jax.random.key(1), hand_made.example(inputs, FEATURES, num_cells=5), InfoBotHyperparameters()
+        ),
         inputs,
     )
 
@@ -150,7 +152,7 @@ def test_bonus_does_not_train_the_encoder():
         visited = Visited(jnp.array([1, 2]), jnp.full((2, 3, 1), -1), jnp.zeros((2, 3), int), jnp.ones((2, 3)))
         return learner.intrinsic_reward(state, learner.encode(params, inputs).__getitem__, visited)[0].sum()
 
-    assert all(not leaf.any() for leaf in jax.tree.leaves(jax.grad(total)(params)))
+    assert all(not leaf.any() for leaf in jax.tree.leaves(jax.jit(jax.grad(total))(params)))
 
 
 def test_counts_are_those_of_valid_visits():
@@ -206,7 +208,7 @@ def test_gradient_is_zero_and_finite_at_the_standard_normal():
     def kl(mean, std):
         return kl_to_standard_normal(GoalCode(mean, std)).sum()
 
-    for gradient in jax.grad(kl, argnums=(0, 1))(jnp.zeros(8), jnp.ones(8)):
+    for gradient in jax.jit(jax.grad(kl, argnums=(0, 1)))(jnp.zeros(8), jnp.ones(8)):
         np.testing.assert_array_equal(gradient, np.zeros(8))
 
 

@@ -134,7 +134,7 @@ def cuts(image: np.ndarray, shift: int):
 
 def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
     env, learner = hand_made.environment(), rad.make(rad.RADConfig(hidden=(32,)))
-    params, _ = learner.init(jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
+    params, _ = hand_made.initial(learner, jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
     view = training_view(
         SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True
     )

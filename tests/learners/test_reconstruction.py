@@ -217,10 +217,10 @@ def test_the_agents_gradient_passes_the_replacement_and_never_reaches_the_codebo
         jax.grad(lambda y: (weights[:5, :2] * dgrl.straight_through(y, vectors)).sum())(segments), weights[:5, :2]
     )
 
-    gradient = jax.grad(lambda params: (weights * learner.encode(params, VECTORS).mean).sum())(params)
+    gradient = jax.jit(jax.grad(lambda params: (weights * learner.encode(params, VECTORS).mean).sum()))(params)
     assert not gradient["codebook"].any()
     plain = networks.GoalLayers(DISCRETE.hidden, DISCRETE.latent_size)
-    identity = jax.grad(lambda encoder: (weights * plain.apply(encoder, VECTORS)).sum())(params["encoder"])
+    identity = jax.jit(jax.grad(lambda encoder: (weights * plain.apply(encoder, VECTORS)).sum()))(params["encoder"])
     jax.tree.map(
         lambda one, other: np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6), gradient["encoder"], identity
     )
@@ -250,7 +250,9 @@ def test_only_code_vectors_that_were_idle_for_long_are_revived(discrete):
     state = state.replace(idle=jnp.full(DISCRETE.codes, dgrl.PATIENCE - 1).at[3].set(dgrl.PATIENCE))
     segments = dgrl.segments_of(DISCRETE, params["encoder"], VECTORS).reshape(-1, 2)
     indices = dgrl.nearest(segments, params["codebook"])
-    to_codebook, to_segments = jax.grad(dgrl.revival_loss, argnums=(0, 1))(params["codebook"], segments, indices, state)
+    to_codebook, to_segments = jax.jit(jax.grad(dgrl.revival_loss, argnums=(0, 1)))(
+        params["codebook"], segments, indices, state
+    )
     assert to_codebook[3].any() and not jnp.delete(to_codebook, 3, axis=0).any() and not to_segments.any()
     moved = params["codebook"][3] - DISCRETE.codes / 2 * to_codebook[3]  # To where the pull would end.
     assert jnp.linalg.norm(segments - moved, axis=1).min() < 1e-5

@@ -13,7 +13,7 @@ import killed_reproduction
 import numpy as np
 import pytest
 from killed_reproduction import LOG, log_of, reproduce, runs
-from places import ROOT
+from two_machines import cluster_of_two
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.runner.executors import run_on_ray
@@ -56,23 +56,10 @@ def test_flags_of_another_engine_are_refused(tmp_path, capsys, flags):
 
 
 @pytest.fixture
-def cluster(tmp_path, monkeypatch):
-    """A real cluster of two machines with a CPU each, whose workers train small programs. This process is at a third
-    machine, which has nothing to compute with."""
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "tests")]))
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    there = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-    machines = [there.add_node(num_cpus=1) for _ in range(2)]
-    hook = {"worker_process_setup_hook": killed_reproduction.prepare_worker, "env_vars": {"LOG_IN": str(tmp_path)}}
-    ray.init(address=there.address, runtime_env=hook, log_to_driver=False)
-    try:
-        yield there, machines
-    finally:
-        ray.shutdown()
-        there.shutdown()
+def cluster(tmp_path):
+    """The cluster and its machines, whose workers train small programs."""
+    with cluster_of_two("killed_reproduction.prepare_worker", {"LOG_IN": str(tmp_path)}) as found:
+        yield found
 
 
 def processes_of(folder, what: str) -> dict[str, int]:

@@ -16,7 +16,7 @@ import pytest
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import compilation
-from infogoal_paper import command, files, numbers, progress, work
+from infogoal_paper import command, files, numbers, tables, work
 from infogoal_paper.command import DONE, MORE, Asked
 from infogoal_paper.figures import FIGURES
 
@@ -251,9 +251,9 @@ def test_the_wall_clock_counts_time_once(results):
         )
         for run, own in zip(runs, spans, strict=True)
     }
-    assert progress.costs(made).rows[-1][-1] == "20"
+    assert tables.costs(made).rows[-1][-1] == "20"
     program = {key: value for key, value in results[runs[0]].about["program"].items() if key != "spans"}
     made[runs[0]] = dataclasses.replace(results[runs[0]], about=results[runs[0]].about | {"program": program})
-    assert progress.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
-    only = progress.costs({runs[0]: made[runs[0]]})
+    assert tables.costs(made).rows[-1][-1] == "15 (2 of 3 runs)"
+    only = tables.costs({runs[0]: made[runs[0]]})
     assert only.head[-1] == "process-minutes" and {len(row) for row in only.rows} == {len(only.head)}

@@ -12,7 +12,7 @@ from places import ROOT
 
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
-from infogoal_paper import all_goals, claims, drawing, numbers, progress, table_formats, tables
+from infogoal_paper import all_goals, claims, drawing, numbers, table_formats, tables
 from infogoal_paper.figures import FIGURES
 from infogoal_paper.manifest import METHODS, STUDIES, Choice, runs_of
 
@@ -257,7 +257,7 @@ def test_updates_are_counted_over_runs_seeds_and_evaluations(results):
     }
     sizes = [result.evaluations["train_goal/success_rate"].size for result in found.values()]
     assert len(sizes) > 1
-    table = progress.costs(found)
+    table = tables.costs(found)
     for row in table.rows:
         cells = dict(zip(table.head, row, strict=True))
         seconds = [float(cells[name].replace(",", "")) for name in ("compiling and measuring (s)", "training (s)")]

@@ -2,10 +2,11 @@
 
 import time
 
+import hand_made
 import pytest
 
 from infogoal_jax.stopping import stop_on_signal
-from infogoal_paper import noise, noise_numbers, trial_numbers, tuning
+from infogoal_paper import batches, noise, noise_numbers, trial_numbers, tuning
 from infogoal_paper.noise_numbers import EPSILONS, Numbers
 
 
@@ -62,7 +63,21 @@ def test_what_is_merged_replaces_rows_of_the_same_task_and_method_alone(tmp_path
     assert {each["method"]: each["test"] for each in noise_numbers.read()} == {"infogoal": "0.2", "her": "0.8"}
 
 
-def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(tmp_path):
+@pytest.fixture
+def rooms_for_houses(monkeypatch):
+    """The hand-made task, whose house need not be built, in place of object search."""
+    monkeypatch.setattr(batches, "config_of", lambda run, images: hand_made.config("none"))
+    monkeypatch.setattr(batches, "load_environment", lambda config: hand_made.environment())
+    monkeypatch.setattr(batches, "build_data", lambda run: None)
+
+
+def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_for_houses, tmp_path, monkeypatch):
+    """After no update: what training does has tests of its own."""
+
+    def train_nothing(sweep, callback, stop):
+        sweep.states = sweep.programs.initial()
+
+    monkeypatch.setattr(noise, "train_sweep", train_nothing)
     path = tmp_path / "object_search_none.csv"
     with stop_on_signal() as stop:
         noise.run("object_search", "none", path, time.time() + 600, stop, (0,), toy=True)
@@ -74,7 +89,7 @@ def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(tmp_pa
     assert all(found[seed, epsilon, "mean"] == value for (seed, epsilon, _), value in found.items())  # It has no noise.
 
 
-def test_what_is_not_trained_to_its_end_leaves_no_rows(tmp_path):
+def test_what_is_not_trained_to_its_end_leaves_no_rows(rooms_for_houses, tmp_path):
     path = tmp_path / "object_search_none.csv"
     with stop_on_signal() as stop:
         noise.run("object_search", "none", path, time.time() - 1, stop, (0,), toy=True)

@@ -4,6 +4,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 import shutil
 import zipfile
 from pathlib import Path
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from places import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
@@ -20,7 +22,7 @@ from infogoal_jax import UserError, envs, load_run, rollout
 from infogoal_jax.cli.main import main
 from infogoal_jax.data import archives
 from infogoal_jax.loading import make_train
-from infogoal_jax.report import codes_and_walks, house_figures
+from infogoal_jax.report import codes_and_walks, house_figures, task_figures
 from infogoal_jax.report.codes_and_walks import principal_components, representations
 from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
 from infogoal_jax.report.runs import diverged_seeds, read_params, table_of
@@ -72,6 +74,21 @@ def test_summary_names_data_seeds_and_times(sweep):
     assert "diverged" not in text
     from_disk = printed(print_run, sweep.folder)
     assert text == from_disk
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_summary_is_broken_between_words_alone(width, sweep):
+    """On a terminal of any width no line is longer, and every word is one of a wide terminal's."""
+    narrow, wide = (
+        Console(file=io.StringIO(), width=size, force_terminal=True, no_color=True) for size in (width, 400)
+    )
+    for console in (narrow, wide):
+        print_run(sweep.folder, console)
+    lines, words = (re.sub(r"\x1b\[[0-9;]*m", "", console.file.getvalue()) for console in (narrow, wide))
+    found, whole = ({word for word in text.split() if "─" not in word} for text in (lines, words))
+    assert found == whole
+    assert "…" not in lines
+    assert all(len(line.rstrip()) <= width for line in lines.splitlines() if str(sweep.folder) not in line)
 
 
 def test_diverged_seed_is_named_and_left_out(sweep, diverged_run, env):
@@ -155,6 +172,14 @@ def test_a_seed_that_was_not_trained_is_named(sweep, rooms_for_a_house):
 @pytest.mark.long
 def test_every_figure_is_drawn_and_shows_something(sweep, env):
     assert_drawn(draw_figures(sweep.folder, env=env), sweep.folder, FIGURES)
+
+
+def test_a_task_of_ones_own_brings_its_figures_in_place_of_those_of_a_name(sweep, env, monkeypatch):
+    subject, mine = read_subject(sweep.folder, env), Figure()
+    monkeypatch.setitem(task_figures.registry, subject.run.config.task, lambda seen: {"mine": mine, "none": None})
+    assert task_figures.draw_of_task(subject) == {"mine": mine, "none": None}
+    monkeypatch.delitem(task_figures.registry, subject.run.config.task)
+    assert task_figures.draw_of_task(subject) == {}
 
 
 def test_house_without_positions_has_no_plans(sweep, env):

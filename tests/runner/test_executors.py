@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from places import ROOT
+from two_machines import cluster_of_two
 
 import infogoal_jax
 from infogoal_jax.errors import UserError
@@ -158,25 +158,9 @@ def test_a_job_that_is_begun_anew_has_what_was_sent_of_it():
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A real cluster of two machines with a CPU each. This process is at a third machine, which has nothing to compute
-    with."""
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    with pytest.MonkeyPatch.context() as patch:
-        paths = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests" / "runner")]
-        patch.setenv("PYTHONPATH", os.pathsep.join(paths))
-        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        patch.syspath_prepend(str(ROOT / "tests" / "runner"))
-        there = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-        for _ in range(2):
-            there.add_node(num_cpus=1)
-        ray.init(address=there.address, log_to_driver=False)
-        try:
-            yield there
-        finally:
-            ray.shutdown()
-            there.shutdown()
+    """A cluster whose workers are as they come."""
+    with cluster_of_two() as (found, _):
+        yield found
 
 
 def ray_jobs(count: int = 3, **named) -> list:

@@ -6,12 +6,15 @@ What is done to seeds is tested with a small program (`killed_run.small_train`),
 one.
 """
 
+import dataclasses
+import io
 import json
 import os
 import struct
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import hand_made
@@ -22,12 +25,13 @@ import pytest
 import scipy.stats
 from PIL import Image
 from places import ROOT, TESTS
+from rich.console import Console
 
 from infogoal_jax import make_train
 from infogoal_jax.errors import UserError
-from infogoal_jax.runner import listeners, memory, training
+from infogoal_jax.runner import memory, progress, training
 from infogoal_jax.runner.listeners import make_listeners
-from infogoal_jax.runner.training import Progress
+from infogoal_jax.runner.training import Progress, run
 
 ON_TWO_DEVICES = """
 import sys
@@ -122,20 +126,100 @@ def test_success_of_a_sweep_and_of_single_runs_agree_in_distribution():
 
 
 def test_a_log_says_what_takes_long(monkeypatch, capsys):
-    monkeypatch.setattr(listeners, "SIGN_OF_LIFE", 0.05)
-    with listeners.progress_line("fetch_reach infogoal x 2", 4) as line:
-        line.compiling()
+    monkeypatch.setattr(progress, "SIGN_OF_LIFE", 0.05)
+    with progress.progress_line("fetch_reach infogoal x 2", 4) as line:
+        line.phase("loading")
+        line.phase("compiling")
         time.sleep(0.3)
-        line.advance(2, "train 0.50")
+        line.phase("training")
+        line.advance(2, "train 0.50", "7 updates/s")
         before = capsys.readouterr().out.splitlines()
         time.sleep(0.2)
         line.advance(4, "train 0.75")
     assert before[0] == "fetch_reach infogoal x 2: compiling, some minutes the first time"
-    assert len(before) > 2 and all(
-        words == "fetch_reach infogoal x 2: still compiling, 0:00:00" for words in before[1:-1]
+    assert len(before) > 3 and all(words == "fetch_reach infogoal x 2: still compiling, 0:00" for words in before[1:-2])
+    assert before[-2].startswith("loading 0.0 s, compiling 0.")
+    assert before[-1] == "epoch 2/4  0:00  0:00 left  train 0.50  7 updates/s"
+    assert capsys.readouterr().out == "epoch 4/4  0:00  train 0.75\n"
+
+
+def shown_line(width, done=3, numbers="train 0.95  test 0.41"):
+    """The line of a run that has trained for a minute, in so many letters."""
+    line = progress.ProgressLine("object_search infogoal x 16", 8, Console(file=io.StringIO()))
+    line.phase("training")
+    line.since -= 60.3
+    line.advance(done, numbers, "8,192 env steps/s  120 updates/s")
+    return line.of_width(width)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_bar_count_time_left_and_success_are_seen_in_a_terminal_of_any_width(width):
+    shown = shown_line(width)
+    assert len(shown) <= width and "3/8  1:40 left  train 0.95  test 0.41" in shown and "…" not in shown
+    filled, empty = shown.count("━"), shown.count("─")
+    assert filled + empty >= progress.NARROWEST and abs(filled / (filled + empty) - 3 / 8) < 0.1
+    assert ("8,192 env steps/s  120 updates/s" in shown) == (width == 120)  # Where there is room.
+    assert "left" not in shown_line(width, done=8)
+
+
+def test_a_terminal_of_few_letters_keeps_the_numbers_and_loses_the_bar():
+    assert shown_line(40) == "3/8  1:40 left  train 0.95  test 0.41"
+
+
+def test_a_run_that_goes_on_tells_the_time_left_by_its_own_epochs():
+    line = progress.ProgressLine("", 8, Console(file=io.StringIO()))
+    line.phase("training", epoch=6)
+    line.since -= 10
+    line.advance(7, "")
+    assert line.left == pytest.approx(10, abs=0.5)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
+    line = progress.ProgressLine("object_search infogoal x 16", 8, Console(file=io.StringIO()))
+    line.phase("loading")
+    line.since -= 2
+    line.phase("tracing")
+    line.phase("compiling")
+    line.since -= 65
+    shown = line.of_width(width)
+    assert "0/8  compiling 1:05" in shown and "─" * progress.NARROWEST in shown and len(shown) <= width
+    assert ("loading 2.0 s, tracing 0.0 s" in shown) == (width >= 100)
+
+
+def test_a_run_tells_its_phases_in_order(tmp_path):
+    told = []
+    config = dataclasses.replace(hand_made.config(), num_epochs=2)
+    run(
+        config, [0], tmp_path / "run", env=hand_made.environment(), phase=lambda name, epoch: told.append((name, epoch))
     )
-    assert before[-1] == "epoch 2/4  0:00:00  train 0.50"
-    assert capsys.readouterr().out == "epoch 4/4  0:00:00  train 0.75\n"
+    assert told == [("loading", 0), ("tracing", 0), ("compiling", 0), ("training", 0)]
+    longer = dataclasses.replace(config, num_epochs=4)
+    del told[:]
+    run(longer, [0], tmp_path / "run", True, env=hand_made.environment(), phase=lambda *phase: told.append(phase))
+    assert told[-2:] == [("compiling", 2), ("training", 2)]
+
+
+def test_a_notebook_has_one_line_that_moves(monkeypatch):
+    """By IPython's own display, as a cell shows it: nothing has to be installed for it."""
+    shown = []
+
+    class Handle:
+        def update(self, line):
+            shown.append(repr(line))
+
+    def display(line, display_id):
+        shown.append(repr(line))
+        return Handle()
+
+    monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
+    monkeypatch.setattr(progress, "Console", lambda: Console(force_jupyter=True))
+    monkeypatch.setattr(progress, "REFRESHED", 0.01)
+    with progress.progress_line("rooms", 2) as line:
+        line.phase("compiling")
+        time.sleep(0.1)
+        line.advance(2, "train 0.95")
+    assert any("compiling" in line for line in shown) and "2/2  train 0.95" in shown[-1] and len(shown) > 2
 
 
 @pytest.mark.parametrize(("rate", "shown"), [(1000.0, True), (0.0, False)])

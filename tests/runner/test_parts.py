@@ -13,7 +13,7 @@ from pathlib import Path
 import hand_made
 import killed_run
 import pytest
-from places import ROOT
+from two_machines import cluster_of_two
 
 import infogoal_jax
 from infogoal_jax.cli.main import main
@@ -160,29 +160,10 @@ def test_parts_are_written_through_no_link(tmp_path):
 
 
 @pytest.fixture
-def two_machines(tmp_path, monkeypatch):
-    """A real cluster of two machines with a CPU each; this process is at a third one, without any."""
-    ray = pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    paths = [ROOT, ROOT / "tests", ROOT / "tests" / "runner"]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, paths)))
-    monkeypatch.syspath_prepend(str(ROOT / "tests" / "runner"))
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    import test_parts
-
-    there = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
-    machines = [there.add_node(num_cpus=1) for _ in range(2)]
-    hook = {
-        "worker_process_setup_hook": test_parts.prepare_worker,
-        "env_vars": {LOG: str(tmp_path / "begun"), "JAX_PLATFORMS": "cpu"},
-    }
-    ray.init(address=there.address, runtime_env=hook, log_to_driver=False)
-    try:
-        yield there, machines
-    finally:
-        ray.shutdown()
-        there.shutdown()
+def two_machines(tmp_path):
+    """A cluster and its machines, whose workers log the parts that they begin."""
+    with cluster_of_two("test_parts.prepare_worker", {LOG: str(tmp_path / "begun"), "JAX_PLATFORMS": "cpu"}) as found:
+        yield found
 
 
 @pytest.mark.long

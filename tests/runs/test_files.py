@@ -196,5 +196,5 @@ def test_every_kind_of_file_comes_back_as_it_was_written(run):
 
 def test_a_run_of_a_task_that_a_script_registers_is_not_called_damaged():
     values = to_dict(hand_made.config()) | {"task": "walled_square"}
-    with pytest.raises(UserError, match="task = 'walled_square': no such task here. Where a script registers it"):
+    with pytest.raises(UserError, match="task = 'walled_square': no such task here; import the file that registers it"):
         from_dict(values)

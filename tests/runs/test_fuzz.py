@@ -27,10 +27,10 @@ from infogoal_jax.runner import search as searching
 from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import from_dict, to_dict
-from infogoal_jax.stand_ins import cube, photographs, shelf
+from infogoal_jax.stand_ins import cube, shelf
 from infogoal_paper import command, numbers
 
-SHORT, LONG = 100, 4300
+SHORT, LONG = 40, 4300
 """Inputs of this file; with those of test_fuzz_formats.py 10,000 in the long tests."""
 SHARES = {"configurations": 0.5, "files": 0.35, "command lines": 0.15}
 
@@ -144,7 +144,7 @@ def no_work(monkeypatch):
         (summary, "make_train"),
     ]
     work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
-    work += [(photographs, "build_backgrounds"), (goal_rendering, "build"), (backgrounds, "download_cifar10")]
+    work += [(goal_rendering, "build"), (backgrounds, "download_cifar10")]
     work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]
     work += [(command, "draw"), (numbers, "save")]
     for module, name in work:

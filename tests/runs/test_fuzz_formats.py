@@ -34,7 +34,6 @@ from infogoal_jax.data import (
     splits,
     text,
 )
-from infogoal_jax.envs.fetch.recordings import load_recordings
 from infogoal_jax.errors import UserError
 from infogoal_jax.low_level import trainer
 from infogoal_jax.report import export
@@ -166,16 +165,6 @@ def text_members() -> dict[str, np.ndarray]:
     text.save("texts.npz", found)
     with np.load("texts.npz") as members:
         return dict(members)
-
-
-def recording_members() -> dict[str, np.ndarray]:
-    observation = np.full((2, 4, 10), 0.5, np.float32)
-    return {
-        "fetch_reach/observation": observation, "fetch_reach/achieved_goal": observation[..., :3],
-        "fetch_reach/desired_goal": np.full((2, 1, 3), 0.5, np.float32),
-        "fetch_reach/action": np.zeros((2, 3, 4), np.float32), "fetch_reach/reward": np.zeros((2, 3), np.float32),
-        "source": np.array("somewhere"),
-    }  # fmt: skip
 
 
 def crop_members() -> dict[str, np.ndarray]:
@@ -325,7 +314,6 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
             npz("frames.npz", dataset, frames.load),
             npz("bank.npz", bank_members(), lambda path: goal_images.load(path, "fetch_reach")),
             npz("texts.npz", text_members(), text.load),
-            npz("episodes.npz", recording_members(), load_recordings),
             npz(backgrounds.CROPS_FILE, crop_members(), lambda path: backgrounds.load(path.parent, 2)),
             npz("run.npz", run_members(), read_run),
             npz("paper.npz", number_members(), read_numbers),
@@ -347,7 +335,7 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
 
 
 NAMES = [
-    "policy.npz", "frames.npz", "bank.npz", "texts.npz", "episodes.npz", backgrounds.CROPS_FILE, "run.npz", "paper.npz",
+    "policy.npz", "frames.npz", "bank.npz", "texts.npz", backgrounds.CROPS_FILE, "run.npz", "paper.npz",
     "flight.jsonl", "moves.csv", "split.json", "questions.json", "Home_101_1/annotations.json",
     "all_instance_id_map.txt", "low_level", "low_level_sealed", "run.zip",
 ]  # fmt: skip

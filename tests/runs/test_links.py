@@ -122,8 +122,7 @@ def test_figures_are_not_drawn_through_a_link(run, outside, monkeypatch):
     subject = type("Subject", (), {"evaluations": type("Table", (), {"values": {"a": 1}})})
     for name in ("beta_and_accuracy", "success_by_length", "success_by_goal", "representations", "learning_curves"):
         monkeypatch.setattr(figures, name, type(name, (), {"__new__": lambda kind, subject: None}))
-    for name in ("draw_plans", "draw_shelves", "draw_image_goals"):
-        monkeypatch.setattr(figures, name, lambda subject: {})
+    monkeypatch.setattr(figures, "draw_of_task", lambda subject: {})
     before = digest(outside)
     with pytest.raises(UserError, match="figures: is a link"):
         figures.draw_all(subject, run, "png", False)
@@ -138,7 +137,6 @@ COMMANDS = {
     "evaluate": "evaluate {}.zip",
     "fly": "fly {}.npz --question where --simulate",
     "data check": "data check {}.npz",
-    "check-fetch": "check-fetch {}.npz",
     "report": "report {}",
 }
 

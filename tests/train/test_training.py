@@ -210,3 +210,17 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
         return sample_pairs(train.parts, env, experience, key)
 
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()
+
+
+def test_a_callback_hears_of_each_evaluation_and_leaves_nothing_in_a_program_without_it():
+    heard, config, env = [], hand_made.config(num_epochs=4), hand_made.environment()
+    train = make_train(config, env, lambda epoch, metrics: heard.append((int(epoch), metrics)))
+    result = jax.jit(train)(jax.random.key(0))
+    jax.effects_barrier()
+    assert [epoch for epoch, _ in heard] == [2, 4]
+    for place, (_, metrics) in enumerate(heard):
+        np.testing.assert_array_equal(
+            metrics["train_goal/success_rate"], result.metrics["train_goal/success_rate"][place]
+        )
+    with_it, without = (jax.make_jaxpr(each)(jax.random.key(0)) for each in (train, make_train(config, env)))
+    assert "debug_callback" in str(with_it) and "callback" not in str(without)

@@ -11,7 +11,6 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import optimize
 
 from infogoal_jax.envs.fetch import solver
 from infogoal_jax.envs.fetch.contacts import Contacts, tangents
@@ -88,6 +87,8 @@ def lengthened(softness: Softness, timestep: float, duration: float) -> Softness
     def mismatch(values):
         long = np.linalg.matrix_power(step_map(1e3 * values[0], 1e2 * values[1], timestep), round(duration / timestep))
         return (long - short)[0] * np.array([1.0, 100.0])
+
+    from scipy import optimize  # Only now: it takes a fifth of a second.
 
     found = optimize.root(mismatch, np.array([1e-3 / (time * ratio) ** 2, 2e-2 / time]) * 0.6)
     assert found.success, found.message

@@ -12,18 +12,22 @@ compared in x and y alone: the reference's sinks 6.5 mm into the table and lies 
 """
 
 import functools
+import json
+import sys
 
 import jax
 import numpy as np
 import pytest
-from places import FIXTURES
+from places import FIXTURES, ROOT
 from scipy.stats import binom, ks_2samp
 
 from infogoal_jax.envs import load
 from infogoal_jax.envs.fetch.environment import NEAREST_START
-from infogoal_jax.envs.fetch.parity import ALL, compare, distances, replay
-from infogoal_jax.envs.fetch.recordings import load_recordings
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
+import fetch_parity
+from fetch_parity import ALL, Recording, Replayed, compare, distances, load_recordings, replay
 
 RECORDINGS = FIXTURES / "fetch_gymnasium_v4.npz"
 KINDS = ("random", "held", "scripted")
@@ -79,12 +83,12 @@ def cases(*tasks: str):
 @pytest.fixture(scope="session")
 def replayed():
     """The recording of a task and its replay in a setting, made when first asked for."""
-    recordings = load_recordings(RECORDINGS)
+    recordings, _ = load_recordings(RECORDINGS)
 
     @functools.cache
     def made(task, setting):
         env = load(task, FetchConfig(faithful=setting == FAITHFUL, ends_at_goal=False))
-        return recordings.tasks[task], replay(env, recordings.tasks[task])
+        return recordings[task], replay(env, recordings[task])
 
     return made
 
@@ -278,3 +282,49 @@ def test_a_range_five_per_cent_too_small_or_too_large_would_be_noticed(resets, t
         middle = (ours.min(axis=0) + ours.max(axis=0)) / 2
         for scale in (0.95, 1.05):
             assert len(differing(middle + scale * (ours - middle), theirs)) == 2
+
+
+def test_errors_are_measured_in_millimetres_and_outcomes_counted():
+    """Three pushes of two steps. The second is 3 mm off at the end; the third falls off here and stays on the table in
+    the recording."""
+    observation = np.zeros((3, 3, 25), np.float32)
+    observation[..., 2], observation[..., 5] = 0.5, 0.425
+    observation[1, -1, 5] = 0.5
+    thing = observation[..., 3:6].copy()
+    thing[1, -1] += (0.003, 0, 0)
+    thing[2, -1, 2] = 0.025
+    reward = np.full((3, 2), -1, np.float32)
+    recording = Recording(
+        "fetch_push", observation, np.zeros((3, 3), np.float32), np.zeros((3, 2, 4), np.float32), reward
+    )
+    replayed = Replayed(
+        observation[..., :3] + np.float32([0.001, 0, 0]),
+        thing,
+        np.array([[-1, -1], [-1, 0], [-1, -1.0]]),
+        np.zeros(3, bool),
+    )
+    everything, first, second = compare(recording, replayed, ("first", "second"))
+    assert (everything.episodes, first.episodes, second.episodes) == (3, 2, 1)
+    assert everything.grip.mean == pytest.approx(1, abs=1e-3) and everything.grip.end == pytest.approx(1, abs=1e-3)
+    assert (second.thing.mean, second.thing.largest, second.thing.end) == pytest.approx((1.5, 3, 3), abs=1e-3)
+    assert first.thing.end == pytest.approx(200, abs=1e-3) and first.thing.median == pytest.approx(0, abs=1e-3)
+    assert (everything.fallen.recorded, everything.fallen.here, everything.fallen.both) == (0, 1, 0)
+    assert (second.lifted.recorded, second.lifted.here, second.lifted.both) == (1, 1, 1)
+    assert everything.equal_rewards == pytest.approx(5 / 6)
+
+
+@pytest.mark.long
+def test_the_command_prints_and_writes_the_distances_of_each_kind(tmp_path, monkeypatch, capsys):
+    with np.load(RECORDINGS) as arrays:
+        short = {name: value[:2] for name, value in arrays.items() if name.startswith("fetch_reach/")}
+    np.savez(tmp_path / "short.npz", **short, source="Gymnasium-Robotics")
+    arguments = [str(tmp_path / "short.npz"), "--kinds", *KINDS[:2], "--out", str(tmp_path / "out.json")]
+    monkeypatch.setattr(sys, "argv", ["fetch_parity.py", *arguments])
+    fetch_parity.main()
+    printed = capsys.readouterr().out
+    assert "recorded by Gymnasium-Robotics" in printed and "1 random" in printed and "100.0%" in printed
+    written = json.loads((tmp_path / "out.json").read_text())
+    assert written["setting"] == "default"
+    found = written["tasks"]["fetch_reach"]
+    assert [row["episodes"] for row in found["kinds"]] == [2, 1, 1] and found["kinds"][0]["thing"] is None
+    assert [row["kind"] for row in found["episodes"]] == ["random", "held"]

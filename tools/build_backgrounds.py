@@ -1,11 +1,14 @@
 """Builds the shipped backgrounds: 32x32 crops of public-domain and CC0 photographs that come with scikit-image and
 matplotlib.
 
-Run by `infogoal data build backgrounds PATH`. Only photographs whose licence is stated are taken, known by their
-checksum, and each is used either to train or to test, so that a test background is never a piece of a photograph seen
-in training.
+    pip install scikit-image==0.26 matplotlib==3.11
+    python tools/build_backgrounds.py FOLDER --seed 1
+
+Only photographs whose licence is stated are taken, known by their checksum, and each is used either to train or to
+test, so that a test background is never a piece of a photograph seen in training.
 """
 
+import argparse
 import dataclasses
 import hashlib
 import importlib.util
@@ -16,7 +19,7 @@ import numpy as np
 
 from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.backgrounds import CROP_SIZE, CROPS_FILE
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError
 
 MIN_CONTRAST = 8.0  # Grey levels: a crop of plain sky would change nothing but the brightness of a goal image.
 
@@ -150,8 +153,6 @@ def build_backgrounds(folder: Path, seed: int = 0, crops_of_each: int = 84) -> N
 
     Raises UserError if a photograph's package is not installed or has another file under its name.
     """
-    require(crops_of_each >= 1, "crops_of_each", crops_of_each, "give at least 1")
-    require(seed >= 0, "seed", seed, "give 0 or more")
     crops, names = {"train": [], "test": []}, {"train": [], "test": []}
     for number, photograph in enumerate(PHOTOGRAPHS):
         # A generator of its own for each, so that one more photograph leaves the crops of the others as they are.
@@ -175,13 +176,11 @@ def read(photograph: Photograph) -> np.ndarray:
     if package is None:
         raise UserError(
             f"{photograph.name}: {photograph.package} is not installed; install it with: pip install "
-            "'infogoal-jax[backgrounds]'"
+            "scikit-image==0.26 matplotlib==3.11"
         )
     file = Path(package.submodule_search_locations[0]) / photograph.file
     if not file.exists():
-        raise UserError(
-            f"{photograph.name}: {file} is not there; install it with: pip install 'infogoal-jax[backgrounds]'"
-        )
+        raise UserError(f"{photograph.name}: {file} is not there; install scikit-image 0.26 and matplotlib 3.11")
     content = file.read_bytes()
     found = hashlib.sha256(content).hexdigest()
     if found != photograph.sha256:
@@ -221,7 +220,7 @@ def licences() -> str:
             "# Photographs",
             "",
             f"`{CROPS_FILE}` holds crops of {len(PHOTOGRAPHS)} photographs, a stand-in for CIFAR-10, cut by "
-            "`infogoal data build backgrounds`.",
+            "`tools/build_backgrounds.py`.",
             "Licences are those stated by the package (scikit-image: docstrings of `skimage.data`; matplotlib: the "
             "pull request that",
             "is linked).",
@@ -232,3 +231,12 @@ def licences() -> str:
             "",
         )
     )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("folder", type=Path, help="must not exist yet, or be empty")
+    parser.add_argument("--seed", type=int, default=0, help="of the crops' places and sizes; 0: the shipped ones")
+    parser.add_argument("--crops-of-each", type=int, default=84)
+    arguments = parser.parse_args()
+    build_backgrounds(arguments.folder, arguments.seed, arguments.crops_of_each)

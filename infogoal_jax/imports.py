@@ -1,0 +1,124 @@
+"""Files of Python that a user names, whose tasks and parts a command then knows: `--import my_task.py`.
+
+A file runs only because whoever types the command names it. A run remembers the name and the checksum of what it was
+made with; that alone never runs anything.
+"""
+
+import hashlib
+import importlib.util
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import NamedTuple
+
+from infogoal_jax.errors import UserError, require, typed
+
+FLAG = "--import"
+GROUP = "infogoal.plugins"
+"""Entry points of installed packages, modules that register tasks and parts when they are imported."""
+
+
+class Imported(NamedTuple):
+    """A file that ran. checksum: SHA-256 of its content."""
+
+    path: Path
+    checksum: str
+
+
+imported: dict[str, Imported] = {}
+"""The files of this process, by their names without folders."""
+
+
+def import_file(file: str | Path) -> None:
+    """Run a file of Python once. Raises `UserError` if it is not there, is no Python file, has the name of another one,
+    or fails."""
+    path = Path(file)
+    given = f"import = {str(file)!r}"
+    require(path.suffix == ".py", "import", str(file), "give a file that ends in .py")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{given}: {error.strerror or error}; give the file that registers the task") from error
+    checksum, before = hashlib.sha256(content).hexdigest(), imported.get(path.name)
+    if before is not None:
+        require(before.checksum == checksum, "import", str(file), "another file of this name is imported already")
+        return
+    name = path.stem
+    require(name not in sys.modules, "import", str(file), f"Python has a module {name!r} already; rename the file")
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        exec(compile(content, str(path), "exec"), module.__dict__)
+    except Exception as error:
+        del sys.modules[name]
+        lines = [at for at in traceback_lines(error) if at[0] == str(path)]
+        line = lines[-1][1] if lines else getattr(error, "lineno", None)
+        where = f", line {line}" if line else ""
+        reason = next(iter(str(error).splitlines()), "")
+        raise UserError(f"{given}{where}: {type(error).__name__}: {reason}; mend the file") from error
+    imported[path.name] = Imported(path, checksum)
+
+
+def traceback_lines(error: BaseException) -> list[tuple[str, int]]:
+    """File and line of each call that led to an error."""
+    found, at = [], error.__traceback__
+    while at is not None:
+        found.append((at.tb_frame.f_code.co_filename, at.tb_lineno))
+        at = at.tb_next
+    return found
+
+
+def import_installed() -> None:
+    """Import what installed packages register. Raises `UserError`, naming the entry point, for one that fails."""
+    for point in entry_points(group=GROUP):
+        try:
+            point.load()
+        except Exception as error:
+            raise UserError(
+                f"{GROUP}: {point.name} = {point.value!r}: {type(error).__name__}: {error}; mend or uninstall it"
+            ) from error
+
+
+def take_imports(arguments: list[str]) -> list[str]:
+    """Import the files that `--import FILE` names, wherever it stands. Returns the other words. Raises `UserError` as
+    `import_file` does, and for a flag without a file."""
+    words, rest = iter(arguments), []
+    for word in words:
+        flag, sign, file = word.partition("=")
+        if flag != FLAG:
+            rest.append(word)
+            continue
+        file = file if sign else next(words, "")
+        require(bool(file), "import", file, "give the file that registers the task")
+        import_file(file)
+    return rest
+
+
+def import_flags() -> list[str]:
+    """The words that make another process import the same files."""
+    return [word for file in imported.values() for word in (FLAG, str(file.path))]
+
+
+def checksums() -> dict[str, str]:
+    """What a run remembers: the checksum of each file, by its name."""
+    return {name: file.checksum for name, file in sorted(imported.items())}
+
+
+def check_unchanged(wanted: dict[str, str], place: str) -> None:
+    """Raise `UserError` if a file that a run was made with is imported with another content. place: of the run's
+    description."""
+    for name, checksum in wanted.items():
+        file = imported.get(name)
+        if file is not None and file.checksum != checksum:
+            raise UserError(
+                f"{place}: the run was made with another {name!r} (SHA-256 {checksum[:12]}) than {file.path} "
+                f"({file.checksum[:12]}); give the file as it was"
+            )
+
+
+def missing(wanted: dict[str, str]) -> str:
+    """What helps where a run was made with files that are not imported, in words; empty if all are."""
+    names = [name for name in wanted if name not in imported]
+    flags = " ".join(f"{FLAG} {typed(name)}" for name in names)
+    return f"the run was made with {', '.join(names)}; if you trust what is in it, give {flags}" if names else ""

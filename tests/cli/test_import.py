@@ -1,0 +1,113 @@
+"""Tasks of a user's own on the command line: `--import my_task.py`, entry points, and what a run remembers of them."""
+
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from infogoal_jax import envs, imports, presets
+from infogoal_jax.cli.main import main
+from infogoal_jax.errors import UserError
+
+TASK = """
+import dataclasses
+import hand_made
+from infogoal_jax import envs, presets
+from infogoal_jax.registry import Entry
+
+
+@dataclasses.dataclass(frozen=True)
+class RoomsConfig:
+    episode_length: int = 8
+
+    def check(self, config):
+        pass
+
+
+envs.registry["my_rooms"] = Entry(RoomsConfig, lambda config: hand_made.environment())
+training = dict(num_epochs=2, epochs_per_evaluation=1, rollout_steps=8, num_envs=4, updates_per_epoch=2)
+presets.registry["my_rooms"] = presets.Preset(
+    agent="dqn", training=dict(**training, batch_size=8, buffer_steps=320), hyper={}, methods={}
+)
+"""
+
+
+@pytest.fixture
+def my_task(tmp_path, monkeypatch):
+    """A file that registers a task; afterwards nobody knows it."""
+    (tmp_path / "my_task.py").write_text(TASK)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path / "my_task.py"
+    forget()
+
+
+def forget():
+    """As in a new process."""
+    imports.imported.clear()
+    sys.modules.pop("my_task", None)
+    for registry in (envs.registry, presets.registry):
+        registry.pop("my_rooms", None)
+
+
+def refused(words, capsys):
+    """The one line that is printed for a command that fails."""
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, capsys):
+    assert main("train my_rooms --import my_task.py --out run --no-figures".split()) == 0
+    description = json.loads((my_task.parent / "run" / "config.json").read_text())
+    assert description["imports"] == {"my_task.py": imports.checksums()["my_task.py"]}
+    forget()
+    ran = my_task.parent / "ran"
+    (my_task.parent / "run" / "my_task.py").write_text(f"open({str(ran)!r}, 'w')")
+    capsys.readouterr()
+    line = refused("evaluate run --starts 1".split(), capsys)
+    assert "run/config.json: the run was made with my_task.py" in line and "give --import my_task.py" in line
+    assert not ran.exists()  # Nothing runs because a folder names it or holds it.
+    assert main("evaluate run --starts 1 --import=my_task.py".split()) == 0
+    assert "test" in capsys.readouterr().out
+    forget()
+    my_task.write_text(TASK + "# Changed.")
+    assert "made with another 'my_task.py'" in refused("evaluate run --import my_task.py".split(), capsys)
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "said"),
+    [
+        (None, "--import gone.py", "import = 'gone.py': No such file or directory; give the file"),
+        ("", "--import my_task.txt", "import = 'my_task.txt': give a file that ends in .py"),
+        ("", "--import", "import = '': give the file"),
+        ("1 +", "--import my_task.py", "line 1: SyntaxError"),
+        ("a = 1\nb = c", "--import my_task.py", "import = 'my_task.py', line 2: NameError: name 'c' is not defined"),
+    ],
+)
+def test_a_file_that_cannot_be_imported_is_one_line(content, words, said, my_task, capsys):
+    if content is not None:
+        my_task.write_text(content)
+    assert said in refused(["methods", *words.split()], capsys)
+
+
+def test_a_file_that_fails_leaves_no_module_behind(my_task):
+    my_task.write_text("1 / 0")
+    with pytest.raises(UserError, match="ZeroDivisionError"):
+        imports.import_file(my_task)
+    assert "my_task" not in sys.modules and not imports.imported
+
+
+def test_packages_register_tasks_by_an_entry_point(monkeypatch, capsys):
+    loaded = []
+    points = [SimpleNamespace(name="mine", value="my_package", load=lambda: loaded.append("mine"))]
+    monkeypatch.setattr(imports, "entry_points", lambda group: points if group == "infogoal.plugins" else [])
+    imports.import_installed()
+    assert loaded == ["mine"]
+    points[0].load = lambda: 1 / 0
+    assert "infogoal.plugins: mine = 'my_package': ZeroDivisionError" in refused(["methods"], capsys)
+
+
+def test_a_wrong_name_of_a_task_lists_what_the_help_lists(capsys):
+    line = refused(["train", "objct_search"], capsys)
+    assert "'object_search'" in line and line.endswith(f"Known: {', '.join(presets.registry)}")
