@@ -10,7 +10,7 @@ registry = Registry(
         "hrac": Entry(hrac.HRACConfig, hrac.make, hrac.HRACHyperparameters, hrac.traits),
         "td3": Entry(td3.TD3Config, td3.make, td3.TD3Hyperparameters, td3.traits),
         "sac": Entry(sac.SACConfig, sac.make, sac.SACHyperparameters, sac.traits),
-        "crl": Entry(crl.CRLConfig, crl.make, crl.CRLHyperparameters, crl.traits),
+        "crl": Entry(crl.CRLConfig, crl.make, crl.CRLHyperparameters, crl.traits, of_relabelling=crl.OF_RELABELLING),
         "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters, dqn.traits),
     },
 )

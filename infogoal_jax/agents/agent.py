@@ -83,8 +83,8 @@ class Exploration(NamedTuple):
     epsilon: jax.Array | float
     """Probability of a random action, in [0, 1]."""
     noise: jax.Array | float
-    """Standard deviation of Gaussian noise on continuous actions. A policy that is stochastic itself (SAC) acts as it
-    is drawn where this is above 0, and by its mode at 0."""
+    """Standard deviation of Gaussian noise on continuous actions. A stochastic policy, as SAC's, is drawn from where
+    this is above 0, and acts by its mode at 0."""
 
 
 class Agent(NamedTuple):

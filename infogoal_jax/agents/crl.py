@@ -2,9 +2,8 @@
 arXiv 2408.11052): which goal of the batch was reached after which state and action.
 
 A transition carries a goal that its trajectory achieved later; the goals of the others are its negatives. The critic
-f(s, a, g) compares phi(s, a) with psi(g), and comes to log p(g | s, a) - log p(g) but for a function of the state and
-action: it is learned from what was reached, needs no reward, no target network and no bootstrapping. The actor is
-SAC's, with f in the place of the value.
+f(s, a, g) compares phi(s, a) with psi(g), and comes to log p(g | s, a) - log p(g) but for a constant. Rewards, target
+networks and bootstrapping are not needed. The actor is SAC's, with f in the place of the value.
 
 Shapes: B transitions, F features of a state, d numbers of a goal code, A numbers of an action, D of a representation.
 """
@@ -22,6 +21,8 @@ from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
+OF_RELABELLING = {"future_share": 1.0}
+"""Every transition carries a goal that was achieved."""
 
 
 @dataclasses.dataclass(frozen=True)

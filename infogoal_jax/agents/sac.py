@@ -129,18 +129,15 @@ def actor_losses(actor: Actor, params: dict, inputs: jax.Array, value: Callable,
 
 
 def soft_target(
-    actor: Actor, critic: td3.TwinCritic, params: dict, target_params: dict, batch: AgentBatch, hyper, key: jax.Array
+    actor: Actor, critic: td3.TwinCritic, params: dict, target_params: dict, batch: AgentBatch, alpha, key: jax.Array
 ) -> jax.Array:
     """r + discount (min_i Q_i(s', a') - alpha log pi(a' | s')), float32 [B]: the trained actor draws a', the target
-    critics value it (Eq. 5).
-
-    hyper: None counts no entropy.
+    critics value it (Eq. 5). alpha: scalar; 0 counts no entropy.
     """
     arrived = td3.joined(batch.next_features, batch.next_code)
     action, log_pi = draw(key, *actor.apply(params["actor"], arrived))
     seen = td3.joined(batch.target_features, batch.target_code)
-    following = critic.apply(target_params["critic"], seen, action).min(0)
-    following = following if hyper is None else following - temperature(params, hyper) * log_pi
+    following = critic.apply(target_params["critic"], seen, action).min(0) - alpha * log_pi
     return jax.lax.stop_gradient(batch.reward + batch.discount * following)
 
 
@@ -170,8 +167,8 @@ def make(config: SACConfig, env) -> Agent:
     def loss(params, target_params, batch: AgentBatch, state, hyper, key):
         """The sum of the losses of critics, actor and temperature."""
         target_key, actor_key = jax.random.split(key)
-        entropy = None if config.bounded else hyper
-        target = soft_target(actor, critic, params, target_params, batch, entropy, target_key)
+        alpha = 0.0 if config.bounded else temperature(params, hyper)
+        target = soft_target(actor, critic, params, target_params, batch, alpha, target_key)
         target = jnp.clip(target, 0.0, 1.0) if config.bounded else target
         inputs = td3.joined(batch.features, batch.code)
         values = critic.apply(params["critic"], inputs, batch.action)
