@@ -21,7 +21,7 @@ from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
-OF_RELABELLING = {"future_share": 1.0}
+OF_RELABELLING = {"future_share": 1.0, "strategy": "soon"}
 """Every transition carries a goal that was achieved."""
 
 

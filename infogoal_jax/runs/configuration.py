@@ -11,6 +11,7 @@ from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
+from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
@@ -41,6 +42,7 @@ ADDED: dict[type, dict[str, Any]] = {
     AllGoalsConfig: {"desired_share": 0.0},
     ObjectManipulationConfig: {"privileged": False},
     EmbodiedQAConfig: {"gathered": False},
+    FetchConfig: {"held_out": "nothing"},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""

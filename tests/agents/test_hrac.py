@@ -130,8 +130,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
         decision_count=replay.running_count(rows.valid & rows.decided),
         achieved=None,
         achieved_count=None,
-        known=everything,
-        usable=everything,
+        known=pairs.KnownGoals(everything),
         dissimilarity=None,
         codes=codes,
     )
@@ -143,7 +142,7 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     @jax.jit
     def transitions():
         reward, after, metrics = returns(
-            parts, {"goal": None}, before, env, hyper, experience, with_rewards(env, experience, batch)
+            parts, {"goal": None}, before, env, hyper, experience, with_rewards(parts.config, env, batch)
         )
         return (
             reward,

@@ -159,10 +159,10 @@ def test_refusals_by_name(task, changes, field):
     assert [refusal.field for refusal in reasons_against(config)] == ([] if field is None else [field])
 
 
-def test_positions_as_goals_are_refused_by_name():
+def test_target_states_of_positions_are_refused_by_name():
     config = presets.load("fetch_reach", "none")
     config = dataclasses.replace(config, env=dataclasses.replace(config.env, goals="positions"))
-    with pytest.raises(UserError, match=r"env\.goals = 'positions'.*give images"):
+    with pytest.raises(UserError, match=r"agent = 'hrac'.*give td3"):
         check_combination(config)
 
 
