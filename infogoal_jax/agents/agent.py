@@ -21,6 +21,9 @@ class AgentTraits(NamedTuple):
     state, which a frozen low level reaches."""
     all_goals: bool = False
     """Whether its loss learns from all goals at once, `AgentBatch.all_goals`."""
+    achieved_goals: bool = False
+    """Whether it learns from goals that were achieved later alone: each transition has to carry one, and what others
+    carry counts as not achieved."""
 
 
 @flax.struct.dataclass
@@ -80,7 +83,8 @@ class Exploration(NamedTuple):
     epsilon: jax.Array | float
     """Probability of a random action, in [0, 1]."""
     noise: jax.Array | float
-    """Standard deviation of Gaussian noise on continuous actions."""
+    """Standard deviation of Gaussian noise on continuous actions. A stochastic policy, as SAC's, is drawn from where
+    this is above 0, and acts by its mode at 0."""
 
 
 class Agent(NamedTuple):

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks, pairs
-from infogoal_jax.agents import dqn, td3, value_heads
+from infogoal_jax.agents import dqn, td3
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.angles import on_circles, wrapped
 from infogoal_jax.errors import require
@@ -128,9 +128,7 @@ def traits(config: HRACConfig) -> AgentTraits:
 def make(config: HRACConfig, env) -> Agent:
     """HRAC's high level over the target states of this environment (`envs.target_states.SubgoalEnv`)."""
     space = env.space
-    actor, several = td3.Actor(config.hidden, space.size), config.critic == "product"
-    product = td3.TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, config.bounded)
-    concatenated = td3.TwinCritic(config.hidden, config.layer_norm)
+    actor, critic = td3.Actor(config.hidden, space.size), td3.make_critic(config)
     adjacency = networks.MLP(config.adjacency_hidden, config.adjacency_size)
     cells = space.cells(config.cell)
     require(
@@ -140,10 +138,6 @@ def make(config: HRACConfig, env) -> Agent:
         f"makes {cells.count} cells, whose pairs do not fit into memory: give larger ones",
     )
 
-    def critic_of(features):
-        """The critics of features [..., F] joined with a code."""
-        return td3.OfInputs(product, features.shape[-1]) if several else concatenated
-
     def embed(params, states):
         """psi_adj of the components of target states [..., S] (grip and object), each with its own network:
         [components, ..., size]."""
@@ -152,26 +146,20 @@ def make(config: HRACConfig, env) -> Agent:
 
     def init(key, features, code):
         keys = jax.random.split(key, 2 + space.components)
-        inputs, action = jnp.concatenate([features, code], axis=-1), jnp.zeros(space.size, jnp.float32)
         seen = space.network_input(space.parts(jnp.zeros(space.size, jnp.float32)), config.subgoal_scale)
-        params = {
-            "actor": actor.init(keys[0], inputs),
-            "critic": product.init(keys[1], features, action, code)
-            if several
-            else concatenated.init(keys[1], inputs, action),
-            "adjacency": [adjacency.init(own, part) for own, part in zip(keys[2:], seen, strict=True)],
+        params = td3.init_networks(keys[:2], actor, critic, features, code) | {
+            "adjacency": [adjacency.init(own, part) for own, part in zip(keys[2:], seen, strict=True)]
         }
         return params, jnp.stack([pairs.initial_dissimilarity(cells.count)] * space.components)
 
     def act(params, features, code, action_mask, key, exploration):
         """The actor's subgoal with noise, or a random subgoal."""
-        best = actor.apply(params["actor"], jnp.concatenate([features, code], axis=-1))
+        best = actor.apply(params["actor"], td3.joined(features, code))
         return td3.explore(key, best, exploration.noise, exploration.epsilon)
 
     def value(params, features, code, action_mask):
         """The lower of both critics' values of the actor's subgoal."""
-        inputs = jnp.concatenate([features, code], axis=-1)
-        return critic_of(features).apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
+        return td3.lower_value(actor, critic, params, features, code)
 
     def observe(apart, rows):
         """Remove pairs of cells visited within k steps of each other from the matrix bool [components, C, C]."""
@@ -199,28 +187,20 @@ def make(config: HRACConfig, env) -> Agent:
     def loss(params, target_params, batch: AgentBatch, apart, hyper, key):
         """TD3 over k steps (with the discounts of the batch), the adjacency loss, and the actor's penalty for subgoals
         out of reach. Under all goals the critics learn from all of them, the actor from the batch's own."""
-        frozen, critic = jax.lax.stop_gradient(params), critic_of(batch.features)
-        inputs = jnp.concatenate([batch.features, batch.code], axis=-1)
-        target_inputs = jnp.concatenate([batch.target_features, batch.target_code], axis=-1)
-        following = td3.next_value(key, actor, critic, target_params, target_inputs, hyper.target_noise)
-        learned = td3.losses(
-            actor, critic, params, inputs, batch.action, batch.reward + batch.discount * following, huber=True
+        frozen = jax.lax.stop_gradient(params)
+        learned = td3.learn(
+            actor, critic, params, target_params, batch, hyper.target_noise, key, huber=True, bounded=False
         )
-        critic_loss, critic_metrics = learned.critic, learned.metrics
-        if batch.all_goals is not None:
-            critic_loss, critic_metrics = value_heads.critic_loss(
-                actor, product, params, target_params, batch, hyper.target_noise, jax.random.fold_in(key, 1)
-            )
         asked = space.from_subgoal(batch.observation, learned.actions, config.subgoal_scale)
         distance = length(embed(frozen, space.of(batch.observation)) - embed(frozen, asked))
         penalty = adjacency_penalty(distance).mean()
         adjacency_error = learn_adjacency(params, batch, apart)
-        metrics = critic_metrics | {
+        metrics = learned.metrics | {
             "adjacency_loss": adjacency_error,
             "adjacency_penalty": penalty,
             "subgoal_size": jnp.abs(learned.actions).mean(),
         }
-        return critic_loss + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
+        return learned.critic + learned.actor + hyper.adjacency_weight * penalty + adjacency_error, metrics
 
     return Agent(init, act, value, loss, observe, config.interval * config.num_decisions)
 

@@ -1,16 +1,80 @@
-"""TD3 (Fujimoto et al. 2018): a deterministic actor, twin critics and target policy smoothing.
+"""TD3 (Fujimoto et al. 2018) for actions that are vectors: a deterministic actor, twin critics and target policy
+smoothing.
 
-Both levels of HRAC use it: the high level in `agents/hrac.py`, and the low level while it is trained. As in HRAC's own
-code the actor is updated as often as the critics.
+Actor and critics see the same features and codes, which the critics' loss alone trains. As in HRAC's own code the actor
+is updated as often as the critics. The high level of HRAC (`agents/hrac.py`) learns by the same functions, and its low
+level while it is trained.
+
+Shapes: B transitions, F features of a state, d numbers of a goal code, A numbers of an action, G goals.
 """
 
-from typing import NamedTuple
+import dataclasses
+from typing import Annotated, Literal, NamedTuple
 
 import flax.linen as nn
+import flax.struct
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
+from infogoal_jax.agents import value_heads
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.errors import require
+from infogoal_jax.hyperparameters import Number, Search
+
+
+@dataclasses.dataclass(frozen=True)
+class TD3Config:
+    """Sizes and switches of TD3."""
+
+    hidden: tuple[int, ...] = (256, 256)
+    """Widths of the layers of actor and critics."""
+    num_steps: int = 1
+    """Steps of the n-step return."""
+    huber: bool = True
+    """Huber loss with threshold 1 instead of the squared error."""
+    critic: Literal["concatenated", "product"] = "concatenated"
+    """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
+    head (docs/research/all_goals.md)."""
+    critic_size: int = 128
+    """Size of the vectors whose product is a value, for `product` alone."""
+    layer_norm: bool = False
+    """Normalise what each ReLU of the critics gets."""
+    bounded: bool = False
+    """Keep targets between 0 and 1, and values of `product` by a sigmoid. Not for rewards other than 1 at the goal."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        check_sizes(self, config, "critic_size")
+
+
+@flax.struct.dataclass
+class TD3Hyperparameters:
+    """Float hyperparameters of TD3."""
+
+    target_noise: Annotated[float, Number("[0, inf)", Search(0.05, 0.5, "linear", always=False))] = 0.2
+    """Standard deviation of target policy smoothing; TD3's own."""
+    action_cost: Annotated[float, Number("[0, inf)", Search(0.001, 1.0, "log", always=False))] = 0.02
+    """Weight of the mean squared action in the actor's loss. HER's own code has 1 beside returns of -1 a step, which
+    with its discount of 0.98 are 50 times as large as values between 0 and 1."""
+
+
+def check_sizes(agent, config, *sizes: str) -> None:
+    """Raise `UserError` for an agent's configuration with layers, steps or other sizes out of range."""
+    require(
+        all(width > 0 for width in agent.hidden),
+        "agent.hidden",
+        agent.hidden,
+        "give widths greater than 0, for example 256 256",
+    )
+    require(
+        0 < agent.num_steps <= config.env.episode_length,
+        "agent.num_steps",
+        agent.num_steps,
+        f"must lie between 1 and the episode length, {config.env.episode_length}",
+    )
+    for name in sizes:
+        require(getattr(agent, name) > 0, f"agent.{name}", getattr(agent, name), "give a whole number greater than 0")
 
 
 class Actor(nn.Module):
@@ -85,6 +149,39 @@ class OfInputs(NamedTuple):
         return self.critic.apply(params, features, action, code)
 
 
+Critic = TwinCritic | TwinProductCritic
+
+
+def make_critic(config: TD3Config) -> Critic:
+    """The critics of a configuration with the fields `hidden`, `critic`, `critic_size`, `layer_norm` and `bounded`."""
+    if config.critic == "product":
+        return TwinProductCritic(config.hidden, config.critic_size, config.layer_norm, config.bounded)
+    return TwinCritic(config.hidden, config.layer_norm)
+
+
+def init_networks(keys: jax.Array, actor: Actor, critic: Critic, features: jax.Array, code: jax.Array) -> dict:
+    """Parameters {"actor", "critic"} for features [F] and a code [d]: by two keys."""
+    inputs, action = joined(features, code), jnp.zeros(actor.size, jnp.float32)
+    seen = (features, action, code) if isinstance(critic, TwinProductCritic) else (inputs, action)
+    return {"actor": actor.init(keys[0], inputs), "critic": critic.init(keys[1], *seen)}
+
+
+def joined(features: jax.Array, code: jax.Array) -> jax.Array:
+    """Features [..., F] and codes [..., d] as one vector, [..., F + d]."""
+    return jnp.concatenate([features, code], axis=-1)
+
+
+def of_inputs(critic: Critic, features: jax.Array) -> TwinCritic | OfInputs:
+    """The critics as functions of `joined` features [..., F] and codes."""
+    return OfInputs(critic, features.shape[-1]) if isinstance(critic, TwinProductCritic) else critic
+
+
+def lower_value(actor: Actor, critic: Critic, params: dict, features: jax.Array, code: jax.Array) -> jax.Array:
+    """The lower of both critics' values of the actor's action, float32 [B]."""
+    inputs = joined(features, code)
+    return of_inputs(critic, features).apply(params["critic"], inputs, actor.apply(params["actor"], inputs)).min(0)
+
+
 def explore(key: jax.Array, action: jax.Array, noise: jax.Array, random_share: jax.Array) -> jax.Array:
     """Add Gaussian noise of this standard deviation to actions [..., A]. With probability `random_share` an action is
     uniform in [-1, 1] instead."""
@@ -121,6 +218,11 @@ def critic_loss(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
     return error.mean(1).sum()
 
 
+def error_metrics(values: jax.Array, target: jax.Array) -> dict[str, jax.Array]:
+    """Mean temporal-difference error of both critics [2, B], and their mean value."""
+    return {"td_error": jnp.abs(values - target[None]).mean(), "value": values.mean()}
+
+
 class Losses(NamedTuple):
     """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost
     something beside it.
@@ -152,5 +254,94 @@ def losses(
     inputs = jax.lax.stop_gradient(inputs)
     own = actor.apply(params["actor"], inputs)
     expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0].mean()
-    metrics = {"td_error": jnp.abs(values - target[None]).mean(), "value": values.mean()}
-    return Losses(critic_loss(values, target, huber), -expected, own, metrics)
+    return Losses(critic_loss(values, target, huber), -expected, own, error_metrics(values, target))
+
+
+def learn(
+    actor: Actor,
+    critic: Critic,
+    params: dict,
+    target_params: dict,
+    batch: AgentBatch,
+    noise: jax.Array,
+    key: jax.Array,
+    huber: bool,
+    bounded: bool,
+) -> Losses:
+    """The losses for a batch, under all goals at once where it has them: then the critics learn from all of them, and
+    the actor from the batch's own.
+
+    noise: standard deviation of target policy smoothing; bounded: keep targets between 0 and 1.
+    """
+    inputs = joined(batch.features, batch.code)
+    target_inputs, both = joined(batch.target_features, batch.target_code), of_inputs(critic, batch.features)
+    following = next_value(key, actor, both, target_params, target_inputs, noise)
+    target = batch.reward + batch.discount * following
+    target = jnp.clip(target, 0.0, 1.0) if bounded else target
+    found = losses(actor, both, params, inputs, batch.action, target, huber)
+    if batch.all_goals is None:
+        return found
+    loss, metrics = loss_of_all(actor, critic, params, target_params, batch, noise, jax.random.fold_in(key, 1), huber)
+    return found._replace(critic=loss, metrics=metrics)
+
+
+def loss_of_all(
+    actor: Actor,
+    critic: TwinProductCritic,
+    params: dict,
+    target_params: dict,
+    batch: AgentBatch,
+    noise: jax.Array,
+    key: jax.Array,
+    huber: bool,
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """The loss of the critics under the goals `batch.all_goals`: (loss, metrics).
+
+    One action is learned from under all goals in one product. What follows is another action for each goal, so that
+    actor and critics are applied B * G times. noise: standard deviation of target policy smoothing.
+    """
+    goals, shape = batch.all_goals, batch.all_goals.reward.shape
+    states = jnp.broadcast_to(batch.target_features[:, None], (*shape, batch.target_features.shape[-1]))
+    codes = jnp.broadcast_to(goals.target_code, (*shape, goals.target_code.shape[-1]))
+    action = smoothed(key, actor.apply(target_params["actor"], joined(states, codes)), noise)
+    following = critic.apply(
+        target_params["critic"], batch.target_features, action, goals.target_code, method="of_each"
+    )
+    target = jax.lax.stop_gradient(goals.reward + goals.discount * following.min(0))
+    values = critic.apply(params["critic"], batch.features, batch.action, goals.code, method="of_all")
+    loss, metrics = jax.vmap(lambda twin: value_heads.td_loss_of_all(twin, target, goals.share, huber))(values)
+    return loss.sum(), jax.tree.map(jnp.mean, metrics)
+
+
+def traits(config: TD3Config) -> AgentTraits:
+    """Its actions are vectors; product critics learn from all goals at once."""
+    return AgentTraits("vectors", all_goals=config.critic == "product")
+
+
+def make(config: TD3Config, env) -> Agent:
+    """The TD3 agent for this configuration and environment."""
+    actor, critic = Actor(config.hidden, env.action_size), make_critic(config)
+
+    def init(key, features, code):
+        return init_networks(jax.random.split(key), actor, critic, features, code), ()
+
+    def act(params, features, code, action_mask, key, exploration):
+        """The actor's action with noise, or a random action."""
+        best = actor.apply(params["actor"], joined(features, code))
+        return explore(key, best, exploration.noise, exploration.epsilon)
+
+    def value(params, features, code, action_mask):
+        """The lower of both critics' values of the actor's action."""
+        return lower_value(actor, critic, params, features, code)
+
+    def loss(params, target_params, batch: AgentBatch, state, hyper, key):
+        """Temporal-difference error of the critics, and the actor's: minus what its actions are worth, and their
+        cost."""
+        learned = learn(
+            actor, critic, params, target_params, batch, hyper.target_noise, key, config.huber, config.bounded
+        )
+        cost = jnp.square(learned.actions).mean()
+        metrics = learned.metrics | {"action_size": jnp.abs(learned.actions).mean()}
+        return learned.critic + learned.actor + hyper.action_cost * cost, metrics
+
+    return Agent(init, act, value, loss, lambda state, rows: state, config.num_steps)

@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
-from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.shapes import with_rank
 
@@ -224,28 +223,3 @@ def value_loss(
     extra, own_metrics = jax.vmap(lambda under_one: regulariser(under_one, batch, hyper), in_axes=-1)(values)
     own_metrics = {name: mean_over_goals(value, goals.share) for name, value in own_metrics.items()}
     return error + mean_over_goals(extra, goals.share), metrics | own_metrics
-
-
-def critic_loss(
-    actor: td3.Actor, critic: td3.TwinProductCritic, params, target_params, batch: AgentBatch, noise, key: jax.Array
-) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """The loss of TD3's critics under the goals `batch.all_goals`: (loss, metrics).
-
-    One action is learned from under all goals in one product. What follows is another action for each goal, so that
-    actor and critics are applied B * G times. noise: standard deviation of target policy smoothing.
-    """
-    goals, shape = batch.all_goals, batch.all_goals.reward.shape
-    states = jnp.broadcast_to(batch.target_features[:, None], (*shape, batch.target_features.shape[-1]))
-    codes = jnp.broadcast_to(goals.target_code, (*shape, goals.target_code.shape[-1]))
-    own = actor.apply(target_params["actor"], jnp.concatenate([states, codes], axis=-1))
-    following = critic.apply(
-        target_params["critic"],
-        batch.target_features,
-        td3.smoothed(key, own, noise),
-        goals.target_code,
-        method="of_each",
-    )
-    target = jax.lax.stop_gradient(goals.reward + goals.discount * following.min(0))
-    values = critic.apply(params["critic"], batch.features, batch.action, goals.code, method="of_all")
-    loss, metrics = jax.vmap(lambda twin: td_loss_of_all(twin, target, goals.share, huber=True))(values)
-    return loss.sum(), jax.tree.map(jnp.mean, metrics)

@@ -227,7 +227,7 @@ def test_td3_under_all_goals_is_td3_under_each():
     reward = jax.random.bernoulli(keys[0], 0.3, (B, G)).astype(jnp.float32)
     under = AllGoals(jnp.full(G, 1 / 6).at[2].set(0.0), codes, codes, reward, 0.9 * (1 - reward))
     batch = batch_of(features, features + 1.0, actions, under, None)
-    found, _ = value_heads.critic_loss(actor, critic, params, params, batch, 0.0, keys[1])
+    found, _ = td3.loss_of_all(actor, critic, params, params, batch, 0.0, keys[1], huber=True)
     joined, losses = td3.OfInputs(critic, F), []
     for goal in (0, 1, 3, 4, 5, 6):
         code = jnp.tile(codes[goal], (B, 1))
