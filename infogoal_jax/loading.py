@@ -20,7 +20,7 @@ from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
-from infogoal_jax.learners.learner import has_own_loss
+from infogoal_jax.learners.learner import has_own_loss, has_reward
 from infogoal_jax.train import program
 from infogoal_jax.train.checked_parts import is_foreign
 from infogoal_jax.train.parts import check_hyperparameters, make_learner
@@ -114,6 +114,8 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         remedy = f"give {' or '.join(fitting)}" if fitting else "no registered agent can act there"
         yield Refusal("agent", agent, reason, remedy)
     yield from refusals_of_all_goals(config)
+    if traits_of(config.agent).achieved_goals:
+        yield from refusals_of_achieved_goals(agent, config)
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, config.agent, traits)
@@ -159,7 +161,7 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             "relabelling",
             "all_goals",
             f"agent {agent} values one goal at a time",
-            "give dqn or cql, hrac with --agent.critic product, or her",
+            "give dqn or cql, hrac or td3 with --agent.critic product, or her",
         )
     if learner.condition is not None:
         yield Refusal(
@@ -174,6 +176,25 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             exploration.registry.name_of(config.explorer),
             "its bonus does not reward reaching one goal rather than another",
             "give none, or relabelling her",
+        )
+
+
+def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refusal]:
+    """What speaks against an agent that learns which goals were achieved."""
+    given, share = relabelling.registry.name_of(config.relabelling), getattr(config.relabelling, "future_share", None)
+    remedy = "give --relabelling her with --relabelling.future-share 1"
+    if given != "her":
+        yield Refusal("relabelling", given, f"agent {agent} learns from goals that were achieved later alone", remedy)
+    elif share != 1.0:
+        yield Refusal(
+            "relabelling.future_share", share, f"agent {agent} learns from goals that were achieved later alone", remedy
+        )
+    if make_learner(config).condition is not None:
+        yield Refusal(
+            "learner",
+            learners.registry.name_of(config.learner),
+            f"agent {agent} compares a state with every goal of the batch, and its code of a goal depends on the state",
+            "give a code of the goal alone (--learner.no-state-conditioned), or agent td3 or sac",
         )
 
 
@@ -231,6 +252,8 @@ def remarks(config: TrainConfig) -> list[str]:
         found.append("cql is meant for recorded moves: acting, it holds down the values of what it has not tried")
     if agent == "dqn" and recorded:
         found.append("dqn is meant for acting: nothing holds down the values of moves that were not recorded")
+    if traits_of(config.agent).achieved_goals and has_reward(make_learner(config)):
+        found.append(f"{agent} learns from no reward: the intrinsic reward of the learner is without effect")
     return found
 
 

@@ -23,6 +23,8 @@ class Entry(NamedTuple):
     task, `AgentTraits` of an agent. None: not declared."""
     of_agent: Mapping[str, Any] = MappingProxyType({})
     """What a learner or a relabelling changes in the configuration of an agent that has such fields."""
+    of_relabelling: Mapping[str, Any] = MappingProxyType({})
+    """What an agent changes in the configuration of a relabelling that has such fields."""
     method: str = ""
     """The method that a learner belongs to whose name is none; empty: it is a method by its own name."""
 
@@ -68,8 +70,9 @@ class Registry(dict):
         check_declared(entry.hyper, field)
         if entry.traits is not None and not callable(entry.traits):
             raise UserError(f"{field}.traits = {shown(entry.traits)}: give a function of the configuration, or None")
-        if not isinstance(entry.of_agent, Mapping):
-            raise UserError(f"{field}.of_agent = {shown(entry.of_agent)}: give fields by name")
+        for name, fields in (("of_agent", entry.of_agent), ("of_relabelling", entry.of_relabelling)):
+            if not isinstance(fields, Mapping):
+                raise UserError(f"{field}.{name} = {shown(fields)}: give fields by name")
         if not isinstance(entry.method, str):
             raise UserError(f"{field}.method = {shown(entry.method)}: give the name of a method")
 

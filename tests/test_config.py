@@ -134,6 +134,10 @@ def without_training_goals():
             "learner = 'my_vae': Entry.of_agent = 3: give fields by name",
         ),
         (
+            lambda: register("my_vae", Entry(OtherVAEConfig, print, of_relabelling=3)),
+            "learner = 'my_vae': Entry.of_relabelling = 3: give fields by name",
+        ),
+        (
             lambda: register("my_vae", Entry(OtherVAEConfig, print, method=3)),
             "learner = 'my_vae': Entry.method = 3: give the name of a method",
         ),

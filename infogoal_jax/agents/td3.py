@@ -254,7 +254,8 @@ def losses(
     inputs = jax.lax.stop_gradient(inputs)
     own = actor.apply(params["actor"], inputs)
     expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0].mean()
-    return Losses(critic_loss(values, target, huber), -expected, own, error_metrics(values, target))
+    metrics = error_metrics(values, target)
+    return Losses(critic_loss(values, target, huber), -expected, own, metrics)
 
 
 def learn(

@@ -130,7 +130,9 @@ def load(
     fields = {
         "learner": fields_of("learner", names, preset.learner) | of_learner,
         "agent": preset.agents.get(names["agent"], {}) | fields_of("agent", names, of_agent),
-        "relabelling": preset.relabellings.get(names["relabelling"], {}) | changed.relabelling,
+        "relabelling": preset.relabellings.get(names["relabelling"], {})
+        | changed.relabelling
+        | fields_of("relabelling", names, REGISTRIES["agent"].entry(names["agent"]).of_relabelling),
         "explorer": {},
     }
     parts = {kind: part(REGISTRIES[kind], value, fields[kind]) for kind, value in asked.items()}

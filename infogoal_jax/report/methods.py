@@ -46,9 +46,13 @@ def against(task: str, method: str, **parts: str | None) -> list[Refusal]:
 
 
 def agents_of(task: str) -> list[str]:
-    """The agents that a task takes, its own first."""
+    """The agents that a task takes, under its own relabelling or another, its own first."""
+
+    def is_taken(agent):
+        return any(not against(task, "none", agent=agent, relabelling=given) for given in (None, *relabelling.registry))
+
     own = presets.registry[task].agent
-    return [own] + [name for name in agents.registry if name != own and not against(task, "none", agent=name)]
+    return [own, *(name for name in agents.registry if name != own and is_taken(name))]
 
 
 def where(name: str, tasks: tuple[str, ...]) -> dict[str, list[str]]:

@@ -130,14 +130,14 @@ def test_a_method_is_described_by_whole_sentences(name):
 
 
 def test_agents_of_each_task():
-    moves, drives = {"dqn", "cql"}, {"hrac"}
-    expected = dict.fromkeys(presets.FETCH_TASKS, drives) | {
+    moves, drives, vectors = {"dqn", "cql"}, {"hrac"}, {"td3", "sac", "crl"}
+    expected = dict.fromkeys(presets.FETCH_TASKS, drives | vectors) | {
         "object_search": moves,
         "object_manipulation": moves | drives,
         "embodied_qa": moves,
     }
     for task, names in expected.items():
-        assert set(methods.agents_of(task)) & (moves | drives) == names
+        assert set(methods.agents_of(task)) & (moves | drives | vectors) == names
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,96 @@
+"""Contrastive RL: one update's losses as its authors define them, computed once more in NumPy; where the contrast is
+least; what it is combined with; and a line on which it learns."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import vector_agents
+from scipy.special import logsumexp
+from vector_agents import B, joined, mlp, random_batch, started
+
+from infogoal_jax import agents, presets
+from infogoal_jax.agents import crl
+from infogoal_jax.loading import reasons_against, remarks
+from infogoal_jax.relabelling.her import HERConfig
+
+
+def agent_of(action_size=vector_agents.A, **changes):
+    config = crl.CRLConfig(**({"hidden": (8, 8)} | changes))
+    return agents.registry.entry("crl").make(config, vector_agents.env(action_size))
+
+
+def energy(kind, first, second):
+    """-|first - second|, or the scalar product."""
+    if kind == "dot":
+        return (first * second).sum(-1)
+    return -np.sqrt(((first - second) ** 2).sum(-1) + 1e-6)
+
+
+@pytest.mark.parametrize("kind", ["norm", "dot"])
+def test_losses_of_an_update_are_those_of_jaxgcrl(kind):
+    """Its definitions: energies of all pairs, symmetric InfoNCE, the penalty on rows, and the actor's log density with
+    its own small constant; on random parameters."""
+    agent, batch, key = agent_of(energy=kind), random_batch(), jax.random.key(4)
+    params, state = started(agent, 7)
+    hyper = crl.CRLHyperparameters(logsumexp_weight=0.1, target_entropy=-0.5, initial_temperature=0.3)
+    total, metrics = agent.loss(params, None, batch, state, hyper, key)
+    states, goals = mlp(params["phi"], joined(batch.features, batch.action)), mlp(params["psi"], batch.code)
+    logits = np.array([[energy(kind, one, goal) for goal in goals] for one in states])
+    own = np.diag(logits)
+    critic_loss = -(2 * own - logsumexp(logits, axis=1) - logsumexp(logits, axis=0)).mean()
+    critic_loss += 0.1 * (logsumexp(logits + 1e-6, axis=1) ** 2).mean()
+    mean, raw = np.split(mlp(params["actor"], joined(batch.features, batch.code)), 2, axis=-1)
+    std = np.exp(-5.0 + 0.5 * 7.0 * (np.tanh(raw) + 1.0))
+    noise = np.asarray(jax.random.normal(key, mean.shape, jnp.float32), np.float64)
+    action = np.tanh(mean + std * noise)
+    log_pi = (-0.5 * noise**2 - np.log(std) - 0.5 * np.log(2 * np.pi) - np.log(1 - action**2 + 1e-6)).sum(-1)
+    fits = energy(kind, mlp(params["phi"], joined(batch.features, action)), goals)
+    actor_loss = (0.3 * log_pi - fits).mean()
+    temperature_loss = 0.3 * (-log_pi + 0.5 * 2).mean()
+    np.testing.assert_allclose(metrics["critic_loss"], critic_loss, rtol=1e-5)
+    np.testing.assert_allclose(metrics["actor_loss"], actor_loss, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(total, critic_loss + actor_loss + temperature_loss, rtol=1e-5, atol=1e-5)
+    assert metrics["accuracy"] == pytest.approx((logits.argmax(1) == np.arange(B)).mean())
+    assert metrics["energy_of_positives"] == pytest.approx(own.mean(), rel=1e-4)
+    assert metrics["energy_of_negatives"] == pytest.approx(logits[~np.eye(B, dtype=bool)].mean(), rel=1e-4)
+
+
+def test_contrast_is_least_for_pairs_that_belong_together():
+    """Of all ways to pair four far representations with themselves, and at 0 for pairs infinitely far from others."""
+    places = 3.0 * jax.random.normal(jax.random.key(0), (4, 6))
+    logits = crl.energy("norm", places[:, None], places[None])
+    orders = np.array([[0, 1, 2, 3], [1, 0, 2, 3], [1, 2, 3, 0], [3, 2, 1, 0], [0, 2, 1, 3]])
+    losses = [float(crl.contrastive_loss(logits[:, order], 0.0)) for order in orders]
+    assert min(losses[1:]) > losses[0] > 0
+    assert crl.contrastive_loss(1000.0 * logits, 0.0) < 1e-3
+
+
+def test_penalty_alone_fixes_the_level_of_energies():
+    logits = jax.random.normal(jax.random.key(0), (5, 5))
+    assert crl.contrastive_loss(logits, 0.0) == pytest.approx(float(crl.contrastive_loss(logits + 3.0, 0.0)), abs=1e-5)
+    assert crl.contrastive_loss(logits, 0.1) < crl.contrastive_loss(logits + 3.0, 0.1)
+
+
+def test_equal_representations_have_a_finite_gradient():
+    assert np.isfinite(jax.grad(lambda one: crl.energy("norm", one, one))(jnp.ones(3))).all()
+
+
+def test_learns_where_to_go_on_a_line():
+    """From goals that were reached alone."""
+    agent = agent_of(1, hidden=(32, 32), size=16)
+    assert vector_agents.success_on_the_line(agent, crl.CRLHyperparameters(), 1.0, 500) > 0.95
+
+
+def fields(**parts) -> set[str]:
+    """What is refused of crl with these parts."""
+    return {refusal.field for refusal in reasons_against(presets.load("fetch_push", agent="crl", **parts))}
+
+
+def test_goals_that_were_achieved_are_asked_for():
+    assert fields(method="her") == fields(method="cogoal", relabelling="her") == set()
+    assert fields(method="none") == fields(method="cher") == {"relabelling"}
+    assert fields(method="her", relabelling=HERConfig(future_share=0.8)) == {"relabelling.future_share"}
+    assert fields(method="dgrl", relabelling="her") <= {"learner"}
+    (remark,) = remarks(presets.load("fetch_push", "infogoal", agent="crl", relabelling="her"))
+    assert "no reward" in remark
