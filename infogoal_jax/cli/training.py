@@ -11,6 +11,7 @@ from infogoal_jax.cli.choice import (
     AUTO,
     Name,
     Parts,
+    Synonyms,
     Where,
     all_tasks,
     check_left_out,
@@ -48,8 +49,7 @@ def train(
     wandb: str = "",
     sweep: tuple[str, ...] = (),
     vmap_size: int = 0,
-    lr: float | None = None,
-    total_steps: int = 0,
+    synonyms: Annotated[Synonyms, OmitArgPrefixes] = Synonyms(),  # noqa: B008 (frozen)
     where: Annotated[Where, OmitArgPrefixes] = Where(),  # noqa: B008 (frozen)
     help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -68,9 +68,7 @@ def train(
         wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
         sweep: Values of floats, such as learning_rate=1e-4,3e-4 discount=0.9,0.99: a run for each combination.
         vmap_size: Seeds that one program trains side by side at most; 0: all.
-        lr: The same as --hyper.learning-rate.
-        total_steps: Environment steps of a seed, rounded to whole evaluations, in place of --num-epochs; 0: as many as
-            --num-epochs says.
+        synonyms: Flags of other libraries.
         where: The programs run.
         help_all: Show all flags, of each part and the hyperparameters too.
 
@@ -91,7 +89,7 @@ def train(
     if where.distributed:
         several.join(where.distributed, where.num_processes, where.process)
     use_compilation_cache()
-    config = with_synonyms(config, lr, total_steps)
+    config = with_synonyms(config, synonyms.lr, synonyms.total_steps)
     check_combination(config)
     in_parts = bool(sweep or vmap_size or where.processes or where.engine == "ray")
     if in_parts or is_sweep(resume):
