@@ -14,7 +14,7 @@ ENVIRONMENT := .venv
 READY := $(ENVIRONMENT)/.ready
 READY_FOR_ALL := $(ENVIRONMENT)/.ready-for-all
 
-.PHONY: train test test-long lint docs clean
+.PHONY: train test test-long lint docs wheel clean
 
 train: $(READY)
 	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
@@ -31,6 +31,12 @@ lint: $(READY)
 # The documentation site, in site/: it opens without a server. A warning or a broken link is an error.
 docs: $(READY_FOR_ALL)
 	NO_MKDOCS_2_WARNING=1 $(ENVIRONMENT)/bin/mkdocs build --quiet
+
+# A wheel and a source distribution, in dist/, ready for an index.
+wheel: $(READY)
+	rm -rf build dist
+	$(ENVIRONMENT)/bin/python -m pip install --quiet build
+	$(ENVIRONMENT)/bin/python -m build --outdir dist
 
 # What the site and the long tests need besides.
 $(READY_FOR_ALL): $(READY)

@@ -74,6 +74,16 @@ class Where:
 
 
 @dataclasses.dataclass(frozen=True)
+class Synonyms:
+    """Flags of other libraries, which `--help-all` shows."""
+
+    lr: Union[float, None] = None  # noqa: UP007 (as `Name`)
+    """The same as --hyper.learning-rate."""
+    total_steps: int = 0
+    """Environment steps of a seed, rounded to whole evaluations, in place of --num-epochs; 0: as that says."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Choice(Parts):
     """What is read before anything else is: a command's defaults, and so its help, depend on it."""
 
@@ -199,8 +209,8 @@ def configuration_flags(brief: bool) -> ConstructorRegistry:
         record, default = info.type, info.default
         if not dataclasses.is_dataclass(record) or type(default) is not record:
             return None
-        if record is Where and brief:
-            return StructConstructorSpec(Where, ())
+        if record in (Where, Synonyms) and brief:
+            return StructConstructorSpec(record, ())
         hints = typing.get_type_hints(record, include_extras=True)
         of_command = {"task", "hyper"} <= hints.keys()
         if not (of_command or record is Parts or numbers_of(record)):

@@ -116,8 +116,8 @@ def video(
     """Draw episodes of a run's policy, or of a random one, as an mp4 or a GIF.
 
     Args:
-        subject: Folder of a run with image goals; or fetch_reach, fetch_push, fetch_pick_and_place or fetch_slide for a
-            random policy, where there is no run in a folder of that name.
+        subject: Folder of a run with image goals, or of a task that draws its states; or fetch_reach, fetch_push,
+            fetch_pick_and_place or fetch_slide for a random policy, where there is no run in a folder of that name.
         out: File to write; must end in .mp4 or .gif.
         episodes: Episodes, one after the other.
         seed: Seed of starts, goals, actions and backgrounds.
@@ -138,7 +138,15 @@ def video(
     if is_run or (subject not in TASKS and (Path(subject).exists() or os.sep in subject)):
         from infogoal_jax.report.figures import read_subject
         from infogoal_jax.report.image_goals import policy_video
+        from infogoal_jax.report.runs import load_run
+        from infogoal_jax.report.video import can_draw, drawn_video
 
+        loaded = load_run(Path(subject))
+        if can_draw(loaded.env):
+            require(corruption == 0, "corruption", corruption, "this task draws itself; leave it out")
+            reached = drawn_video(loaded, out, episodes, seed, height)
+            print(f"{out}: {counted(len(reached), 'episode')}; the goal is reached in {sum(reached)}")
+            return 0
         run = read_subject(Path(subject))
         reached = policy_video(run, out, episodes, seed, corruption, size)
         words = f"corrupted with weight {corruption:g}" if corruption else "clean"

@@ -11,6 +11,7 @@ from infogoal_jax.cli.choice import (
     AUTO,
     Name,
     Parts,
+    Synonyms,
     Where,
     all_tasks,
     check_left_out,
@@ -48,6 +49,7 @@ def train(
     wandb: str = "",
     sweep: tuple[str, ...] = (),
     vmap_size: int = 0,
+    synonyms: Annotated[Synonyms, OmitArgPrefixes] = Synonyms(),  # noqa: B008 (frozen)
     where: Annotated[Where, OmitArgPrefixes] = Where(),  # noqa: B008 (frozen)
     help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -66,6 +68,7 @@ def train(
         wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
         sweep: Values of floats, such as learning_rate=1e-4,3e-4 discount=0.9,0.99: a run for each combination.
         vmap_size: Seeds that one program trains side by side at most; 0: all.
+        synonyms: Flags of other libraries.
         where: The programs run.
         help_all: Show all flags, of each part and the hyperparameters too.
 
@@ -86,6 +89,7 @@ def train(
     if where.distributed:
         several.join(where.distributed, where.num_processes, where.process)
     use_compilation_cache()
+    config = with_synonyms(config, synonyms.lr, synonyms.total_steps)
     check_combination(config)
     in_parts = bool(sweep or vmap_size or where.processes or where.engine == "ray")
     if in_parts or is_sweep(resume):
@@ -135,6 +139,28 @@ def train(
                 video = [draw_video(folder, sweep.train.env)] if tensorboard or wandb else []
                 listeners.pictures([*paths, *filter(None, video)])
             return 0
+
+
+def with_synonyms(config: Any, lr: float | None, total_steps: int) -> Any:
+    """The configuration with what the flags of other libraries say, rounded to whole evaluations, which is printed.
+    Raises `UserError` for a task that takes no steps, or fewer than 0."""
+    import dataclasses
+
+    from infogoal_jax.loading import traits_declared
+
+    if lr is not None:
+        config = dataclasses.replace(config, hyper=config.hyper.replace(learning_rate=lr))
+    require(total_steps >= 0, "total_steps", total_steps, "give 0 or more environment steps")
+    if not total_steps:
+        return config
+    traits = traits_declared(config)
+    recorded = traits is not None and traits.recorded
+    require(not recorded, "total_steps", total_steps, f"{config.task} learns from recorded steps; give --num-epochs")
+    chunk = config.num_envs * config.rollout_steps * config.epochs_per_evaluation
+    count = max(round(total_steps / chunk), 1)
+    epochs = count * config.epochs_per_evaluation
+    print(f"total_steps {count * chunk:,} environment steps at most: {epochs} epochs, {count} evaluations")
+    return dataclasses.replace(config, num_epochs=epochs)
 
 
 def check_where(where: Where, resume: str) -> None:

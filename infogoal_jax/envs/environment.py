@@ -140,6 +140,10 @@ class Environment:
         """Steps to the desired goal on a shortest path, int32; where `has_shortest_path`."""
         raise NotImplementedError
 
+    def draw(self, state: Any) -> jax.Array:
+        """A picture of a state, uint8 [H, W, 3], for `infogoal video`; a task may do without."""
+        raise NotImplementedError
+
     @property
     def unwrapped(self) -> "Environment":
         """The task itself, without what is wrapped around it."""

@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 from infogoal_jax import checks, files
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
@@ -169,3 +170,44 @@ def episode_video(
 
     write_video(path, frames())
     return last
+
+
+def can_draw(env: Any) -> bool:
+    """Whether a task draws its own states, and its agent acts in it as it is."""
+    return env is env.unwrapped and getattr(type(env), "draw", Environment.draw) is not Environment.draw
+
+
+def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: int, fps: float = 10) -> list[bool]:
+    """Play episodes of a run's policy on its test goals, or on its training goals where there are none, and write the
+    pictures that the task draws, scaled to this height. Returns whether each episode reached its goal.
+
+    Raises `UserError` for a picture that is no uint8 [H, W, 3].
+    """
+    env, policy, reached = run.env, jax.jit(run.policy()), []
+    goals = np.flatnonzero(env.goals.test_mask if "test" in env.goals.groups else env.goals.train_mask)
+    step, draw, observe = jax.jit(env.step), jax.jit(env.draw), jax.jit(env.observe)
+
+    def picture(state: Any) -> np.ndarray:
+        (frame,) = of_one_size([draw(state)])
+        width = max(round(frame.shape[1] * height / frame.shape[0]), 1)
+        return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
+
+    def frames() -> Iterator[np.ndarray]:
+        for episode in range(episodes):
+            key, goal_key, start_key = jax.random.split(jax.random.fold_in(jax.random.key(seed), episode), 3)
+            goal = jax.random.choice(goal_key, jax.numpy.asarray(goals, jax.numpy.int32))
+            state = env.reset_to(start_key, goal)
+            yield picture(state)
+            for number in range(env.episode_length):
+                one = jax.tree.map(lambda leaf: leaf[None], observe(state))
+                action = policy(one, goal[None], jax.random.fold_in(key, number))[0]
+                state = step(state, action)
+                yield picture(state)
+                if state.terminated | state.truncated:
+                    break
+            reached.append(bool(state.terminated))
+            for _ in range(round(fps)):
+                yield picture(state)
+
+    write_video(path, frames(), fps)
+    return reached

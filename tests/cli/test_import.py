@@ -5,14 +5,18 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from PIL import Image
 
 from infogoal_jax import envs, imports, presets
 from infogoal_jax.cli.main import main
+from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
 
 TASK = """
 import dataclasses
+import flax.struct
 import hand_made
+import jax.numpy as jnp
 from infogoal_jax import envs, presets
 from infogoal_jax.registry import Entry
 
@@ -25,7 +29,20 @@ class RoomsConfig:
         pass
 
 
-envs.registry["my_rooms"] = Entry(RoomsConfig, lambda config: hand_made.environment())
+ROOMS = hand_made.environment()
+
+
+@flax.struct.dataclass
+class Drawn(type(ROOMS)):
+    def draw(self, state):
+        return jnp.full((4, 6, 3), 20 * state.time, jnp.uint8)
+
+
+def make(config):
+    return Drawn(**{field.name: getattr(ROOMS, field.name) for field in dataclasses.fields(ROOMS)})
+
+
+envs.registry["my_rooms"] = Entry(RoomsConfig, make)
 training = dict(num_epochs=2, epochs_per_evaluation=1, rollout_steps=8, num_envs=4, updates_per_epoch=2)
 presets.registry["my_rooms"] = presets.Preset(
     agent="dqn", training=dict(**training, batch_size=8, buffer_steps=320), hyper={}, methods={}
@@ -70,6 +87,10 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
     assert not ran.exists()  # Nothing runs because a folder names it or holds it.
     assert main("evaluate run --starts 1 --import=my_task.py".split()) == 0
     assert "test" in capsys.readouterr().out
+    assert main("video run --out episode.gif --height 40 --episodes 2".split()) == 0  # By the task's own `draw`.
+    assert "episode.gif: 2 episodes; the goal is reached in" in capsys.readouterr().out
+    with Image.open("episode.gif") as video:
+        assert video.size == (60, 40) and video.n_frames > 1
     forget()
     my_task.write_text(TASK + "# Changed.")
     assert "made with another 'my_task.py'" in refused("evaluate run --import my_task.py".split(), capsys)
@@ -111,3 +132,13 @@ def test_packages_register_tasks_by_an_entry_point(monkeypatch, capsys):
 def test_a_wrong_name_of_a_task_lists_what_the_help_lists(capsys):
     line = refused(["train", "objct_search"], capsys)
     assert "'object_search'" in line and line.endswith(f"Known: {', '.join(presets.registry)}")
+
+
+def test_flags_of_other_libraries_say_what_they_come_to(capsys):
+    config = presets.load("object_search", num_envs=4, rollout_steps=10, num_epochs=6, epochs_per_evaluation=2)
+    changed = with_synonyms(config, 1e-4, 250)
+    assert changed.hyper.learning_rate == 1e-4 and changed.num_epochs == 6
+    assert "240 environment steps at most: 6 epochs, 3 evaluations" in capsys.readouterr().out
+    assert with_synonyms(config, None, 0) == config
+    assert "total_steps = -1: give 0 or more" in refused("train object_search --total-steps -1".split(), capsys)
+    assert "learns from recorded steps" in refused("train embodied_qa --total-steps 100".split(), capsys)
