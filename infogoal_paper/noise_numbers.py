@@ -36,7 +36,6 @@ SEEDS = 5
 TASKS = {
     "object_search": (7, 8, 9, tuning.SEED),
     "fetch_reach": (0,),
-    "fetch_push": (0,),
     "embodied_qa": (7, 8, 9),
     "fetch_pick_and_place": (0,),
     "object_manipulation": (7, 8, 9),
@@ -90,7 +89,6 @@ def methods_of(task: str) -> dict[str, str]:
 TITLES = {
     "object_search": "object search",
     "fetch_reach": "FetchReach",
-    "fetch_push": "FetchPush",
     "embodied_qa": "questions",
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
@@ -103,11 +101,9 @@ PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+her", "infobot
 CARRYING_PAIRS = (
     ("infogoal+all_goals", "infogoal+all_goals+beta_0"),
     ("infogoal+all_goals", "cogoal+all_goals"),
-    ("infogoal+all_goals", "all_goals"),
     ("infogoal+all_goals", "her"),
     ("cogoal+all_goals", "all_goals"),
     ("cogoal+all_goals", "her"),
-    ("vae+all_goals", "all_goals"),
 )
 """And on the held-out cube."""
 LINES = {
@@ -323,7 +319,7 @@ def figure(rows: Sequence[Row]) -> Figure:
     on mean codes."""
     numbers = Numbers(rows)
     below = ("Lines: sampled codes, mean over seeds and data sets with its 95 % interval. Dashed: mean codes.",)
-    drawn = canvas.empty_figure("Test goals reached, by the probability of a random action at test", below, (17, 3.8))
+    drawn = canvas.empty_figure("Test goals reached, by the probability of a random action at test", below, (15, 3.8))
     panels = drawn.subplots(1, len(TASKS), sharey=True)
     for axes, task in zip(panels, TASKS, strict=True):
         for method, colour in LINES.items():
