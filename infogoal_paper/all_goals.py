@@ -255,8 +255,8 @@ def draw_figure(results: Results, path: Path, format: str = "png") -> list[Path]
 
 
 def on_page(results: Results) -> dict[str, str]:
-    """What docs/research/all_goals.md shows, by name: the tables of each task, or that it was not run yet, what it
-    cost, and the figure; nothing before the first run of the study."""
+    """What docs/research/all_goals.md shows, by name: the tables of each task, or that it was not run yet, and the
+    figure; nothing before the first run of the study."""
     if all(run.of_paper for run in results):
         return {}
     shown = {table.name: markdown(table).strip() for table in all_tables(results)}
@@ -265,7 +265,7 @@ def on_page(results: Results) -> dict[str, str]:
         or "Not run yet."
         for task in AGENTS
     }
-    return found | {"costs": shown[f"{NAME}_costs"], "figure": f"![success on test goals](../results/{NAME}.png)"}
+    return found | {"figure": f"![success on test goals](../results/{NAME}.png)"}
 
 
 def draw(results: Results, out: Path, format: str) -> list[Path]:

@@ -6,7 +6,8 @@ their means.
 
 A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
 on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
-and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows.
+and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows,
+but on the held-out cube, where half of the updates are evaluated, three quarters, and all.
 --merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the same tasks and
 methods; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says what came of it.
 """
@@ -16,7 +17,7 @@ import contextlib
 import csv
 import dataclasses
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jax
@@ -35,19 +36,27 @@ from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
 from infogoal_paper.manifest import PRESET, Lane, Run
-from infogoal_paper.noise_numbers import EPSILONS, METHODS, NUMBERS, SEEDS, TASKS
+from infogoal_paper.noise_numbers import CARRYING, DATA_SETS, EPSILONS, HELD_OUT, METHODS, NUMBERS, SEEDS, methods_of
 from infogoal_paper.plan import config_of
+from infogoal_paper.trial_numbers import Row
 
 CHUNKS = 4
-"""Evaluations while training: none of them is kept."""
+"""Of an equal number of updates, after each of which there is an evaluation."""
+HALF = 2
+"""The chunk from which on the held-out cube is evaluated at every noise; the others are at their end alone."""
 GROUPS = ("train", "validation", "test")
 
 
 def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
-    """A method of `METHODS` on a data set, with its seeds."""
-    method, _, relabelling = method.partition("+")
+    """A method of `methods_of` on a data set, with its seeds."""
+    name, *protocol = task.split("+")
+    learner, *added = method.split("+")
+    agent, known_goals = protocol or (None, "visited")
+    floats = noise_numbers.FLOATS.get((task, method), {})
+    lane = Lane(method, tuple(floats.items())) if floats else Lane(*PRESET)
     seeds = tuple(range(2 if toy else SEEDS))
-    return Run(task, method, relabelling or None, None, data_set, Lane(*PRESET), seeds, toy)
+    relabelling = added[0] if added else None
+    return Run(name, learner, relabelling, None, data_set, lane, seeds, toy, agent, known_goals)
 
 
 def to_its_end(config: TrainConfig, run: Run) -> TrainConfig:
@@ -74,11 +83,17 @@ def batches_on(runs: list[Run], folder: Path) -> list[batches.Batch]:
 
 
 class Watch(Callback):
-    """Keeps what the learner said of every epoch, and stops in time."""
+    """Keeps what the learner said of every epoch, and stops in time. rows: of the evaluations at every noise, to which
+    it adds; they are written to `partial` whenever there are more."""
 
-    def __init__(self, name: str, learner: str, deadline: float):
-        self.name, self.learner, self.deadline = name, learner, deadline
+    def __init__(
+        self, task: str, method: str, training: batches.Training, deadline: float, rows: list[Row], partial: Path
+    ):
+        self.task, self.method, self.training, self.deadline = task, method, training, deadline
+        self.name, self.learner = f"{task} {method}", training.train.parts.name
         self.learned: dict[str, list[np.ndarray]] = {}
+        self.rows, self.partial = rows, partial
+        self.evaluate = evaluator(training)
         self.ended = True
 
     def compiled(self, sweep: Sweep) -> None:
@@ -99,6 +114,12 @@ class Watch(Callback):
             if (name := f"{self.learner}/{metric}") in sweep.learned:
                 self.learned.setdefault(metric, []).append(np.asarray(sweep.learned[name]))
         print(f"{self.name}: chunk {sweep.evaluations} in {sweep.last_seconds:.0f} s", flush=True)
+        if sweep.finished or (self.task == HELD_OUT and sweep.evaluations >= HALF):
+            self.rows += rows_of(self, sweep.evaluations * sweep.config.epochs_per_evaluation)
+            with open(self.partial, "w", newline="") as file:
+                table = csv.DictWriter(file, self.rows[0])
+                table.writeheader()
+                table.writerows(self.rows)
 
     def columns(self) -> dict[str, np.ndarray]:
         """What tells whether a seed's code collapsed, by column, [*members]; nothing for learners that do not steer
@@ -110,8 +131,8 @@ class Watch(Callback):
         return {"accuracy": accuracy.max(-1), "beta": beta[..., -1], "kl_half": kl[..., half], "kl": kl[..., -1]}
 
 
-def evaluations(training: batches.Training) -> Iterator[tuple[float, dict[str, np.ndarray]]]:
-    """Each epsilon with the metrics of the last parameters at it, [sets, members]."""
+def evaluator(training: batches.Training) -> Callable[[float], dict[str, np.ndarray]]:
+    """The function that evaluates the parameters of all members at an epsilon: metrics, [sets, members]."""
     train, envs = training.train, training.batch.envs
 
     def evaluated(params, hyper, epsilon, env):
@@ -119,26 +140,32 @@ def evaluations(training: batches.Training) -> Iterator[tuple[float, dict[str, n
 
     leaves, axes = stacked(envs)
     over = jit(over_environments(jax.tree.structure(envs[0]), axes, evaluated, (0, 0, None)))
-    params, hyper = training.states.params, training.hyper
-    if len(envs) == 1:  # `over` has an axis of data sets.
-        params, hyper = jax.tree.map(lambda leaf: leaf[None], (params, hyper))
+    one_set = len(envs) == 1  # `over` has an axis of data sets.
+    if one_set:
         leaves = [leaf if axis is None else leaf[None] for leaf, axis in zip(leaves, axes, strict=True)]
-    for epsilon in EPSILONS:
-        metrics = over(params, hyper, jnp.float32(epsilon), leaves)
-        yield epsilon, {name: value for name, value in jax.device_get(metrics).items() if name.endswith("success_rate")}
+
+    def evaluate(epsilon: float) -> dict[str, np.ndarray]:
+        params, hyper = training.states.params, training.hyper
+        if one_set:
+            params, hyper = jax.tree.map(lambda leaf: leaf[None], (params, hyper))
+        metrics = jax.device_get(over(params, hyper, jnp.float32(epsilon), leaves))
+        return {name: value for name, value in metrics.items() if name.endswith("success_rate")}
+
+    return evaluate
 
 
-def rows_of(training: batches.Training, watch: Watch) -> Iterator[dict[str, str]]:
-    """The rows of all data sets, seeds, epsilons and codes of a batch that is trained."""
-    machine, config = describe_machine(), training.batch.config
+def rows_of(watch: Watch, epochs: int) -> Iterator[Row]:
+    """The rows of all data sets, seeds, epsilons and codes of a batch that is trained for so many epochs."""
+    batch, machine = watch.training.batch, describe_machine()
     learned = {name: value.reshape(-1, value.shape[-1]) for name, value in watch.columns().items()}
-    for epsilon, metrics in evaluations(training):
-        for (place, _), run in training.batch.runs.items():
+    for epsilon in EPSILONS:
+        metrics = watch.evaluate(epsilon)
+        for (place, _), run in batch.runs.items():
             for member, seed in enumerate(run.seeds):
                 for code, suffix in (("sampled", ""), ("mean", "_mean_code")):
                     row = {
-                        "task": run.task,
-                        "method": run.label,
+                        "task": watch.task,
+                        "method": watch.method,
                         "data_set": run.goal_set,
                         "seed": seed,
                         "epsilon": epsilon,
@@ -148,9 +175,9 @@ def rows_of(training: batches.Training, watch: Watch) -> Iterator[dict[str, str]
                         for group in GROUPS:
                             value = metrics.get(f"{prefix}{group}_goal{suffix}/success_rate")
                             row[f"{prefix}{group}"] = "" if value is None else f"{value[place, member]:.4g}"
-                    row["updates"] = config.num_epochs * config.updates_per_epoch
+                    row["updates"] = epochs * batch.config.updates_per_epoch
                     own = {name: f"{learned[name][place, member]:.4g}" for name in learned}
-                    row["threshold"] = f"{config.hyper.learner.beta_threshold:g}" if own else ""
+                    row["threshold"] = f"{batch.config.hyper.learner.beta_threshold:g}" if own else ""
                     row |= {name: own.get(name, "") for name in noise_numbers.LEARNED}
                     yield row | {"machine": machine}
 
@@ -158,29 +185,25 @@ def rows_of(training: batches.Training, watch: Watch) -> Iterator[dict[str, str]
 def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, sets: tuple[int, ...], toy: bool):
     """Train and evaluate a method on data sets of a task, and write its file."""
     runs, rows = [run_of(task, method, number, toy) for number in sets], []
+    partial = path.with_suffix(".partial")
     for batch in batches_on(runs, path.parent):
         training = batches.begin(batch)
-        watch = Watch(f"{task} {method}", training.train.parts.name, deadline)
+        watch = Watch(task, method, training, deadline, rows, partial)
         train_sweep(training.sweep, watch, stop)
         if not watch.ended:
             print(f"{watch.name}: no time was left", flush=True)
-            return
-        rows += rows_of(training, watch)
-    partial = path.with_suffix(".partial")
-    with open(partial, "w", newline="") as file:
-        table = csv.DictWriter(file, rows[0])
-        table.writeheader()
-        table.writerows(rows)
-    partial.rename(path)
-    print(f"{task} {method}: written", flush=True)
+            break
+    if rows and (watch.ended or task == HELD_OUT):
+        partial.rename(path)
+        print(f"{task} {method}: written", flush=True)
 
 
 def main():
     """Run what is not there yet, or merge it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--tasks", nargs="*", choices=TASKS, default=list(TASKS))
-    parser.add_argument("--methods", nargs="*", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--tasks", nargs="*", choices=DATA_SETS, default=list(DATA_SETS))
+    parser.add_argument("--methods", nargs="*", choices=METHODS | CARRYING, help="left out: those of the task")
     parser.add_argument("--data-sets", nargs="*", type=int, help="numbers; left out: those of the study")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
@@ -196,9 +219,9 @@ def main():
     deadline = time.time() + 60 * arguments.minutes
     with stop_on_signal() as stop:
         for task in arguments.tasks:
-            for method in arguments.methods:
-                path = arguments.out / f"{task}_{method}.csv"
-                sets = tuple(arguments.data_sets or TASKS[task])
+            for method in arguments.methods or methods_of(task):
+                sets = tuple(arguments.data_sets or DATA_SETS[task])
+                path = arguments.out / f"{'_'.join([task, method, *map(str, sets)])}.csv"
                 with contextlib.suppress(BeingWrittenError), locked(path.with_suffix(".lock"), arguments.out):
                     if path.exists() or time.time() >= deadline or stop.requested:
                         continue

@@ -9,6 +9,9 @@ seed, epsilon and code; and the tables and the figure of docs/research/noise_at_
     kl_half, kl                      KL in nats half way and at the end
     machine                          device, versions and date
 
+HELD_OUT is the study of what carries the gain of InfoGoal with the head; a cell of `task` names its protocol too. Its
+methods have rows at several updates: tables show the last ones that all of them made.
+
 Two rules make noise equal. *The same for all*: every method at one epsilon. *Each at its own best*: every method at the
 epsilon of `EPSILONS` at which it reaches the most validation goals, the smallest of equal ones; test goals have no say.
 """
@@ -56,17 +59,53 @@ METHODS = {
     "infogoal+all_goals": "InfoGoal + head",
 }
 """The methods, in the order in which they are run."""
+HELD_OUT = "object_manipulation+dqn+held_out"
+"""The cube under DQN, where test and validation goals never enter training."""
+CARRYING = {
+    "infogoal+all_goals": "InfoGoal + head",
+    "infogoal+all_goals+beta_0": "InfoGoal, beta 0, + head",
+    "cogoal+all_goals": "COGOAL + head",
+    "vae+all_goals": "VAE + head",
+    "all_goals": "plain head",
+    "her": "HER",
+}
+"""What is compared there."""
+NO_BETA, SMALL = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}, {"learner_weight": 0.1}
+FLOATS = {
+    (HELD_OUT, "infogoal+all_goals+beta_0"): NO_BETA,
+    (HELD_OUT, "cogoal+all_goals"): SMALL,
+    (HELD_OUT, "vae+all_goals"): SMALL,
+}
+"""Floats that differ from the preset. Both small weights reach more validation goals than 1 on the cube of seed 7."""
+DATA_SETS = TASKS | {HELD_OUT: (8, 9)}
+"""All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
+
+
+def methods_of(task: str) -> dict[str, str]:
+    """The methods that are run on a task, with their names in words."""
+    return CARRYING if task == HELD_OUT else METHODS
+
+
 TITLES = {
     "object_search": "object search",
     "fetch_reach": "FetchReach",
     "embodied_qa": "questions",
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
+    HELD_OUT: "cube, held out",
 }
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
+CARRYING_PAIRS = (
+    ("infogoal+all_goals", "infogoal+all_goals+beta_0"),
+    ("infogoal+all_goals", "cogoal+all_goals"),
+    ("infogoal+all_goals", "her"),
+    ("cogoal+all_goals", "all_goals"),
+    ("cogoal+all_goals", "her"),
+)
+"""And on the held-out cube."""
 LINES = {
     "infogoal": "tab:blue",
     "infogoal+her": "tab:cyan",
@@ -77,7 +116,7 @@ LINES = {
     "none": "tab:orange",
 }
 """Methods of the figure, with their colours."""
-NO_BETA = 1e-4
+LEAST_BETA = 1e-4
 """A beta below it compresses nothing: seeds that do not collapse end above 0.001."""
 LEARNED = ("accuracy", "beta", "kl_half", "kl")
 """Columns of InfoGoal."""
@@ -90,7 +129,8 @@ def merge(folder: Path) -> list[str]:
     new = {found.stem: trial_numbers.read(found) for found in sorted(folder.glob("*.csv"))}
     came = {(row["task"], row["method"]) for rows in new.values() for row in rows}
     kept = [row for row in read() if (row["task"], row["method"]) not in came]
-    places = {pair: place for place, pair in enumerate(itertools.product(TASKS, METHODS))}
+    pairs = [(task, method) for task in DATA_SETS for method in methods_of(task)]
+    places = {pair: place for place, pair in enumerate(pairs)}
     rows = [*kept, *itertools.chain.from_iterable(new.values())]
     trial_numbers.write(sorted(rows, key=lambda row: places[row["task"], row["method"]]), NUMBERS)
     return list(new)
@@ -106,12 +146,22 @@ def is_development(task: str, data_set: int) -> bool:
     return task == "object_search" and data_set == tuning.SEED
 
 
+def at_shared_updates(rows: Sequence[Row]) -> list[Row]:
+    """The rows without those of the held-out cube that are not at the last updates that all its runs made."""
+    made: dict[tuple, set[int]] = {}
+    for row in rows:
+        if row["task"] == HELD_OUT:
+            made.setdefault((row["method"], row["data_set"]), set()).add(int(row["updates"]))
+    shared = max(set.intersection(*made.values()), default=None) if made else None
+    return [row for row in rows if row["task"] != HELD_OUT or int(row["updates"]) == shared]
+
+
 class Numbers:
     """The rows by what they are of. values: {(task, method, epsilon, code): {(data set, seed): row}}."""
 
     def __init__(self, rows: Sequence[Row]):
         self.values: dict[tuple, dict[tuple[int, int], Row]] = {}
-        for row in rows:
+        for row in at_shared_updates(rows):
             key = row["task"], row["method"], float(row["epsilon"]), row["code"]
             self.values.setdefault(key, {})[int(row["data_set"]), int(row["seed"])] = row
 
@@ -142,7 +192,8 @@ class Numbers:
 
 def success_table(numbers: Numbers) -> str:
     """A row for each method, a column for each task and kind of goals: success greedy, at `SAME`, at its own best."""
-    columns = [(task, "test") for task in TASKS] + [(task, "corrupted_test") for task in TASKS if task in IMAGE_TASKS]
+    images = [task for task in TASKS if task in IMAGE_TASKS]
+    columns = [(task, "test") for task in TASKS] + [(task, "corrupted_test") for task in images]
 
     def cell(task: str, kind: str, method: str) -> str:
         if not numbers.has(task, method):
@@ -179,25 +230,55 @@ def signed(interval: Interval) -> str:
     return f"**{text}**" if interval.low > 0 or interval.high < 0 else text
 
 
-def difference_table(numbers: Numbers) -> str:
-    """A row for each task, kind of goals and pair: greedy, at `SAME`, each at its own best, and at `SAME` on the mean
-    code."""
+RULES = {
+    "greedy": ("0", "sampled"),
+    f"ε {SAME} for both": (str(SAME), "sampled"),
+    "each at its own best": ("best", "sampled"),
+    f"ε {SAME}, mean codes": (str(SAME), "mean"),
+}
+"""Columns of differences: the rule, and the codes."""
+
+
+def difference_table(numbers: Numbers, tasks: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
+    """A row for each task, kind of goals and pair of methods: the difference by each of `RULES`."""
     rows = []
-    for task, kind, pair in itertools.product(TASKS, ("test", "corrupted_test"), PAIRS):
+    for task, kind, pair in itertools.product(tasks, ("test", "corrupted_test"), pairs):
         if not all(numbers.has(task, method) for method in pair):
             continue
-        rules = (("0", "sampled"), (str(SAME), "sampled"), ("best", "sampled"), (str(SAME), "mean"))
-        found = [difference(numbers, task, pair, kind, *rule) for rule in rules]
+        found = [difference(numbers, task, pair, kind, *rule) for rule in RULES.values()]
         if None not in found:
-            named = " - ".join(METHODS[method].replace(" + ", "+") for method in pair)
+            named = " - ".join(methods_of(task)[method].replace(" + ", "+") for method in pair)
             rows.append([goals_of(task, kind), named, *map(signed, found)])
-    head = ["test goals of", "difference", "greedy", f"ε {SAME} for both", "each at its own best"]
-    return markdown_lines([*head, f"ε {SAME}, mean codes"], rows)
+    return markdown_lines(["test goals of", "difference", *RULES], rows)
+
+
+def carries_table(numbers: Numbers) -> str:
+    """A row for each method on the held-out cube: validation, test and corrupted test goals greedy, at `SAME` and at
+    its own best, and test goals on mean codes at `SAME`."""
+    ran = [method for method in CARRYING if numbers.has(HELD_OUT, method)]
+    if not ran:
+        return "Not run yet."
+
+    def shown(method: str, epsilon: float, kind: str, code: str = "sampled") -> str:
+        return f"{np.mean(list(numbers.success(HELD_OUT, method, epsilon, code, kind).values())):.2f}"
+
+    rows = []
+    for method in ran:
+        epsilons = 0.0, SAME, numbers.best(HELD_OUT, method)
+        kinds = ("validation", "test", "corrupted_test")
+        cells = ["/".join(shown(method, epsilon, kind) for epsilon in epsilons) for kind in kinds]
+        rows.append([CARRYING[method], f"{epsilons[-1]:g}", *cells, shown(method, SAME, "test", "mean")])
+    head = ["method", "best ε", "validation", "test", "corrupted test", f"test, ε {SAME}, mean code"]
+    runs = numbers.values[HELD_OUT, ran[0], EPSILONS[0], "sampled"]
+    (updates,) = {int(row["updates"]) for row in runs.values()}
+    sets = sorted({data_set for data_set, _ in runs})
+    said = f"{len(runs) // len(sets)} seeds on each of the cubes {' and '.join(map(str, sets))}, {updates:,} updates."
+    return f"{markdown_lines(head, rows)}\n\n{said}"
 
 
 def is_collapsed(row: Row) -> bool:
     """Whether beta of a seed fell to 0 by the end, while its KL still grew: its codes are no bottleneck."""
-    return float(row["beta"]) < NO_BETA and float(row["kl"]) > float(row["kl_half"])
+    return float(row["beta"]) < LEAST_BETA and float(row["kl"]) > float(row["kl_half"])
 
 
 def collapse_line(numbers: Numbers) -> str:
@@ -205,12 +286,13 @@ def collapse_line(numbers: Numbers) -> str:
     rows = [
         row
         for (_, method, epsilon, code), found in numbers.values.items()
-        if method.startswith("infogoal") and (epsilon, code) == (SAME, "sampled")
+        if method.startswith("infogoal") and "beta_0" not in method and (epsilon, code) == (SAME, "sampled")
         for row in found.values()
     ]
     said = [
-        f"{TITLES[row['task']]}, {METHODS[row['method']]}, data set {row['data_set']}, seed {row['seed']}: beta "
-        f"{float(row['beta']):.0e}, KL {float(row['kl']):,.0f} nats, {float(row['train']):.2f} of the training goals"
+        f"{TITLES[row['task']]}, {methods_of(row['task'])[row['method']]}, data set {row['data_set']}, "
+        f"seed {row['seed']}: beta {float(row['beta']):.0e}, KL {float(row['kl']):,.0f} nats, "
+        f"{float(row['train']):.2f} of the training goals"
         for row in filter(is_collapsed, rows)
     ]
     return f"{len(said)} of {len(rows)} seeds: {'; '.join(said)}."
@@ -223,7 +305,9 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     numbers = Numbers(rows)
     machines = "; ".join(sorted({row["machine"] for row in rows}))
     return {
-        "differences": difference_table(numbers),
+        "differences": difference_table(numbers, list(TASKS), PAIRS),
+        "carries": carries_table(numbers),
+        "carries_differences": difference_table(numbers, [HELD_OUT], CARRYING_PAIRS),
         "success": success_table(numbers),
         "collapse": collapse_line(numbers),
         "machine": f"Measured on {machines}.",

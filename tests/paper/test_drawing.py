@@ -234,7 +234,7 @@ def test_the_study_is_drawn_from_its_numbers(study, tmp_path):
     page, shown = (tmp_path / "all_goals.md").read_text(), all_goals.on_page(study)
     assert {path.name for path in tmp_path.iterdir()} == {"numbers", "tables", "figures", "all_goals.md"}
     not_run = {"object_search": "Not run yet.", "object_manipulation": "Not run yet."}
-    assert shown.keys() == {"embodied_qa", "costs", "figure"} | not_run.keys()
+    assert shown.keys() == {"embodied_qa", "figure"} | not_run.keys()
     assert {task: shown.pop(task) for task in not_run} == not_run
     lines = {line for name, text in shown.items() if name != "figure" for line in text.splitlines()}
     assert lines <= set(page.splitlines())

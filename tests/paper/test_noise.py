@@ -75,7 +75,9 @@ def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_
     """After no update: what training does has tests of its own."""
 
     def train_nothing(sweep, callback, stop):
-        sweep.states = sweep.programs.initial()
+        sweep.states, sweep.learned = sweep.programs.initial(), {}
+        sweep.evaluations = sweep.config.num_epochs // sweep.config.epochs_per_evaluation
+        callback.evaluated(sweep)
 
     monkeypatch.setattr(noise, "train_sweep", train_nothing)
     path = tmp_path / "object_search_none.csv"
@@ -94,3 +96,24 @@ def test_what_is_not_trained_to_its_end_leaves_no_rows(rooms_for_houses, tmp_pat
     with stop_on_signal() as stop:
         noise.run("object_search", "none", path, time.time() - 1, stop, (0,), toy=True)
     assert not path.exists()
+
+
+def held_out(method: str, updates: int, data_set: str = "8") -> dict[str, str]:
+    """A row of the held-out cube, greedy."""
+    return row(method, 0.0, task=noise_numbers.HELD_OUT, data_set=data_set, updates=str(updates))
+
+
+def test_the_held_out_cube_is_compared_at_the_last_updates_that_all_made():
+    rows = [held_out("her", updates) for updates in (60, 90, 120)]
+    rows += [held_out("all_goals", updates) for updates in (60, 90)]
+    rows += [row("her", 0.0, updates="7")]
+    found = noise_numbers.at_shared_updates(rows)
+    assert {(each["method"], each["updates"]) for each in found} == {("her", "90"), ("all_goals", "90"), ("her", "7")}
+
+
+def test_the_held_out_cube_has_its_agent_and_protocol_and_beta_0_its_floats():
+    run = noise.run_of(noise_numbers.HELD_OUT, "infogoal+all_goals+beta_0", 8, toy=False)
+    assert (run.task, run.method, run.relabelling) == ("object_manipulation", "infogoal", "all_goals")
+    assert (run.agent, run.known_goals, run.goal_set) == ("dqn", "held_out", 8)
+    assert dict(run.lane.values) == noise_numbers.NO_BETA and len(run.seeds) == noise_numbers.SEEDS
+    assert noise.run_of("object_manipulation", "her", 7, toy=False).agent is None
