@@ -20,7 +20,7 @@ from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none
-from infogoal_jax.loading import (, traits_declared
+from infogoal_jax.loading import (
     check_combination,
     has_own_loss,
     make_learner,
