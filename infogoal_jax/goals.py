@@ -159,10 +159,6 @@ class GoalSet:
         scored = np.flatnonzero(getattr(self, f"{group}_mask"))
         return self.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))
 
-    def name_of(self, goal: Any) -> str:
-        """The name of a goal, int32 []."""
-        return self.names[int(goal)]
-
     def checked(self, goals: Any, field: str, axes: int) -> jax.Array:
         """Goals with so many axes, given by number or by name. Raises `UserError` for what are no numbers of goals, as
         a mask of them; of values that are traced the type alone is known."""
@@ -224,7 +220,6 @@ class GoalBox:
     dtype = "float32"
     by_index = False
     num_goals = None
-    regions = None
 
     @classmethod
     def of(
@@ -347,10 +342,6 @@ class GoalBox:
         """The same goals, of which those of one group alone are evaluated."""
         scored = np.flatnonzero(np.asarray(self.uses) == USES.index(group))
         return self.replace(evaluated=self.evaluated[scored], uses=self.uses[scored], groups=(group,))
-
-    def name_of(self, goal: Any) -> str:
-        """The numbers of a goal float32 [D], as a name."""
-        return " ".join(f"{number:.3g}" for number in np.asarray(goal).tolist())
 
     def checked(self, goals: Any, field: str, axes: int) -> jax.Array:
         """Goals [..., D] with so many axes before that of a goal. Raises `UserError` for other shapes, for what is not

@@ -57,9 +57,6 @@ class SampleSpec(NamedTuple):
     """Compare a negative with the anchor of its pair; False: with another goal, drawn for it."""
     dissimilar: bool = True
     """Draw dissimilar goals as negatives; False: any known goals."""
-    by_cells: bool = False
-    """In a continuous space: which goals are dissimilar is kept for pairs of the environment's cells; False: asked of
-    the trajectory of each goal. A finite set has a matrix of all pairs of goals."""
     num_goals: int = 0
     """Goals that are known or desired in training: `LearnerBatch.goals`."""
     first_seen: bool = False

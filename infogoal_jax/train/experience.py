@@ -23,7 +23,7 @@ class Experience:
 
     buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved:
     bool [R, T + 1];
-    known: goals that may be negatives; dissimilarity: bool [N, N] of a finite set, or of the cells [C, C], or None.
+    known: goals that may be negatives; dissimilarity: bool [N, N], None where goals are not finite.
     codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to
     encode in every update; or None.
     relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus:
@@ -77,24 +77,16 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
             state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
         ),
     )
-    if env.goals.finite:
-        seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
-        state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
-    if not learner.sample_spec.num_pairs or state.dissimilarity is None:
+    if not env.goals.finite:
         return state
-    # Of a continuous space the cells that were visited.
-    similar = usable_goals(parts.config, env, rows.record) if env.goals.finite else env.cell_of(rows.record)[..., None]
+    seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
+    state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
+    if not learner.sample_spec.num_pairs:
+        return state
+    similar = usable_goals(parts.config, env, rows.record)
     return state.replace(
         dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
     )
-
-
-def initial_dissimilarity(spec, env) -> jax.Array | None:
-    """G_neg before any experience: of the goals of a finite set, or of the cells of a continuous space where the
-    learner asks for them; else None."""
-    if env.goals.finite:
-        return pairs.initial_dissimilarity(env.goals.num_goals)
-    return pairs.initial_dissimilarity(env.num_cells) if spec.num_pairs and spec.by_cells else None
 
 
 def usable_goals(config, env, record) -> jax.Array:

@@ -153,8 +153,8 @@ class TrainState:
 
     params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer:
     their states;
-    dissimilarity: bool [N, N], or of cells [C, C], or None; seen: bool [N] goals achieved, None where goals are not
-    finite; buffer: Trajectories; env_states: [num_envs]; both None
+    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; both None where goals are not finite;
+    buffer: Trajectories; env_states: [num_envs]; both None
     offline.
     key: the seed's key, never consumed; env_steps: int32, collected or recorded.
     """

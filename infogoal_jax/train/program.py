@@ -26,13 +26,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.evaluation import evaluate_settings
-from infogoal_jax.train.experience import (
-    Experience,
-    collect_epoch,
-    experience_of,
-    initial_dissimilarity,
-    update_statistics,
-)
+from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
 from infogoal_jax.train.parts import (
     INITIAL,
     UPDATE,
@@ -111,7 +105,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
     (`infogoal_jax.make_train` does). check_env: raises `UserError` for another environment that cannot take its
     place."""
     parts = make_parts(config, env)
-    learner, agent, encoder, goals = parts.learner, parts.agent, parts.state_encoder, env.goals
+    learner, agent, encoder = parts.learner, parts.agent, parts.state_encoder
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
@@ -141,8 +135,8 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
             learner=learner_state,
             agent=agent_state,
             explorer=explorer_state,
-            dissimilarity=initial_dissimilarity(learner.sample_spec, env),
-            seen=jnp.zeros(env.goals.num_goals, bool) if goals.finite else None,
+            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals) if env.goals.finite else None,
+            seen=jnp.zeros(env.goals.num_goals, bool) if env.goals.finite else None,
             buffer=None,
             env_states=None,
             key=key,
@@ -161,7 +155,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         update_key = numbered(state.key, UPDATE, number)
         state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
         metrics |= collected
-        if learner.sample_spec.num_pairs and goals.finite:
+        if learner.sample_spec.num_pairs and env.goals.finite:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
             metrics |= {f"{parts.name}/{name}": value for name, value in left.items()}
         return state, metrics | {"env_steps": state.env_steps}

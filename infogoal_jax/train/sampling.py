@@ -159,19 +159,18 @@ def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPair
             keys[4], experience.dissimilarity, experience.known.mask, contrast
         )
     else:
-        negative, negative_weight = sample_apart(spec, env, experience, keys[4], place, contrast)
+        negative, negative_weight = sample_apart(spec.window, env, experience, keys[4], place, contrast)
     return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight)
 
 
 def sample_apart(
-    spec, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
+    window: int, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Draw for each goal of a continuous space one from the buffer that is dissimilar to it (line 20), by rejection.
 
     Two goals are similar if they were achieved within the window in one trajectory, or if one of them achieves the
-    other; by cells, if two goals of their cells ever were. place: row and step, int32 [B, 1] or [B, K], where the goals
-    contrast [B, K, D] were achieved. Returns goals [B, K, D] and weights float32 [B, K], 0 where every candidate was
-    rejected.
+    other. window: largest number of steps; place: row and step, int32 [B, 1] or [B, K], where the goals contrast [B, K,
+    D] were achieved. Returns goals [B, K, D] and weights float32 [B, K], 0 where every candidate was rejected.
     """
     buffer, goals = experience.buffer, experience.known.goals
     place_key, goal_key = jax.random.split(key)
@@ -180,14 +179,10 @@ def sample_apart(
     candidates = goal_pairs.choose_goal(goal_key, goals[there])
     here = tuple(jnp.broadcast_to(index[..., None], tried) for index in place)
     record, other = (jax.tree.map(lambda leaf, at=at: leaf[at], buffer.record) for at in (here, there))
-    if spec.by_cells:
-        apart = experience.dissimilarity[env.cell_of(record), env.cell_of(other)]
-    else:
-        episode = experience.episode
-        apart = (here[0] != there[0]) | (episode[here] != episode[there]) | (jnp.abs(here[1] - there[1]) > spec.window)
-        one_achieves_other = env.reached(other, contrast[..., None, :]) | env.reached(record, candidates)
-        apart = apart & ~one_achieves_other
-    accepted = apart & is_goal(candidates) & (experience.achieved_count[-1] > 0)
+    episode = experience.episode
+    apart = (here[0] != there[0]) | (episode[here] != episode[there]) | (jnp.abs(here[1] - there[1]) > window)
+    one_achieves_other = env.reached(other, contrast[..., None, :]) | env.reached(record, candidates)
+    accepted = apart & ~one_achieves_other & is_goal(candidates) & (experience.achieved_count[-1] > 0)
     first = accepted.argmax(-1)[..., None]
     negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
     return negative, accepted.any(-1).astype(jnp.float32)
