@@ -19,32 +19,34 @@ from infogoal_jax.train.rollout import collect, training_policy
 
 @flax.struct.dataclass
 class Experience:
-    """What an epoch's updates sample from; fixed while they run.
-
-    buffer: Trajectories; decision_count, achieved_count: running counts that turn draws into binary searches; achieved:
-    bool [R, T + 1];
-    known: goals that may be negatives; dissimilarity: bool [N, N], None where goals are not finite.
-    codes: of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to
-    encode in every update; or None.
-    relabelling: the table that a relabelling made for the epoch, learner_relabelling: that of the learner's own; bonus:
-    float32 [K, A] of each observation and action; None without such a part.
-    episode: int32 [R, T + 1], number of the episode that each observation belongs to; None for finite goals.
-    first_seen: float32 [R, T + 1], known goals that each step was the first of its episode to achieve; None unless the
-    learner asks for them.
-    """
+    """What an epoch's updates sample from; fixed while they run."""
 
     buffer: Trajectories
+    """The replay buffer, or the recorded trajectories."""
     decision_count: jax.Array
+    """int32 [R * T], running count of the agent's decisions, which turns draws into binary searches."""
     achieved: jax.Array
+    """bool [R, T + 1], steps that achieve a known goal."""
     achieved_count: jax.Array
+    """int32 [R * (T + 1)], running count of these."""
     known: pairs.KnownGoals | pairs.AchievedGoals
+    """Goals that may be negatives."""
     dissimilarity: jax.Array | None
+    """bool [N, N]; None where goals are not finite."""
     codes: GoalCode | None
+    """Of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode
+    in every update."""
     relabelling: Any = None
+    """The table that the relabelling made for the epoch; None without."""
     learner_relabelling: Any = None
+    """The table of the learner's own relabelling; None without."""
     bonus: jax.Array | None = None
+    """float32 [K, A], the explorer's bonus of each observation and action; None without an explorer."""
     episode: jax.Array | None = None
+    """int32 [R, T + 1], number of the episode that each observation belongs to; None for finite goals."""
     first_seen: jax.Array | None = None
+    """float32 [R, T + 1], known goals that each step was the first of its episode to achieve; None unless the learner
+    asks for them."""
 
 
 def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:

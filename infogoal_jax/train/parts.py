@@ -149,28 +149,32 @@ def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
 
 @flax.struct.dataclass
 class TrainState:
-    """Everything that training carries from epoch to epoch, for one seed.
-
-    params, target_params: {"goal", "state", "agent"}, and "explorer" where there is one; learner, agent, explorer:
-    their states;
-    dissimilarity: bool [N, N]; seen: bool [N] goals achieved; both None where goals are not finite;
-    buffer: Trajectories; env_states: [num_envs]; both None
-    offline.
-    key: the seed's key, never consumed; env_steps: int32, collected or recorded.
-    """
+    """Everything that training carries from epoch to epoch, for one seed."""
 
     params: dict
+    """{"goal", "state", "agent"}, and "explorer" where there is one."""
     target_params: dict
+    """As `params`, of the target networks."""
     optimizer_state: Any
+    """Of Adam, over all parameters as one vector."""
     learner: Any
+    """The learner's state."""
     agent: Any
+    """The agent's state."""
     explorer: Any
-    dissimilarity: jax.Array
-    seen: jax.Array
+    """The explorer's state; None without one."""
+    dissimilarity: jax.Array | None
+    """G_neg, bool [N, N]; None where goals are not finite."""
+    seen: jax.Array | None
+    """bool [N], goals achieved so far; None where goals are not finite."""
     buffer: Trajectories | None
+    """The replay buffer; None offline."""
     env_states: Any
+    """States of the environments, [num_envs]; None offline."""
     key: jax.Array
+    """The seed's key, never consumed."""
     env_steps: jax.Array
+    """int32 [], steps collected or recorded."""
 
 
 @flax.struct.dataclass

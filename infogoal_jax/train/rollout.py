@@ -128,17 +128,16 @@ def chosen(mask: jax.Array, first, second):
 
 @flax.struct.dataclass
 class Episodes:
-    """E finished episodes. steps: int32 [E] taken until the end; success: bool [E], whether the goal was reached, at
-    the end where reaching it ends no episode; first_reached: int32 [E], steps after which it first was, episode_length
-    + 1 where it never was.
-
-    observations: [E, T + 1, ...] stored observations; after the end of an episode the last one is repeated.
-    """
+    """E finished episodes."""
 
     steps: jax.Array
+    """int32 [E], steps taken until the end."""
     success: jax.Array
+    """bool [E], whether the goal was reached; at the end, where reaching it ends no episode."""
     first_reached: jax.Array
+    """int32 [E], steps after which the goal was first reached; episode_length + 1 where it never was."""
     observations: jax.Array
+    """[E, T + 1, ...], stored observations; after the end of an episode the last one is repeated."""
 
 
 def rollout(env, policy: Policy, goal: jax.Array | int, key: jax.Array) -> Episodes:
@@ -166,8 +165,8 @@ def run_episodes(env, starts, policy: Policy, key: jax.Array) -> Episodes:
     observations = jax.tree.map(
         lambda first, rest: jnp.moveaxis(jnp.concatenate([first[None], rest]), 0, 1), env.observe(starts), observations
     )
-    success, first = states.terminated, states.time
-    if not env.ends_at_goal:
-        success, first = at_goal[-1], at_goal.argmax(0).astype(jnp.int32) + 1
-    found = success if env.ends_at_goal else at_goal.any(0)
+    if env.ends_at_goal:
+        success, found, first = states.terminated, states.terminated, states.time
+    else:
+        success, found, first = at_goal[-1], at_goal.any(0), at_goal.argmax(0).astype(jnp.int32) + 1
     return Episodes(states.time, success, jnp.where(found, first, env.episode_length + 1), observations)

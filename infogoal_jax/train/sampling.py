@@ -36,29 +36,31 @@ class RelabelledBatch:
 @flax.struct.dataclass
 class Sample:
     """What one update learns from: indices and small vectors, so that those of a whole epoch are drawn at once, outside
-    of the loop over updates.
-
-    transitions: B of them; external: float32 [B, n], the environment's reward for each step; achieved: [B, n, K,
-    *shape], the known goals that were achieved after each, padded with "no goal"; pairs: of goals, or None; goals: [M,
-    *shape], known ones, as many as the learner asks for. first_seen: float32 [B, n], as in `Visited`; None unless the
-    learner asks for it. bonus: float32 [B, n] of each step; move: the first step of each, as (observation, action, next
-    observation) [B]; None without an explorer. all_goals: int32 [G], the goals that the agent learns every transition
-    from; None without, or for all of the task. goal_share: float32 [G], of each of these goals in the agent's loss, as
-    in `AllGoals`; None without. relabelled: the same steps as the learner's loss sees them, some under goals achieved
-    later; None where it sees what the agent sees.
-    """
+    of the loop over updates."""
 
     transitions: Transitions
+    """B of them."""
     external: jax.Array
+    """float32 [B, n], the environment's reward for each step."""
     achieved: jax.Array
+    """[B, n, K, *shape], the known goals that were achieved after each step, padded with "no goal"."""
     pairs: GoalPairs | None
+    """Pairs of goals, as the learner asks for them; None without."""
     goals: jax.Array | None = None
+    """[M, *shape], known goals, as many as the learner asks for."""
     first_seen: jax.Array | None = None
+    """float32 [B, n], as in `Visited`; None unless the learner asks for it."""
     bonus: jax.Array | None = None
+    """float32 [B, n], of each step; None without an explorer."""
     move: tuple | None = None
+    """The first step of each, as (observation, action, next observation) [B]; None without an explorer."""
     relabelled: RelabelledBatch | None = None
+    """The same steps as the learner's loss sees them, some under goals achieved later; None where it sees what the
+    agent sees."""
     all_goals: jax.Array | None = None
+    """int32 [G], the goals that the agent learns every transition from; None without, or for all of the task."""
     goal_share: jax.Array | None = None
+    """float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without."""
 
 
 def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
