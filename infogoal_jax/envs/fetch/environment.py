@@ -338,15 +338,10 @@ def make(name: str, config: FetchConfig) -> Fetch:
 
 def with_positions(robot: Fetch, held_out: str) -> Fetch:
     """The robot with positions as goals, drawn as in the reference. held_out: as in `FetchConfig`."""
-    low, high = robot.workspace
-    with jax.ensure_compile_time_eval():
-        inside = np.asarray(jax.jit(jax.vmap(GoalsOf(robot.task)))(jax.random.split(from_seed(0), 512)))
-    middle = tuple(((inside.min(0) + inside.max(0)) / 2).tolist())
-    goals = GoalBox.of(
-        low,
-        high,
-        sampler=GoalsOf(robot.task),
-        use_of=InOctant(middle) if held_out == "octant" else None,
-        seen=Seen(robot.task),
-    )
+    sampler, use_of = GoalsOf(robot.task), None
+    if held_out == "octant":
+        with jax.ensure_compile_time_eval():
+            drawn = np.asarray(jax.jit(jax.vmap(sampler))(jax.random.split(from_seed(0), 512)))
+        use_of = InOctant(tuple(((drawn.min(0) + drawn.max(0)) / 2).tolist()))
+    goals = GoalBox.of(*robot.workspace, sampler=sampler, use_of=use_of, seen=Seen(robot.task))
     return robot.replace(goals=goals)
