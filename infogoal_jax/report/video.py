@@ -184,7 +184,8 @@ def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: in
     Raises `UserError` for a picture that is no uint8 [H, W, 3].
     """
     env, policy, reached = run.env, jax.jit(run.policy()), []
-    goals = np.flatnonzero(env.goals.test_mask if "test" in env.goals.groups else env.goals.train_mask)
+    group = env.goals.groups.index("test" if "test" in env.goals.groups else "train")
+    goals = env.goals.evaluated[np.asarray(env.goals.in_groups()[group])]
     step, draw, observe = jax.jit(env.step), jax.jit(env.draw), jax.jit(env.observe)
 
     def picture(state: Any) -> np.ndarray:
@@ -195,7 +196,7 @@ def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: in
     def frames() -> Iterator[np.ndarray]:
         for episode in range(episodes):
             key, goal_key, start_key = jax.random.split(jax.random.fold_in(jax.random.key(seed), episode), 3)
-            goal = jax.random.choice(goal_key, jax.numpy.asarray(goals, jax.numpy.int32))
+            goal = jax.random.choice(goal_key, goals)
             state = env.reset_to(start_key, goal)
             yield picture(state)
             for number in range(env.episode_length):
