@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import flax.struct
 import jax
 
+from infogoal_jax.errors import require
 from infogoal_jax.replay import Trajectories
 
 
@@ -104,3 +105,27 @@ class Agent(NamedTuple):
     """(state, rows: Trajectories) -> state. Called with each epoch's new rows."""
     num_steps: int
     """Largest number of environment steps of a sampled transition."""
+
+
+def check_num_steps(agent: Any, config: Any) -> None:
+    """Raise `UserError` for an agent's configuration whose returns span no step, or more than an episode has."""
+    require(
+        0 < agent.num_steps <= config.env.episode_length,
+        "agent.num_steps",
+        agent.num_steps,
+        f"must lie between 1 and the episode length, {config.env.episode_length}",
+    )
+
+
+def check_sizes(agent: Any, config: Any, *sizes: str) -> None:
+    """Raise `UserError` for the configuration of an agent for vectors with layers, steps or other sizes out of
+    range."""
+    require(
+        all(width > 0 for width in agent.hidden),
+        "agent.hidden",
+        agent.hidden,
+        "give widths greater than 0, for example 256 256",
+    )
+    check_num_steps(agent, config)
+    for name in sizes:
+        require(getattr(agent, name) > 0, f"agent.{name}", getattr(agent, name), "give a whole number greater than 0")

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import sac, td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
@@ -45,7 +45,7 @@ class CRLConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        td3.check_sizes(self, config, "size")
+        check_sizes(self, config, "size")
 
 
 @flax.struct.dataclass

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_num_steps
 from infogoal_jax.errors import require
 
 
@@ -40,12 +40,7 @@ class DQNConfig:
             self.hidden,
             "give widths greater than 0, for example 128 128",
         )
-        require(
-            0 < self.num_steps <= config.env.episode_length,
-            "agent.num_steps",
-            self.num_steps,
-            f"must lie between 1 and the episode length, {config.env.episode_length}",
-        )
+        check_num_steps(self, config)
         require(self.head_size > 0, "agent.head_size", self.head_size, "give a whole number greater than 0")
 
 

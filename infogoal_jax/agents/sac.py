@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 LOG_STDS = (-5.0, 2.0)
@@ -48,7 +48,7 @@ class SACConfig:
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        td3.check_sizes(self, config)
+        check_sizes(self, config)
 
 
 @flax.struct.dataclass

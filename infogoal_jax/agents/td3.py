@@ -18,8 +18,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
-from infogoal_jax.errors import require
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 
@@ -57,24 +56,6 @@ class TD3Hyperparameters:
     action_cost: Annotated[float, Number("[0, inf)", Search(0.001, 1.0, "log", always=False))] = 0.02
     """Weight of the mean squared action in the actor's loss. HER's own code has 1 beside returns of -1 a step, which
     with its discount of 0.98 are 50 times as large as values between 0 and 1."""
-
-
-def check_sizes(agent, config, *sizes: str) -> None:
-    """Raise `UserError` for an agent's configuration with layers, steps or other sizes out of range."""
-    require(
-        all(width > 0 for width in agent.hidden),
-        "agent.hidden",
-        agent.hidden,
-        "give widths greater than 0, for example 256 256",
-    )
-    require(
-        0 < agent.num_steps <= config.env.episode_length,
-        "agent.num_steps",
-        agent.num_steps,
-        f"must lie between 1 and the episode length, {config.env.episode_length}",
-    )
-    for name in sizes:
-        require(getattr(agent, name) > 0, f"agent.{name}", getattr(agent, name), "give a whole number greater than 0")
 
 
 class Actor(nn.Module):
