@@ -1,13 +1,12 @@
-"""The continuous goal space, and the tasks in the plane that have one."""
+"""The continuous goal space."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import UserError, envs
+from infogoal_jax import UserError
 from infogoal_jax.goals import GoalBox, is_goal, no_goals_like
-from infogoal_jax.relabelling.her import soon
 
 KEYS = jax.random.split(jax.random.key(0), 2000)
 BOX = GoalBox.of([0.0, -1.0], [2.0, 1.0], use_of=lambda goal: goal[0] > 1.5, num_evaluated=8)
@@ -54,40 +53,3 @@ def test_goals_that_are_none_of_the_space_are_refused(goals):
 def test_no_goal_is_no_goal():
     for goals in (jnp.arange(3), jnp.zeros((3, 2))):
         assert is_goal(goals).all() and not is_goal(no_goals_like(goals)).any()
-
-
-def test_soon_is_geometric_and_cut_off():
-    before, until = jnp.zeros(20_000, jnp.int32), jnp.full(20_000, 5, jnp.int32)
-    drawn = np.asarray(soon(jnp.float32(0.5))(jax.random.key(1), before, until))
-    shares = np.bincount(drawn, minlength=5) / len(drawn)
-    np.testing.assert_allclose(shares, 0.5 ** np.arange(5) / (0.5 ** np.arange(5)).sum(), atol=0.02)
-
-
-def test_nobody_walks_through_the_walls_of_the_maze():
-    """A step never ends in another room unless it went through a door, and every room can be reached."""
-    maze = envs.load("point_maze")
-    places = jax.random.uniform(KEYS[0], (4000, 2), jnp.float32, 0.02, 2.98)
-    actions = jax.random.uniform(KEYS[1], (4000, 2), jnp.float32, -1.0, 1.0)
-    moved = np.asarray(jax.jit(jax.vmap(maze.move))(places, actions))
-    rooms, after = np.floor(np.asarray(places)).astype(int), np.floor(moved).astype(int)
-    through = {
-        tuple(map(tuple, pair)) for pair in zip(rooms.tolist(), after.tolist(), strict=True) if pair[0] != pair[1]
-    }
-    reached, frontier = {(0, 0)}, [(0, 0)]
-    while frontier:
-        here = frontier.pop()
-        for there in {b for a, b in through if a == here} - reached:
-            reached.add(there)
-            frontier.append(there)
-    assert len(reached) == 9 and ((0, 1), (1, 1)) not in through and ((2, 1), (2, 2)) in through
-
-
-@pytest.mark.parametrize("task", ["point_maze", "reacher"])
-def test_an_episode_in_the_plane_ends_at_its_goal(task):
-    env = envs.load(task)
-    state = jax.jit(env.reset)(jax.random.key(0))
-    there = state.replace(goal=env.achieved_goal(state.world))
-    after = env.step(there, jnp.zeros(2))
-    assert after.terminated and not after.truncated and not env.reached(env.achieved(state), state.goal)
-    broken = env.step(state.replace(world=state.world * jnp.nan), jnp.zeros(2))
-    assert broken.diverged and broken.truncated and not broken.terminated

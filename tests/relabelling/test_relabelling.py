@@ -17,7 +17,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
-from infogoal_jax.relabelling.her import HERConfig, any_known
+from infogoal_jax.relabelling.her import HERConfig, any_known, soon
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import parts, sampling, update
 
@@ -230,3 +230,10 @@ def test_training_goes_through(method, changes):
         assert np.isfinite(values).all(), name
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result.params))
     assert result.epochs["agent/external_reward"] > 0
+
+
+def test_soon_is_geometric_and_cut_off():
+    before, until = jnp.zeros(20_000, jnp.int32), jnp.full(20_000, 5, jnp.int32)
+    drawn = np.asarray(soon(jnp.float32(0.5))(jax.random.key(1), before, until))
+    shares = np.bincount(drawn, minlength=5) / len(drawn)
+    np.testing.assert_allclose(shares, 0.5 ** np.arange(5) / (0.5 ** np.arange(5)).sum(), atol=0.02)
