@@ -37,6 +37,7 @@ TASKS = {
     "object_search": (7, 8, 9, tuning.SEED),
     "fetch_reach": (0,),
     "embodied_qa": (7, 8, 9),
+    "fetch_push": (0,),
     "fetch_pick_and_place": (0,),
     "object_manipulation": (7, 8, 9),
 }
@@ -90,6 +91,7 @@ TITLES = {
     "object_search": "object search",
     "fetch_reach": "FetchReach",
     "embodied_qa": "questions",
+    "fetch_push": "FetchPush",
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
     HELD_OUT: "cube, held out",

@@ -5,12 +5,24 @@ every seed, whose seeds run beside each other in one program.
 """
 
 import argparse
+import dataclasses
 import json
 import time
 
 import jax
 
 from infogoal_jax import make_train, presets
+from infogoal_jax.config import TrainConfig
+from infogoal_jax.hyperparameters import with_values
+
+
+def config_of(task: str, method: str, agent: str, settings: list[str]) -> TrainConfig:
+    """The preset of a task with these settings: FIELD=JSON, whose floats are named as in hyper.discount=0.95."""
+    changes = {field: json.loads(value) for field, _, value in (setting.partition("=") for setting in settings)}
+    floats = {field: value for field, value in changes.items() if field.startswith("hyper.")}
+    config = presets.load(task, method, agent=agent, **{name: changes[name] for name in changes.keys() - floats.keys()})
+    hyper = with_values(config.hyper, {name.removeprefix("hyper."): value for name, value in floats.items()})
+    return dataclasses.replace(config, hyper=hyper)
 
 
 def main() -> None:
@@ -20,11 +32,10 @@ def main() -> None:
     parser.add_argument("--method", default="none")
     parser.add_argument("--agent", default="td3")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--num-epochs", type=int, help="in place of the preset's")
+    parser.add_argument("--set", nargs="*", default=[], metavar="FIELD=JSON", help="in place of the preset's")
     arguments = parser.parse_args()
     began = time.perf_counter()
-    changes = {} if arguments.num_epochs is None else {"num_epochs": arguments.num_epochs}
-    config = presets.load(arguments.task, arguments.method, agent=arguments.agent, **changes)
+    config = config_of(arguments.task, arguments.method, arguments.agent, arguments.set)
 
     def tell(epoch: jax.Array, metrics: dict[str, jax.Array]) -> None:
         """Print one evaluation of one seed."""
