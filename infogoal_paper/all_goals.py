@@ -15,13 +15,13 @@ from infogoal_jax.report.canvas import SHARE, draw_curve, finish_share_axis
 from infogoal_jax.report.comparison_figures import COLOURS
 from infogoal_jax.report.figures import finish_progress_axis
 from infogoal_jax.runs import disk
-from infogoal_paper import drawing
+from infogoal_paper import drawing, table_formats
 from infogoal_paper.claims import INTERVALS, finding, paired
 from infogoal_paper.files import Result
 from infogoal_paper.manifest import AGENTS, ALL_GOALS, PROTOCOLS, Choice, all_goals, all_goals_run, protocol_of
 from infogoal_paper.numbers import Results
 from infogoal_paper.scores import TITLES, Row, by_goal_set, has_scores
-from infogoal_paper.table_formats import Cell, Table, markdown
+from infogoal_paper.table_formats import Cell, Table, machines_in_words, markdown, narrow
 from infogoal_paper.tables import costs, legend, ranks
 
 NAME = "all_goals"
@@ -36,6 +36,8 @@ KINDS = {
 """Kinds of goals, as metrics name them, and in words."""
 HEADS, BESIDE_THEM = ("all_goals", "infogoal+all_goals", "infobot+all_goals"), ("her", "leo")
 """Rows that value a goal through its code, and those that each of them is compared with."""
+KINDS_ON_PAGE, HEADS_ON_PAGE = ("train_goal", "test_goal", "corrupted_test_goal"), ("all_goals", "infogoal+all_goals")
+"""Kinds of goals that the page shows, and the rows whose differences on test goals it shows."""
 Rows = dict[tuple[str, str], Row]
 """The rows of a task by (method, protocol)."""
 
@@ -99,12 +101,12 @@ def success_table(results: Results, task: str) -> Table | None:
     seeds = sorted({row.seeds for row in rows.values()})
     corrupted = " Corrupted: background of weight 0.4." if any("corrupted" in kind for kind, _ in shown) else ""
     foot = [
-        "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t). Bold: best of a column; "
+        f"Success rate: mean ± {table_formats.INTERVALS} (Student t). Bold: best of a column; "
         "underlined: second best, once every method ran on every goal set. "
         f"{' or '.join(map(str, seeds))} seed(s) on each goal set.{corrupted}",
         protocols_in_words(task),
         *legend(rows.values()),
-        f"{'; '.join(dict.fromkeys(result.about['machine'] for row in rows.values() for result in row.results))}.",
+        f"{machines_in_words(result.about['machine'] for row in rows.values() for result in row.results)}.",
     ]
     head = ["method", *(heading(*column, task) for column in shown)]
     return Table(f"{NAME}_{task}", f"All goals at once: {TITLES[task]}", head, body, foot)
@@ -255,16 +257,19 @@ def draw_figure(results: Results, path: Path, format: str = "png") -> list[Path]
 
 
 def on_page(results: Results) -> dict[str, str]:
-    """What docs/research/all_goals.md shows, by name: the tables of each task, or that it was not run yet, and the
-    figure; nothing before the first run of the study."""
+    """What docs/research/all_goals.md shows, by name: parts of the tables of each task, or that it was not run yet, and
+    the figure; nothing before the first run of the study."""
     if all(run.of_paper for run in results):
         return {}
-    shown = {table.name: markdown(table).strip() for table in all_tables(results)}
-    found = {
-        task: "\n\n".join(shown[name] for name in (f"{NAME}_{task}", f"{NAME}_{task}_differences") if name in shown)
-        or "Not run yet."
-        for task in AGENTS
-    }
+    found = {}
+    pairs = [f"{ALL_GOALS[method]} minus {ALL_GOALS[other]}" for method in HEADS_ON_PAGE for other in BESIDE_THEM]
+    for task in AGENTS:
+        tested = [heading(kind, protocol, task) for kind in KINDS_ON_PAGE[1:] for protocol in protocols_of(task)]
+        trained = [heading(KINDS_ON_PAGE[0], protocol, task) for protocol in protocols_of(task)]
+        success, differences = success_table(results, task), differences_table(results, task)
+        parts = [narrow(success, trained + tested)] if success else []
+        parts += [narrow(differences, tested, pairs)] if differences else []
+        found[task] = "\n\n".join(markdown(part, short=True).strip() for part in parts) or "Not run yet."
     return found | {"figure": f"![success on test goals](../results/{NAME}.png)"}
 
 

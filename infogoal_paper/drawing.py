@@ -137,6 +137,8 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
+IN_FOLDER_ALONE = ("near_and_far",)
+"""Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them."""
 VERDICT_HEAD = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
 
 
@@ -155,11 +157,11 @@ def report(shown: list[Table], found: list, pictures: list[Path], path: Path) ->
     kinds = ", ".join(f"{counts.count(kind)} {forms[counts.count(kind) != 1]}" for kind, forms in words.items())
     lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", "", markdown(verdict_table(found))]
     for table in shown:
-        lines += [f"## {table.title}", "", markdown(table)]
+        lines += [] if table.name in IN_FOLDER_ALONE else [f"## {table.title}", "", markdown(table, short=True)]
     lines += ["## Figures", ""] if pictures else []
     for picture in pictures:
         words, there = DESCRIPTIONS[picture.stem], Path(os.path.relpath(picture, path.parent)).as_posix()
-        lines += [f"![{words}]({there})", "", f"*{words}.*", ""]
+        lines += [f"![{picture.stem}]({there})", "", f"*{words}.*", ""]
     return "\n".join([*lines, BY_HAND]) + kept_by_hand(path)
 
 

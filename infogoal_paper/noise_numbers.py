@@ -27,7 +27,7 @@ from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_paper import trial_numbers, tuning
 from infogoal_paper.paper import IMAGE_TASKS
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import machines_in_words, markdown_lines
 from infogoal_paper.trial_numbers import Row
 
 EPSILONS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
@@ -305,7 +305,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if not rows:
         return {}
     numbers = Numbers(rows)
-    machines = "; ".join(sorted({row["machine"] for row in rows}))
+    machines = machines_in_words(sorted({row["machine"] for row in rows}))
     return {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "carries": carries_table(numbers),

@@ -263,7 +263,7 @@ def draw_sb3(curves: dict[str, list[Curve]], path: Path) -> None:
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
-    "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS)),
+    "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS), trials.SHOWN),
     "noise": lambda: noise_numbers.tables(noise_numbers.read()),
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),

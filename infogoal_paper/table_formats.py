@@ -20,10 +20,14 @@ class Cell(NamedTuple):
     marks: str = ""
     run: str = ""
 
-    def words(self) -> str:
-        """`0.85 ± 0.03 / 0.07†`: mean, interval over seeds, interval over goal sets; nothing where there is no run."""
+    def words(self, short: bool = False) -> str:
+        """`0.85 ± 0.03 / 0.07†`: mean, interval over seeds, interval over goal sets; nothing where there is no run.
+        short: `0.85 ± 0.07†`, with the wider of the two."""
         if self.ours is None:
             return ""
+        if short:
+            finite = [half for half in (self.ours.seeds, self.ours.sets) if math.isfinite(half)]
+            return f"{self.ours.mean:.2f}{f' ± {max(finite):.2f}' if finite else ''}{self.marks}"
         seeds = f" ± {self.ours.seeds:.2f}" if math.isfinite(self.ours.seeds) else ""
         sets = f" / {self.ours.sets:.2f}" if math.isfinite(self.ours.sets) else ""
         return f"{self.ours.mean:.2f}{seeds}{sets}{self.marks}"
@@ -40,11 +44,16 @@ class Table:
     foot: list[str] = dataclasses.field(default_factory=list)
 
 
-def markdown_cell(cell: Cell | str) -> str:
+INTERVALS = "95 % interval over seeds / over goal sets"
+WIDER = "the wider of its 95 % intervals over seeds and over goal sets"
+"""What stands behind ± in a cell, and in a short one."""
+
+
+def markdown_cell(cell: Cell | str, short: bool = False) -> str:
     """A cell in Markdown: best in bold, second best underlined, the paper's number in brackets."""
     if isinstance(cell, str):
         return cell
-    words, paper = cell.words(), f" ({cell.paper})" if cell.paper else ""
+    words, paper = cell.words(short), f" ({cell.paper})" if cell.paper else ""
     words = f"**{words}**" if cell.rank == 1 else f"<u>{words}</u>" if cell.rank == 2 else words
     return (words + paper).strip()
 
@@ -55,10 +64,28 @@ def markdown_lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def markdown(table: Table) -> str:
-    """The table in Markdown."""
-    rows = [[markdown_cell(cell) for cell in row] for row in table.rows]
-    return "\n".join([markdown_lines(table.head, rows), "", *table.foot]) + "\n"
+def markdown(table: Table, short: bool = False) -> str:
+    """The table in Markdown. short: for a page, a cell has one interval, the wider one."""
+    rows = [[markdown_cell(cell, short) for cell in row] for row in table.rows]
+    foot = [line.replace(INTERVALS, WIDER) for line in table.foot] if short else table.foot
+    return "\n".join([markdown_lines(table.head, rows), "", *foot]) + "\n"
+
+
+def narrow(table: Table, heads: Iterable[str], names: Iterable[str] | None = None) -> Table:
+    """The table with the columns of these heads beside the first, and the rows of these names; None: all of them."""
+    kept = [0, *(place for place, head in enumerate(table.head) if place and head in set(heads))]
+    names = [row[0] for row in table.rows] if names is None else list(names)
+    rows = [[row[place] for place in kept] for row in table.rows if row[0] in names]
+    return dataclasses.replace(table, head=[table.head[place] for place in kept], rows=rows)
+
+
+def machines_in_words(machines: Iterable[str]) -> str:
+    """Machines as `describe_machine` names them, `DEVICE, VERSIONS, DATE`: each once, with all of its dates."""
+    dates: dict[str, set[str]] = {}
+    for machine in machines:
+        name, comma, date = machine.rpartition(", ")
+        dates.setdefault(name if comma else date, set()).update({date} if comma else ())
+    return "; ".join(", ".join([name, *sorted(found)]) for name, found in dates.items())
 
 
 def latex_cell(cell: Cell | str) -> str:

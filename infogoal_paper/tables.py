@@ -31,7 +31,7 @@ from infogoal_paper.scores import (
     rows_of,
     scores_of,
 )
-from infogoal_paper.table_formats import Cell, Table
+from infogoal_paper.table_formats import INTERVALS, Cell, Table, machines_in_words
 
 
 def methods_of(rows: dict[tuple[str, str], Row], variant: str) -> list[str]:
@@ -62,7 +62,7 @@ def table1(results: Results, variant: str) -> Table | None:
     body = [[METHODS[method], *(cells[method, kind, task] for kind, task in shown)] for method in methods]
     seeds = sorted({row.seeds for row in rows.values()})
     foot = [
-        "Success rate: mean ± 95 % interval over seeds / over goal sets (Student t); in brackets the paper's number. "
+        f"Success rate: mean ± {INTERVALS} (Student t); in brackets the paper's number. "
         "Bold: best of a column; underlined: second best, in columns in which every method ran on every goal set. "
         f"{' or '.join(map(str, seeds))} seed(s) on each goal set. Corrupted: background of weight 0.4."
     ]
@@ -89,7 +89,7 @@ def equal_training(results: Results, variant: str) -> Table | None:
     body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
     longest = max(max(lengths[task]) / most for task, most in updates.items())
     foot = [
-        "Success rate on clean test goals: mean ± 95 % interval over seeds / over goal sets, over the three "
+        f"Success rate on clean test goals: mean ± {INTERVALS}, over the three "
         "evaluations up to the updates after which the first run of the column stopped. In Table I each run has "
         f"trained until its training goals levelled off, at most for {longest:.1f} times as long."
     ]
@@ -183,7 +183,7 @@ def near_and_far(results: Results) -> Table | None:
     ]
     foot = [
         "Success rate on clean test goals that count as reached from a training goal (near), and on the others (far): "
-        "mean ± 95 % interval over seeds / over goal sets, relabelling as in the paper, at the last of the three "
+        f"mean ± {INTERVALS}, relabelling as in the paper, at the last of the three "
         "evaluations whose mean Table I shows.",
         *legend(row for rows, _ in columns for row in rows.values()),
     ]
@@ -327,7 +327,7 @@ def costs(results: Results) -> Table | None:
         )
     else:
         body = [row[:-1] for row in body]
-    return Table("costs", "What it cost", head, body, [f"{'; '.join(machines)}.", foot])
+    return Table("costs", "What it cost", head, body, [f"{machines_in_words(machines)}.", foot])
 
 
 def cost_cells(numbers: np.ndarray, own: list[Result]) -> list[str]:

@@ -37,7 +37,7 @@ from infogoal_jax.learners.learner import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.runs import disk
 from infogoal_jax.train.evaluation import corrupted_images, has_image_goals
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import machines_in_words, markdown_lines
 
 FILE = "numbers.csv.gz"
 LAST = 3
@@ -176,7 +176,7 @@ def table(rows: list[Row], trials: Iterable[str], error: tuple[str, int] | None)
             lines.append(cells + ([show(seed_means(shown, "test_goal/code_error"), error[1])] if error else []))
     columns += [f"code error, {error[0]}"] if error else []
     columns, lines, said = without_constants(columns, lines)
-    machines = "; ".join(dict.fromkeys(row["machine"] for row in rows if row["trial"] in trials))
+    machines = machines_in_words(row["machine"] for row in rows if row["trial"] in trials)
     return markdown_lines(columns, lines) + f"\n\n{said}{machines}."
 
 
@@ -207,7 +207,7 @@ def probe_table(rows: list[Row], units: dict[str, tuple[str, int]]) -> str:
             lines.append([f"`{trial}`", lane, updates, unit, *errors, *success])
             machines |= dict.fromkeys(row["machine"] for row in shown)
     columns = ["trial", "lane", "updates", "errors in", *PROBED.values(), "test success", "corrupted test success"]
-    return markdown_lines(columns, lines) + f"\n\n{'; '.join(machines)}."
+    return markdown_lines(columns, lines) + f"\n\n{machines_in_words(machines)}."
 
 
 def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[str, str]]]) -> str:
@@ -219,13 +219,24 @@ def differences(rows: list[Row], pairs: Iterable[tuple[tuple[str, str], tuple[st
         first, second = ([row for row in rows if (row["trial"], row["lane"]) == own] for own in pair)
         last = sorted({row["updates"] for row in first} & {row["updates"] for row in second}, key=int)[-LAST:]
         shown = [[row for row in own if row["updates"] in last] for own in (first, second)]
-        cells = [*(f"`{trial}`, {lane}" for trial, lane in pair), f"{int(last[-1]):,}"]
+        cells = [difference_in_words(*pair), f"{int(last[-1]):,}"]
         for kind in kinds:
             values = [seed_means(own, f"{kind}/success_rate") for own in shown]
             cells.append("" if any(value is None for value in values) else paired_difference(*values).show(2))
         lines.append(cells)
         machines |= dict.fromkeys(row["machine"] for own in shown for row in own)
-    return markdown_lines(["trial", "minus", "updates", *kinds.values()], lines) + f"\n\n{'; '.join(machines)}."
+    columns, lines, said = without_constants(["difference", "updates", *kinds.values()], lines)
+    return markdown_lines(columns, lines) + f"\n\n{said}{machines_in_words(machines)}."
+
+
+def difference_in_words(first: tuple[str, str], second: tuple[str, str]) -> str:
+    """Two lanes (trial, lane) that are subtracted: the trial once where it is the same, lanes where they differ."""
+    (trial, lane), (other, other_lane) = first, second
+    if trial == other:
+        return f"`{trial}`: {lane} minus {other_lane}"
+    if lane == other_lane:
+        return f"`{trial}` minus `{other}`"
+    return f"`{trial}`, {lane}, minus `{other}`"
 
 
 RIDGE = 1e-3

@@ -2,6 +2,7 @@
 by side in one program.
 
     python -m infogoal_paper.trials --list
+    python -m infogoal_paper.trials --table [cube fetch ...]
     python -m infogoal_paper.trials --out FOLDER [--trials cube_her cube_infogoal_her_window_1 ...] [--minutes 9]
     python -m infogoal_paper.trials --merge FOLDER
 
@@ -10,8 +11,8 @@ it, and *lanes*: settings of the float hyperparameters that are trained in the s
 of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
 FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
-writes the tables of docs/research/trials.md, which says what came of it. --list prints the queue, and how far each
-trial has come in that file.
+writes the tables of docs/research/trials.md, which says what came of it. These show the lanes that an answer rests on;
+--table prints all of them. --list prints the queue, and how far each trial has come in that file.
 """
 
 import argparse
@@ -58,6 +59,99 @@ OF_NORMALISED = ("cube_dqn", "shelf_goals")
 which seeds learn is chance."""
 PROBED = "fetch_reach"
 """The task of which the probe is shown: on the others no question rests on it."""
+SHOWN = {
+    "cube": (
+        "cube_her/",
+        "cube_infogoal_her_window_1/",
+        "cube_infogoal_her_small_subgoals/threshold 0.99",
+        "cube_infogoal_window_1/",
+        "cube_infogoal_her_window_1_relative/margin 0.0005",
+        "cube_her_norm/",
+        "cube_infogoal_her_norm/",
+        "cube_infogoal_norm/",
+        "cube_infogoal_privileged/",
+        "cube_her_privileged/",
+        "cube_infogoal_her_privileged/",
+    ),
+    "cube_comparisons": ("cube_",),
+    "fetch": (
+        "pick_and_place_her/",
+        "pick_and_place_her_corruption/",
+        "pick_and_place_infogoal/",
+        "pick_and_place_infogoal_her/",
+        "pick_and_place_infogoal_her_relative/margin 0.0005",
+        "reach_her/",
+        "reach_infogoal/threshold 0.96",
+        "reach_infogoal_her/",
+        "reach_infogoal_her_window_1/threshold 0.99",
+        "reach_infogoal_her_relative_finest/",
+        "push_infogoal/",
+        "push_infogoal_her/",
+    ),
+    "fetch_comparisons": (
+        "pick_and_place_infogoal/",
+        "push_infogoal_her/",
+        "pick_and_place_infobot_her_settings/",
+        "pick_and_place_cogoal_her_settings/",
+        "pick_and_place_vae_her_settings/",
+        "pick_and_place_dgrl_her_settings/",
+        "pick_and_place_rad_her_settings/",
+        "push_vae_her_settings/",
+        "push_dgrl_her_settings/",
+        "reach_ghrl_first_occurrence/",
+        "pick_and_place_ghrl_first_occurrence/",
+    ),
+    "probe": ("reach_",),
+    "shelf": (
+        "shelf_infogoal/",
+        "shelf_infogoal_by_name/threshold 0.999",
+        "shelf_cql/",
+        "shelf_cql_by_name/",
+        "shelf_infogoal_relative_finest/",
+    ),
+    "shelf_comparisons": (
+        "shelf_0_infogoal/threshold 0.999",
+        "shelf_1_infogoal/threshold 0.999",
+        "shelf_2_infogoal/threshold 0.999",
+        "shelf_infogoal_gathered/threshold 0.999",
+    ),
+    "house": (
+        "house_gcb/",
+        "house_infobot/reward 0.1, beta",
+        "house_sse_db/preset",
+        "house_sse_db/no explorer",
+        "house_sse_db/weight 0.1, bonus 0.3",
+    ),
+    "house_comparisons": ("house_",),
+    "house_goals": (
+        "house_goals_her/",
+        "house_goals_leo/",
+        "house_goals_head/",
+        "house_goals_infogoal_head/learner weight 0.01",
+        "house_goals_infogoal_head_mean/",
+        "house_goals_infogoal_head_finer/threshold 0.999, learner weight 0.1",
+        "house_goals_infobot_head/learner weight 0.01",
+        "house_goals_head_held_out/",
+        "house_goals_infobot_head_held_out/learner weight 0.01",
+    ),
+    "cube_dqn": (
+        "cube_dqn_head_norm/",
+        "cube_dqn_infogoal_head_norm/",
+        "cube_dqn_infobot_head_norm/learner weight 0.001",
+        "cube_dqn_leo_norm/",
+        "cube_dqn_her_norm/",
+    ),
+    "cube_hrac": ("cube_hrac_head/", "cube_hrac_infogoal_head/", "cube_hrac_infogoal_head_norm/"),
+    "shelf_goals": (
+        "shelf_goals_her_norm/",
+        "shelf_goals_leo_norm/",
+        "shelf_goals_head_norm/",
+        "shelf_goals_infogoal_head_norm/",
+        "shelf_goals_infobot_head_norm/learner weight 0.01",
+    ),
+}
+"""The lanes that a page shows, by the beginnings of TRIAL/LANE: those that its answers rest on, the settings of the
+presets among them. Of a comparison the first of the two counts."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -222,9 +316,13 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     path.with_suffix(".partial").rename(path)
 
 
-def tables(rows: list[Row]) -> dict[str, str]:
-    """The tables that docs/research/trials.md shows: of each group of tasks the trials that were run. A trial all of
-    whose lanes are compared stands in the table of differences alone."""
+def tables(rows: list[Row], shown: dict[str, tuple[str, ...]] | None = None) -> dict[str, str]:
+    """Every table of trials: of each group of tasks the trials that were run, and differences. A trial all of whose
+    lanes are compared stands in the table of differences alone. shown: the lanes to show of each table; None: all."""
+
+    def is_shown(table: str, trial: str, lane: str) -> bool:
+        return shown is None or f"{trial}/{lane}".startswith(shown[table])
+
     done = {row["trial"] for row in rows}
     compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
     all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
@@ -250,18 +348,21 @@ def tables(rows: list[Row]) -> dict[str, str]:
         )
         for name, error in ALL_GOALS_TABLES.items()
     }
-    shown = {}
+    found = {}
     for name, (trials, error) in grouped.items():
-        if run := [trial for trial in trials if trial in done]:
-            shown[name] = trial_numbers.table(rows, run, error)
+        own = [row for row in rows if row["trial"] in trials and is_shown(name, row["trial"], row["lane"])]
+        if own:
+            ran = {row["trial"] for row in own}
+            found[name] = trial_numbers.table(own, [trial for trial in trials if trial in ran], error)
     probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
     units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
     if units:
-        shown["probe"] = trial_numbers.probe_table(rows, units)
+        found["probe"] = trial_numbers.probe_table(rows, units)
     for name, pairs in COMPARISONS.items():
-        if ran := [pair for pair in pairs if all(trial in done for trial, _ in pair)]:
-            shown[name] = trial_numbers.differences(rows, ran)
-    return shown
+        ran = [pair for pair in pairs if all(trial in done for trial, _ in pair) and is_shown(name, *pair[0])]
+        if ran:
+            found[name] = trial_numbers.differences(rows, ran)
+    return found
 
 
 def progress_of(trial: Trial, updates: int, ran: dict[str, tuple[int, int]]) -> str:
@@ -293,12 +394,22 @@ def list_queue() -> None:
         )
 
 
+def print_tables(names: list[str]) -> None:
+    """Print these tables with every lane that was run; without names all of them."""
+    found = tables(trial_numbers.read(NUMBERS))
+    for name in names or found:
+        print(f"{name}\n\n{found[name]}\n")
+
+
 def main():
     """Run what is not there yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
     parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
+    parser.add_argument(
+        "--table", nargs="*", choices=SHOWN, metavar="NAME", help="print these tables with every lane, and stop"
+    )
     parser.add_argument(
         "--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop"
     )
@@ -309,6 +420,9 @@ def main():
     arguments = parser.parse_args()
     if arguments.merge is not None:
         print(f"{NUMBERS.name}: {', '.join(trial_numbers.merge(arguments.merge, NUMBERS, QUEUE))}")
+        return
+    if arguments.table is not None:
+        print_tables(arguments.table)
         return
     if arguments.list or arguments.out is None:
         list_queue()

@@ -31,6 +31,7 @@ from infogoal_jax.report.statistics import paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_paper import trial_numbers
 from infogoal_paper.paper import LEARNERS, METHODS
+from infogoal_paper.scores import TITLES
 from infogoal_paper.table_formats import markdown_lines
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.gz"
@@ -171,40 +172,44 @@ def merge(folder: Path, path: Path) -> list[str]:
 
 
 def tables(searches: dict[str, Search]) -> dict[str, str]:
-    """The tables that docs/research/tuning.md shows: of each task the finals, or the searches where there are none."""
+    """The table that docs/research/tuning.md shows: a line for each method, and a column for each task, of its finals
+    or of the searches where there are none; what they were made on below. The values of every trial are in the file."""
     shown = {}
     for task in presets.TASKS:
         ran_final = any(search.startswith(f"{task}/") and search.endswith("/final") for search in searches)
-        for ending in ("/final",) if ran_final else ("",):
-            names = [f"{task}/{method}{ending}" for method in METHODS]
-            if any(name in searches for name in names):
-                found = {
-                    method: searches[name] for method, name in zip(METHODS, names, strict=True) if name in searches
-                }
-                shown[task + ending.replace("/", "_")] = table(found, is_final=bool(ending))
-    return shown
+        ending = "/final" if ran_final else ""
+        names = {method: f"{task}/{method}{ending}" for method in METHODS}
+        found = {method: searches[name] for method, name in names.items() if name in searches}
+        if found:
+            shown[task] = found
+    rows = [
+        [title, *(cell(found[method]) if method in found else "" for found in shown.values())]
+        for method, title in METHODS.items()
+        if any(method in found for found in shown.values())
+    ]
+    lines = markdown_lines(["method", *(TITLES[task] for task in shown)], rows)
+    return {"searches": "\n".join([lines, "", *(made_on(task, found) for task, found in shown.items())])}
 
 
-def table(found: dict[str, Search], is_final: bool) -> str:
-    """A line for each method: the preset's score, the best one's, and of a final the difference of the two over the
-    seeds; what they were made on below. The values of every trial are in the file."""
-    rows, footers = [], {}
-    for method, search in found.items():
-        trials = {trial["trial"]: trial for trial in search["trials"]}
-        best = trials[search["best"]]
-        scores = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (trials[0], best)]
-        if is_final:
-            difference = paired_difference(best["success"][-1], trials[0]["success"][-1])
-            scores.append("" if search["best"] == 0 else difference.show(2))
-        rows.append([METHODS[method], *scores])
-        seeds = ", ".join(map(str, search["seeds"]))
-        footers[
-            f"Success on {search['goals']} goals after {search['epochs'][-1]} of {search['num_epochs']} epochs; "
-            f"{len(trials)} trials with the seeds {seeds}; {search['device']}. {search['data']}."
-        ] = None
-    columns = ["method", "preset of that time", "best", *["best minus preset"] * is_final]
-    lines = markdown_lines(columns, rows)
-    return "\n\n".join([lines, *footers])
+def cell(search: Search) -> str:
+    """`0.72, 0.07 ± 0.13`: the score of the preset, and how far the best trial is above it; the interval over the seeds
+    where there are more than two. Of a preset that is the best its score alone."""
+    trials = {trial["trial"]: trial for trial in search["trials"]}
+    score, best = (trials[number]["success"][-1] for number in (0, search["best"]))
+    if search["best"] == 0:
+        return f"{np.mean(score):.2f}"
+    gain = f"{np.mean(best) - np.mean(score):.2f}" if len(score) < 3 else paired_difference(best, score).show(2)
+    return f"{np.mean(score):.2f}, {gain}"
+
+
+def made_on(task: str, found: dict[str, Search]) -> str:
+    """Goals, epochs, trials, seeds, devices and data of a task's searches."""
+    one = next(iter(found.values()))
+    devices = " and ".join(dict.fromkeys(search["device"] for search in found.values()))
+    return (
+        f"- {TITLES[task]}: {one['goals']} goals, {one['epochs'][-1]} epochs, {len(one['trials'])} trials, seeds "
+        f"{one['seeds'][0]} to {one['seeds'][-1]}; {devices}; {one['data']}."
+    )
 
 
 def main():

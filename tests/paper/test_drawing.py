@@ -236,10 +236,17 @@ def test_the_study_is_drawn_from_its_numbers(study, tmp_path):
     not_run = {"object_search": "Not run yet.", "object_manipulation": "Not run yet."}
     assert shown.keys() == {"embodied_qa", "figure"} | not_run.keys()
     assert {task: shown.pop(task) for task in not_run} == not_run
+    training = {"| method | training | test |", "| methods | test |"}
     lines = {line for name, text in shown.items() if name != "figure" for line in text.splitlines()}
-    assert lines <= set(page.splitlines())
+    assert training <= lines and cells(lines) <= cells(set(page.splitlines()))
     before = {run: result for run, result in study.items() if run.of_paper}
     assert all_goals.on_page(before) == {} and all_goals.figure(before) is None
+
+
+def cells(lines: set[str]) -> set[tuple[str, float]]:
+    """The means of a table in Markdown, each with the name of its row."""
+    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| ") and re.search(r"\d\.\d\d", line)]
+    return {(name, float(re.search(r"-?\d\.\d\d", cell)[0])) for name, *others in rows for cell in others if cell}
 
 
 def test_the_paper_s_tables_have_no_number_of_the_study(results, study):
