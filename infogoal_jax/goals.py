@@ -345,14 +345,15 @@ class GoalBox:
 
     def checked(self, goals: Any, field: str, axes: int) -> jax.Array:
         """Goals [..., D] with so many axes before that of a goal. Raises `UserError` for other shapes, for what is not
-        finite, and for goals outside of the corners; of values that are traced the type alone is known."""
+        finite, and for goals outside of the corners; where goals or corners are traced the type alone is known."""
         size = self.shape[0]
         remedy = f"give {'goals' if axes else 'a goal'} as numbers [{'M, ' * axes}{size}]"
         given = checks.array(goals, field, "numbers", (None,) * axes + (size,), remedy)
         require(axes == 0 or given.shape[0] > 0, field, goals, "give at least one goal")
-        if checks.is_traced(given):
-            return given.astype(jnp.float32)
-        values, low, high = (np.asarray(array, np.float32) for array in (given, self.low, self.high))
+        if checks.is_traced((given, self.low, self.high)):
+            return jnp.asarray(given, jnp.float32)
+        with np.errstate(over="ignore"):
+            values, low, high = (np.asarray(array, np.float32) for array in (given, self.low, self.high))
         inside = (np.isfinite(values) & (values >= low - 1e-6) & (values <= high + 1e-6)).all(-1)
         if not inside.all():
             first = values.reshape(-1, size)[np.flatnonzero(~inside.reshape(-1))[0]]

@@ -3,7 +3,7 @@ else of the package, so that it can be copied beside a policy onto a robot's com
 
 The file is an npz. `program` (JSON) lists the operations of the policy's network in order, in the names of JAX's
 primitives; `constant_I` are its parameters; `about` (JSON) says what the policy was trained for; `goals` are the inputs
-of goals that are known by name.
+of goals that are known by name. Observations and goals that are vectors are given in the units of the task.
 """
 
 import io
@@ -120,6 +120,9 @@ def check(about, program):
     wants(version == FORMAT, f"format_version = {str(version)[:100]}: this reader has that of version {FORMAT}")
     wants(whole(about.get("code_size"), 2**20), "code_size should be a whole number")
     wants(type(about.get("discrete", True)) is bool, "discrete should be true or false")
+    corners = [about.get(name, []) for name in ("goal_low", "goal_high")]
+    numbers = all(type(corner) is list and all(type(one) in (int, float) for one in corner) for corner in corners)
+    wants(numbers and len(corners[0]) == len(corners[1]), "goal_low and goal_high should be as many numbers")
     wants(whole(about.get("interval", 1), MOST) and about.get("interval", 1) > 0, "interval should be 1 or more")
     wants(whole(program.get("constants"), 10**5), "constants should be a whole number")
     inputs, operations = program.get("inputs"), program.get("operations")
@@ -181,15 +184,25 @@ class ExportedPolicy:
         """No noise: the code of a goal is its mean."""
         return np.zeros(self.about["code_size"], np.float32)
 
+    def goal(self, goal):
+        """The goal as the program takes it. Raises `ValueError` for a vector that is no goal of the task."""
+        low = self.about.get("goal_low")
+        if low is None:
+            return goal
+        goal, low, high = (np.asarray(each, np.float32) for each in (goal, low, self.about["goal_high"]))
+        if goal.shape != low.shape or not ((goal >= low - 1e-6) & (goal <= high + 1e-6)).all():
+            raise ValueError(f"goal = {goal.tolist()}: give {len(low)} numbers from {low.tolist()} to {high.tolist()}")
+        return goal
+
     def check_actions(self, discrete):
         """Raise ValueError if the policy's actions are of the other kind."""
         if self.about.get("discrete", discrete) != discrete:
             raise ValueError(f"actions are {'vectors: call drive' if discrete else 'choices: call act'}")
 
     def values(self, observation, goal, noise=None):
-        """The value of every action, float32 [A]: an observation as the network sees it, the input of a goal and
+        """The value of every action, float32 [A]: an observation, the input of a goal or the vector that it is, and
         standard normal numbers [d] for a sample of its code; None for the code's mean."""
-        return self.run(observation, goal, self.mean() if noise is None else noise)[0]
+        return self.run(observation, self.goal(goal), self.mean() if noise is None else noise)[0]
 
     def act(self, observation, goal, action_mask=None, noise=None):
         """The legal action with the highest value, int. action_mask: bool [A]; None: all are legal."""
@@ -204,4 +217,6 @@ class ExportedPolicy:
         decides = np.bool_(step % self.about["interval"] == 0)
         target = np.zeros(self.program["inputs"][1][4][0], np.float32) if target is None else target
         body = observation if body is None else body
-        return tuple(self.run(observation, goal, self.mean() if noise is None else noise, body, target, decides))
+        return tuple(
+            self.run(observation, self.goal(goal), self.mean() if noise is None else noise, body, target, decides)
+        )

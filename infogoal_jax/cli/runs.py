@@ -5,7 +5,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional
+from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from infogoal_jax.cli.commands import check_seed
 from infogoal_jax.errors import UserError, counted, require, typed
@@ -17,6 +17,7 @@ def evaluate(
     start_seed: int = 1,
     test_epsilon: float = -1.0,
     corruption: float | None = None,
+    goal: UseAppendAction[tuple[tuple[str, ...], ...]] = (),
 ) -> int:
     """Evaluate the last parameters of a run again, every goal from several starts.
 
@@ -27,12 +28,14 @@ def evaluate(
         test_epsilon: Probability of a random action; negative: the run's own.
         corruption: Weight of the backgrounds of corrupted goals, from 0 to 1, in tasks with image goals; None: the
             run's own.
+        goal: A goal to evaluate in place of the task's: its numbers, or the name of one of a list. Give the flag again
+            for another goal.
     """
     from infogoal_jax.report.summary import evaluate_run
     from infogoal_jax.runner.compilation import use_compilation_cache
 
     use_compilation_cache()
-    evaluate_run(Path(run), starts, start_seed, test_epsilon, corruption)
+    evaluate_run(Path(run), starts, start_seed, test_epsilon, corruption, goals=goal)
     return 0
 
 

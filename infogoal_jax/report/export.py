@@ -60,11 +60,12 @@ def export_params(
 
     Of the actions it says: discrete, whether the policy gives their values; moves, whether each is the number of a
     move, also where a low level makes them; action_size, how many there are, or the size of a vector; actions, names.
+    Where goals are vectors goal_low and goal_high are their corners, and the policy takes any between these.
     """
     config, env = train.parts.config, train.env
     function, examples = action_values(train, params) if env.discrete else driving(train, params)
     program, constants = trace(function, examples)
-    vectors = env.goals.inputs.dtype == jnp.float32
+    listed = env.goals.finite and env.goals.inputs.dtype == jnp.float32
     acted = env.env if isinstance(env, SubgoalEnv) else env
     about = about | {
         "format_version": policy_file.FORMAT,
@@ -79,12 +80,14 @@ def export_params(
         "moves": bool(acted.discrete),
         "interval": interval_of(env),
         "generator_seed": getattr(config.env, "generator_seed", 0),
-        "goal_names": list(env.goals.names) if vectors else [],
-        "goal_objects": list(getattr(env, "goal_objects", ())) if vectors else [],
+        "goal_names": list(env.goals.names) if listed else [],
+        "goal_objects": list(getattr(env, "goal_objects", ())) if listed else [],
     }
+    if not env.goals.finite:
+        about |= {"goal_low": np.asarray(env.goals.low).tolist(), "goal_high": np.asarray(env.goals.high).tolist()}
     members = {f"constant_{index}": value for index, value in enumerate(constants)}
     members |= {"about": np.array(json.dumps(about)), "program": np.array(json.dumps(program))}
-    if vectors:
+    if listed:
         members["goals"] = np.asarray(env.goals.inputs_of(jnp.arange(env.goals.num_goals)))
     disk.make_folder(out.parent)
     disk.write_atomically(out, lambda file: np.savez_compressed(file, **members))
@@ -148,15 +151,25 @@ def interval_of(env: Any) -> int:
 
 
 def seen_through(train: Train, params: Any):
-    """The function (observation, goal input, noise [d]) -> (features [1, F], code [1, d]) of these parameters, and its
-    arguments' shapes."""
+    """The function (observation, goal, noise [d]) -> (features [1, F], code [1, d]) of these parameters, and its
+    arguments' shapes.
+
+    A vector is given as the environment has it, an observation and a goal alike: the program scales it. An image, or a
+    text, is given as the network sees it.
+    """
     parts, env = train.parts, train.env
-    observation = jax.eval_shape(lambda key: env.render(env.observe(env.reset(key))), jax.random.key(0))
-    goal = jax.eval_shape(lambda: env.goals.inputs_of(jnp.zeros((), jnp.int32)))
+    stored = jax.eval_shape(lambda key: env.observe(env.reset(key)), jax.random.key(0))
+    is_vector = isinstance(stored, jax.ShapeDtypeStruct) and stored.dtype == jnp.float32
+    render = env.render if is_vector else (lambda observation: observation)
+    observation = stored if is_vector else jax.eval_shape(env.render, stored)
+    finite = env.goals.finite
+    inputs_of = (lambda goal: goal) if finite else env.goals.inputs_of
+    value = jax.ShapeDtypeStruct(env.goals.shape, env.goals.dtype)
+    goal = jax.eval_shape(env.goals.inputs_of, value) if finite else value
 
     def encoded(observation, goal):
-        features = parts.state_encoder.apply(params["state"], observation[None])
-        code = parts.learner.encode(params["goal"], goal[None])
+        features = parts.state_encoder.apply(params["state"], render(observation)[None])
+        code = parts.learner.encode(params["goal"], inputs_of(goal)[None])
         return features, conditioned(parts.learner, params["goal"], code, features)
 
     def see(observation, goal, noise):

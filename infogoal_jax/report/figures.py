@@ -1,5 +1,5 @@
 """The figures of a run: learning curves, beta and accuracy (Fig. 13), goal codes, success by length (Fig. 8) and by
-goal. What a task brings besides is found by its name (`task_figures`).
+goal, or over the goal space. What a task brings besides is found by its name (`task_figures`).
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from infogoal_jax import checks, learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.canvas import (
     FORMATS,
@@ -33,6 +33,7 @@ from infogoal_jax.report.canvas import (
     save,
 )
 from infogoal_jax.report.codes_and_walks import representations
+from infogoal_jax.report.goal_space_figures import codes_over_goals, success_over_goals
 from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.task_figures import draw_of_task
 from infogoal_jax.runner.compilation import jit
@@ -64,8 +65,11 @@ def draw_all(subject: Subject, folder: Path, format: str, captions: bool) -> lis
     """Draw everything that there are numbers for, in the present style; the paths of the files."""
     if not subject.evaluations.values:
         return []
-    drawings = (learning_curves, beta_and_accuracy, success_by_length, success_by_goal, representations)
-    figures = {draw.__name__: draw(subject) for draw in drawings}
+    figures = {draw.__name__: draw(subject) for draw in (learning_curves, beta_and_accuracy, success_by_length)}
+    if subject.train.env.goals.finite:
+        figures |= {"success_by_goal": success_by_goal(subject), "representations": representations(subject)}
+    else:
+        figures |= {"success_over_goals": success_over_goals(subject), "representations": codes_over_goals(subject)}
     figures |= draw_of_task(subject)
     check_own(folder, ["figures"])
     remove_abandoned(folder)
@@ -167,9 +171,9 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     return figure
 
 
-def evaluated_mask(goals: GoalSet, group: str) -> np.ndarray:
+def evaluated_mask(goals: GoalSpace, group: str) -> np.ndarray:
     """Which of the evaluated goals belong to this group, bool [M]."""
-    return np.asarray(getattr(goals, f"{group}_mask"))[np.asarray(goals.evaluated)]
+    return np.asarray(goals.in_groups())[goals.groups.index(group)]
 
 
 def success_within(first_reached: np.ndarray, mask: np.ndarray, longest: int) -> np.ndarray:

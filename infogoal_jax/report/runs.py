@@ -40,9 +40,9 @@ class Run(Description):
         return self.train.env
 
     def policy(self, seed: int | None = None, use_mean: bool = False) -> Policy:
-        """The last policy of a seed, of the first where none is named, greedy: observations [E, ...], goals int32 [E]
-        and a key to actions. use_mean: of the goal's code, not a sample. Codes of goals can be given in place of the
-        goals.
+        """The last policy of a seed, of the first where none is named, greedy: observations [E, ...], goals
+        [E, *shape] and a key to actions. use_mean: of the goal's code, not a sample. Codes of goals can be given in
+        place of the goals.
 
         Raises `UserError` for a seed that the run does not have, or a damaged file.
         """

@@ -2,18 +2,22 @@
 from, what went wrong."""
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from infogoal_jax import learners, presets
-from infogoal_jax.errors import require
+from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
+from infogoal_jax.goal_uses import USES
+from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
@@ -22,7 +26,7 @@ from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint
 from infogoal_jax.runs.folder import RUN, remove_abandoned
 from infogoal_jax.runs.tables import Evaluation, read_timing, write_evaluation
-from infogoal_jax.train.evaluation import has_image_goals, near_and_far
+from infogoal_jax.train.evaluation import evaluate, has_image_goals, near_and_far
 
 CODES = {"": "sampled", "_mean_code": "mean"}  # Suffix of a metric's name: how the goal's code is drawn at each step.
 GOALS = {
@@ -165,6 +169,53 @@ def learner_numbers(run: Run, epochs: RunTable) -> str:
     )
 
 
+def typed_goal(space: GoalSpace, words: Sequence[str]) -> np.ndarray:
+    """The goal of a space that a user typed: the number or the name of one of a finite set, or the numbers of a vector.
+
+    Raises `UserError` for one that the space does not have.
+    """
+    typed = " ".join(words)
+    if space.finite:
+        is_number = typed not in space.names and typed.removeprefix("-").isdecimal()
+        return np.asarray(space.checked(int(typed) if is_number else typed, "goal", axes=0))
+    (size,) = space.shape
+    spans = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(space.low, space.high, strict=True))
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError:
+        numbers = np.zeros(0)
+    require(len(numbers) == size, "goal", typed, f"give {counted(size, 'number')}: {spans}")
+    return space.checked(numbers, "goal", axes=0)
+
+
+def title_of(space: GoalSpace, goal: np.ndarray) -> str:
+    """A goal [*shape] in words: its name, or its numbers."""
+    return space.names[int(goal)] if space.finite else ", ".join(f"{number:.4g}" for number in goal)
+
+
+def use_of(space: GoalSpace, goal: np.ndarray) -> str:
+    """What a goal [*shape] is used for, in words."""
+    if space.finite:
+        uses = [use for use in USES if getattr(space, f"{use}_mask")[int(goal)]]
+    else:
+        uses = [USES[int(space.use(jnp.asarray(goal)))]]
+    return GOALS[f"{uses[0]}_goal"] if uses else "none"
+
+
+def goal_table(space: GoalSpace, goals: np.ndarray, scores: dict[str, np.ndarray]) -> Table:
+    """A row for each goal [M, *shape], of scores {name: [seeds, M]}."""
+    table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    columns = {column: shown for column, shown in COLUMNS.items() if column in scores}
+    table.add_column("goal")
+    table.add_column("use")
+    for title, _ in columns.values():
+        table.add_column(title, justify="right", no_wrap=True)
+    for place, goal in enumerate(goals):
+        cells = [mean_interval(scores[name][:, place]).show(decimals) for name, (_, decimals) in columns.items()]
+        table.add_row(title_of(space, goal), use_of(space, goal), *cells)
+    return table
+
+
 def evaluate_run(
     folder: Path,
     starts: int,
@@ -173,14 +224,16 @@ def evaluate_run(
     corruption: float | None = None,
     env: Any = None,
     console: Console | None = None,
+    goals: Sequence[Sequence[str]] = (),
 ) -> dict[str, np.ndarray]:
     """Evaluate the last parameters of every seed again, print the table and leave the numbers in RUN/evaluation.json.
 
     starts: start states for each goal; start_seed: their seed, and that of the noise; test_epsilon: probability of a
     random action, negative for the run's own; corruption: weight of the backgrounds of corrupted goals, None for the
-    run's own; env: the environment if it is loaded already. Returns {name: [seeds]} of the seeds that did not diverge.
-    Raises `UserError` for values out of range, a corruption of goals that are no images, a folder without a run, or
-    damaged parameters.
+    run's own; env: the environment if it is loaded already; goals: those to evaluate, each as `typed_goal` takes it,
+    none for those of the task. Returns {name: [seeds]} of the seeds that did not diverge, for typed goals
+    {name: [seeds, M]}. Raises `UserError` for values out of range, a corruption of goals that are no images or of typed
+    goals, a goal that the task does not have, a folder without a run, or damaged parameters.
     """
     require(0 < starts <= LARGEST_WHOLE, "starts", starts, f"give 1 to {LARGEST_WHOLE}, such as 50")
     require(0 <= start_seed < 2**32 - 2, "start_seed", start_seed, "give a seed from 0 to below 2^32 - 2")
@@ -206,6 +259,11 @@ def evaluate_run(
         corruption,
         f"goals of {run.config.task} are not images; leave it out",
     )
+    require(
+        corruption is None or not goals, "corruption", corruption, "goals that are typed are shown clean; leave it out"
+    )
+    space = train.env.goals
+    typed = np.stack([typed_goal(space, words) for words in goals]) if goals else None
     weight = run.config.test_corruption if corruption is None else float(corruption)
     params = read_params(run, train)
     epoch = checkpoint.read_header(folder / "policy")[0]["epoch"]
@@ -213,11 +271,16 @@ def evaluate_run(
 
     def evaluate_seed(params, env):
         hyper = run.config.hyper.replace(test_epsilon=epsilon)
-        return train.evaluate(params, hyper, env, starts, weight, start_seed)
+        if typed is None:
+            return train.evaluate(params, hyper, env, starts, weight, start_seed)
+        scores = evaluate(train.policy(params, hyper, env), env, typed, starts, start_seed)
+        return {name: value.mean(-1, dtype=jnp.float32) for name, value in scores.by_name().items()}
 
     program = jit(jax.vmap(evaluate_seed, in_axes=(0, None))).trace(params, train.env)
     room = memory.device_memory(jax.devices()[0])
-    needed = memory.largest_array(program.jaxpr) + memory.episode_bytes(train, starts) * len(run.seeds)
+    asked = len(space.evaluated if typed is None else typed)
+    episodes = memory.episode_bytes(train, starts) * asked // len(space.evaluated)
+    needed = memory.largest_array(program.jaxpr) + episodes * len(run.seeds)
     require(
         needed <= room,
         "starts",
@@ -229,28 +292,27 @@ def evaluate_run(
     kept = [index for index, seed in enumerate(run.seeds) if seed not in diverged]
     seeds = [run.seeds[index] for index in kept]
     scores = {name: value[kept] for name, value in metrics.items()}
-    scores |= near_and_far(train.env, scores["first_reached"])
+    if typed is None:
+        scores |= near_and_far(train.env, scores["first_reached"])
     found = Evaluation(
         epoch=epoch,
         starts=starts,
         start_seed=start_seed,
         test_epsilon=float(epsilon),
-        corruption=weight if has_images else None,
+        corruption=weight if has_images and typed is None else None,
         seeds=seeds,
         diverged=diverged,
         data=run.data,
         metrics={name: value.tolist() for name, value in scores.items()},
+        goals=None if typed is None else typed.tolist(),
     )
-    protocol = (
-        f"{len(train.env.goals.evaluated)} goals x {starts} starts of seed {start_seed}, {epsilon:.0%} of the "
-        "actions random"
-    )
+    protocol = f"{counted(asked, 'goal')} x {starts} starts of seed {start_seed}, {epsilon:.0%} of the actions random"
     protocol += corruption_in_words(scores, weight)
     if "near_test_goal/success_rate" in scores:
         protocol += "; near: test goals that count as reached from a training goal"
     head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
     say(console, f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold")
-    console.print(score_table(scores))
+    console.print(score_table(scores) if typed is None else goal_table(space, typed, scores))
     for sentence in diverged_in_words(diverged):
         say(console, sentence, style="bold red")
     say(console, run.data, "data")

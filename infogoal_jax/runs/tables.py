@@ -140,7 +140,7 @@ class Timing:
 class Evaluation:
     """What `infogoal evaluate` found. epoch: of the parameters; starts: a goal; corruption: weight of the backgrounds,
     None for goals that are not images; seeds: those that did not diverge; diverged: the others, with the epoch;
-    metrics: {name: [seeds, ...]}."""
+    metrics: {name: [seeds, ...]}; goals: those that were typed, None for those of the task."""
 
     epoch: int
     starts: int
@@ -151,6 +151,7 @@ class Evaluation:
     diverged: dict[int, int]
     data: str
     metrics: dict[str, Any]
+    goals: list[Any] | None = None
 
 
 def write_timing(folder: Path, timing: Timing) -> None:

@@ -209,8 +209,11 @@ def test_both_levels_of_continuous_policies_do_as_with_jax(make, actions, tmp_pa
     inputs = np.asarray(env.goals.inputs_of(jnp.asarray(goal)))
     for number in range(2 * exported.about["interval"] + 1):
         stored = env.observe(state)
-        body = np.asarray(getattr(stored, "joints", stored))
-        action, target = exported.drive(np.asarray(env.render(stored)), inputs, number, target, body=body)
+        if hasattr(stored, "joints"):
+            seen, body = np.asarray(env.render(stored)), np.asarray(stored.joints)
+        else:
+            seen, body = np.asarray(stored), None
+        action, target = exported.drive(seen, inputs, number, target, body=body)
         (subgoal,) = decide(stored, jnp.asarray(goal))
         before, state = state, step(state, subgoal)
         np.testing.assert_allclose(target, state.target, rtol=WITHIN, atol=WITHIN)
