@@ -540,11 +540,11 @@ class Claim:
     find: Callable[[Results], Finding]
 
 
-FIRST = "difference to the other row of which it is least certain"
+FIRST = "its least certain difference to another row"
 NOT_FIRST = {("test_goal", "fetch_push"), ("corrupted_test_goal", "fetch_push"), ("test_goal", "embodied_qa")}
 """Where InfoGoal is not first in the paper's own table: InfoBot is on Push, and as good on the shelf."""
 ONLINE = TASKS[:-1]
-BARE = "difference to the bare agent, mean over tasks but EQA, where it alone does not relabel"
+BARE = "difference to the bare agent, mean over tasks but EQA"
 CLAIMS = (
     *(
         Claim(

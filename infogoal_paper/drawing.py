@@ -5,6 +5,7 @@ OUT/tables/NAME.md, .tex, .csv    OUT/figures/NAME.png (and .pdf or .svg)    OUT
 """
 
 import base64
+import dataclasses
 import hashlib
 import html
 import io
@@ -23,7 +24,8 @@ from infogoal_paper.figures import FIGURES
 from infogoal_paper.manifest import BESIDE, STUDIES, Choice
 from infogoal_paper.numbers import Results
 from infogoal_paper.paper import DESCRIPTIONS
-from infogoal_paper.table_formats import WRITERS, Cell, Table, markdown
+from infogoal_paper.scores import KINDS
+from infogoal_paper.table_formats import WRITERS, Cell, Table, markdown, narrow
 
 NUMBERS = "Numbers"
 """What a figure's file says beside its pixels: the digest of its numbers."""
@@ -137,8 +139,10 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
-IN_FOLDER_ALONE = ("near_and_far",)
+IN_FOLDER_ALONE = ("near_and_far", "equal_training_her")
 """Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them."""
+NOT_OVER_TASKS = KINDS["corrupted_train_goal"]
+"""Goals that the page leaves out of the comparisons over tasks."""
 VERDICT_HEAD = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
 
 
@@ -157,6 +161,9 @@ def report(shown: list[Table], found: list, pictures: list[Path], path: Path) ->
     kinds = ", ".join(f"{counts.count(kind)} {forms[counts.count(kind) != 1]}" for kind, forms in words.items())
     lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", "", markdown(verdict_table(found))]
     for table in shown:
+        if table.name.startswith("over_tasks"):
+            table = narrow(table, [head for head in table.head if NOT_OVER_TASKS not in head])
+            table = dataclasses.replace(table, foot=[line for line in table.foot if NOT_OVER_TASKS not in line])
         lines += [] if table.name in IN_FOLDER_ALONE else [f"## {table.title}", "", markdown(table, short=True)]
     lines += ["## Figures", ""] if pictures else []
     for picture in pictures:

@@ -98,7 +98,7 @@ TITLES = {
 }
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
-PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal+all_goals", "her"))
+PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
 CARRYING_PAIRS = (
     ("infogoal+all_goals", "infogoal+all_goals+beta_0"),

@@ -148,6 +148,10 @@ def flights_table(results: dict[str, Any]) -> str:
     return f"{markdown_lines(columns, rows)}\n\n{measured(results)}"
 
 
+PROMISES = {"on_ground": "on the ground", "inside": "inside of the envelope", "explained": "log has the reason"}
+"""What has to hold in every flight, as the numbers name it, and in words."""
+
+
 def faults_table(results: dict[str, Any]) -> str:
     """What came of every kind of fault: each flight but those that had landed before their fault came."""
     rows, before = [], 0
@@ -155,12 +159,18 @@ def faults_table(results: dict[str, Any]) -> str:
         all_flights = [flight for flight in results["flights"] if flight["fault"] == name]
         flights = list({flight["seed"]: flight for flight in all_flights}.values())  # The last attempt of each.
         before += len(all_flights) - len(flights)
-        kept = [sum(flight[promise] for flight in flights) for promise in ("on_ground", "inside", "explained")]
+        kept = [sum(flight[promise] for flight in flights) for promise in PROMISES]
         rows.append([name, str(len(flights)), *map(str, kept), reasons(flights)])
     total = [str(sum(int(row[column]) for row in rows)) for column in range(1, 5)]
-    columns = ["fault", "flights", "on the ground", "inside of the envelope", "log has the reason", "reasons"]
+    columns = ["fault", "flights", *PROMISES.values(), "reasons"]
+    rows.append(["all", *total, ""])
+    if len(set(total)) == 1:  # Every promise was kept in every flight.
+        kept = f"All {total[0]} flights: {', '.join(PROMISES.values())}. "
+        columns, rows = ["fault", "flights", "reasons"], [[row[0], row[1], row[-1]] for row in rows[:-1]]
+    else:
+        kept = ""
     apart = f" {before} more flights ended, on the ground, before their fault came." if before else ""
-    return f"{markdown_lines(columns, [*rows, ['all', *total, '']])}\n\n{measured(results)}{apart}"
+    return f"{markdown_lines(columns, rows)}\n\n{kept}{measured(results)}{apart}"
 
 
 def reasons(flights: list[dict[str, Any]]) -> str:

@@ -89,9 +89,9 @@ def equal_training(results: Results, variant: str) -> Table | None:
     body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
     longest = max(max(lengths[task]) / most for task, most in updates.items())
     foot = [
-        f"Success rate on clean test goals: mean ± {INTERVALS}, over the three "
-        "evaluations up to the updates after which the first run of the column stopped. In Table I each run has "
-        f"trained until its training goals levelled off, at most for {longest:.1f} times as long."
+        f"Success rate on clean test goals, over the three evaluations before the first run of the column stopped. Mean ± "
+        f"{INTERVALS}. In Table I each run has trained until its training goals levelled off, at most for "
+        f"{longest:.1f} times as long."
     ]
     return Table(f"equal_training_{variant}", f"Test goals at equal training, {VARIANTS[variant]}", head, body, foot)
 
@@ -249,10 +249,10 @@ def over_tasks(results: Results, variant: str) -> Table | None:
     filled = [place for place in range(len(head)) if any(row[place] for row in body)]
     head, body = [head[place] for place in filled], [[row[place] for place in filled] for row in body]
     foot = [
-        "Interquartile mean over runs and tasks, and probability that a run of InfoGoal has more success than one of "
-        "the method on the same goal set (rliable's definitions), with the 95 % interval of a bootstrap over goal sets "
-        "and seeds within tasks. Rows that do not count are left out: interquartile means over different tasks are not "
-        "to be compared. A row that lacks a goal set is left out of the means alone."
+        "IQM: interquartile mean over runs and tasks. P: probability that a run of InfoGoal has more success than one "
+        "of the method on the same goal set. Both are as rliable defines them, with the 95 % interval of a bootstrap "
+        "over goal sets and seeds within tasks. Rows that do not count are left out: interquartile means over "
+        "different tasks are not to be compared. A row that lacks a goal set is left out of the means alone."
     ]
     for kind in kinds:
         foot.append(f"{KINDS[kind]}: {', '.join(TITLES[task] for task in tasks_of[kind])}.")
@@ -316,14 +316,14 @@ def costs(results: Results) -> Table | None:
     head = ["task", "runs", "programs", "updates (million)"]
     head += ["compiling and measuring (s)", "training (s)", "process-minutes"]
     foot = (
-        "Updates are counted over all seeds. Seconds and process-minutes are sums over processes. Several share a GPU "
-        "and its host, each with a clock of its own, so that the sums are more than the time of the GPU."
+        "Updates are counted over all seeds. Seconds and process-minutes are sums over processes, several of which "
+        "share a GPU: the sums are more than its time."
     )
     if any("spans" in result.about["program"] for result in results.values()):
         head.append("wall clock (min)")
         foot += (
-            " Wall clock: the time in which at least one process was at work, on one GPU or on several side by side, "
-            "of the runs that recorded it; empty where none did."
+            " Wall clock: the time in which at least one process was at work, on one GPU or several, of the runs that "
+            "recorded it."
         )
     else:
         body = [row[:-1] for row in body]

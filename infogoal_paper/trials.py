@@ -141,7 +141,7 @@ SHOWN = {
         "cube_dqn_leo_norm/",
         "cube_dqn_her_norm/",
     ),
-    "cube_hrac": ("cube_hrac_head/", "cube_hrac_infogoal_head/", "cube_hrac_infogoal_head_norm/"),
+    "cube_hrac": ("cube_hrac_head/", "cube_hrac_infogoal_head_norm/"),
     "shelf_goals": (
         "shelf_goals_her_norm/",
         "shelf_goals_leo_norm/",
