@@ -89,8 +89,8 @@ def equal_training(results: Results, variant: str) -> Table | None:
     body = [[METHODS[method], *(column[method] for column in columns)] for method in methods]
     longest = max(max(lengths[task]) / most for task, most in updates.items())
     foot = [
-        f"Success rate on clean test goals, over the three evaluations before the first run of the column stopped. Mean ± "
-        f"{INTERVALS}. In Table I each run has trained until its training goals levelled off, at most for "
+        "Success rate on clean test goals, over the three evaluations before the first run of the column stopped. "
+        f"Mean ± {INTERVALS}. In Table I each run has trained until its training goals levelled off, at most for "
         f"{longest:.1f} times as long."
     ]
     return Table(f"equal_training_{variant}", f"Test goals at equal training, {VARIANTS[variant]}", head, body, foot)
