@@ -16,7 +16,7 @@ from infogoal_jax import agents, checks, envs, exploration, learners, relabellin
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
-from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.contract import check_contract, check_goals
 from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
@@ -60,6 +60,7 @@ def traits_seen(env) -> Traits:
         recorded=env.recorded is not None,
         target_states=env.has_target_states,
         goals_are_observations=env.goals_are_observations,
+        ends_at_goal=env.ends_at_goal,
     )
 
 
@@ -109,6 +110,8 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
         remedy = f"give {' or '.join(fitting)}" if fitting else "no registered agent can act there"
         yield Refusal("agent", agent, reason, remedy)
     yield from refusals_of_all_goals(config)
+    if not traits.ends_at_goal:
+        yield from refusals_of_episodes_that_go_on(config)
     if traits_of(config.agent).achieved_goals:
         yield from refusals_of_achieved_goals(agent, config)
     explorer = exploration.registry.name_of(config.explorer)
@@ -187,6 +190,15 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
             "its bonus does not reward reaching one goal rather than another",
             "give none, or relabelling her",
         )
+
+
+def refusals_of_episodes_that_go_on(config: TrainConfig) -> Iterator[Refusal]:
+    """Parts that rely on an episode's end at its goal, and so on values between 0 and 1."""
+    reason = f"an episode of {config.task} goes on at its goal, where every step is worth 1"
+    if getattr(config.agent, "bounded", False):
+        yield Refusal("agent.bounded", True, reason, "give False, or env.ends_at_goal True")
+    if relabelling.registry.name_of(config.relabelling) == "all_goals":
+        yield Refusal("relabelling", "all_goals", reason, "give her, or env.ends_at_goal True")
 
 
 def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refusal]:
@@ -284,6 +296,7 @@ def load_environment(config: TrainConfig, env: Any = None):
     check_environment(config, env)
     if is_foreign(type(env.unwrapped)):
         check_contract(env)
+        check_goals(env)
     if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
     check_combination(config, env)

@@ -50,13 +50,18 @@ def lines_of(block: str) -> int:
 
 @contextmanager
 def run(
-    block: str, name: str, *registries: dict, prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None
+    block: str,
+    name: str,
+    *registries: dict,
+    prepare: Callable[[pytest.MonkeyPatch], None] = lambda patch: None,
+    name_of_module: str = "page",
 ) -> Iterator[dict]:
     """The names that the block leaves behind, for as long as what it registers under this name is there.
 
-    prepare: sets what is other than it is for a user, while the block runs.
+    prepare: sets what is other than it is for a user, while the block runs. name_of_module: `__main__` for what a
+    script does on its own.
     """
-    names, before = {"__name__": "page"}, [dict(registry) for registry in registries]
+    names, before = {"__name__": name_of_module}, [dict(registry) for registry in registries]
     try:
         with pytest.MonkeyPatch.context() as patch:
             prepare(patch)

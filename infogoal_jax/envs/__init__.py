@@ -25,7 +25,9 @@ def make_fetch(name: str, config: FetchConfig):
 def fetch_traits(config: FetchConfig) -> Traits:
     """What a Fetch task can be combined with follows from these."""
     images = config.goals == "images"
-    return Traits(finite_goals=images, image_goals=images, moves=False, target_states=images)
+    return Traits(
+        finite_goals=images, image_goals=images, moves=False, target_states=images, ends_at_goal=config.ends_at_goal
+    )
 
 
 registry = Registry(

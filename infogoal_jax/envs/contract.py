@@ -13,11 +13,14 @@ from infogoal_jax.checks import Spec
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import GoalBox, GoalSet
+from infogoal_jax.keys import from_seed
 from infogoal_jax.replay import Trajectories
 
 FLAGS = ("terminated", "truncated", "diverged")
 STORED = (2, 3)
 """Axes of stored arrays, for the functions that take any."""
+DRAWN = 256
+"""Desired goals of training that are looked at."""
 
 
 def check_contract(env: Environment) -> None:
@@ -81,6 +84,36 @@ def check_state(env: Environment, state: Any) -> None:
         check_flag(getattr(state, name), f"state.{name}")
     checks.returned(state.time, "state.time", Spec((), "int32"))
     checks.returned(state.goal, "state.goal", Spec(env.goals.shape, env.goals.dtype))
+
+
+def check_goals(env: Environment) -> None:
+    """Raise `UserError` for a continuous goal space in which nothing can be learned: desired goals of training that are
+    held out or none of the space, goals that do not count as reached where they are achieved, or that always do. These
+    few goals are computed."""
+    if env.goals.finite:
+        return
+    with jax.ensure_compile_time_eval():
+        keys = jax.random.split(from_seed(np.uint32(0)), DRAWN)
+        desired = jax.jit(jax.vmap(lambda key: env.reset(key).goal))(keys)
+        env.goals.checked(desired, "the goal of env.reset", axes=1)
+        trained = np.asarray(jax.jit(env.goals.is_training_goal)(desired))
+        held_out = np.asarray(desired)[~trained][:1].tolist()
+        require(trained.all(), "the goal of env.reset", held_out, "is held out of training; draw it by env.goals.draw")
+        if type(env).goals_of is not Environment.goals_of:
+            return  # What achieves a goal is known to the task alone.
+        goals = env.goals.evaluated
+        reached = np.asarray(jax.jit(lambda goals: env.reached(goals[:, None], goals[None]))(goals))
+    radius = f" (radius = {env.radius:g})" if hasattr(env, "radius") else ""
+    never, always = np.flatnonzero(~np.diagonal(reached)), reached.all()
+    if len(never):
+        goal = np.asarray(goals)[never[0]].tolist()
+        raise UserError(f"env.reached: is False where the goal {goal} itself is achieved{radius}; give a larger radius")
+    require(
+        len(goals) < 2 or not always,
+        "env.reached",
+        "True for every two goals",
+        f"there is nothing to learn{radius}; give a smaller radius",
+    )
 
 
 def check_flag(found: Any, name: str) -> None:

@@ -34,6 +34,8 @@ class Traits(NamedTuple):
     """Whether a low level can be sent to target states."""
     goals_are_observations: bool = False
     """Whether a goal is shown as the state encoder sees a state that achieves it."""
+    ends_at_goal: bool = True
+    """Whether reaching the goal ends the episode."""
 
 
 class Environment:

@@ -2,6 +2,7 @@
 diverged, so that a task says only how its world begins, moves and looks. docs/guides/own_task.md makes one.
 """
 
+import dataclasses
 from typing import Any
 
 import flax.struct
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.envs.environment import Environment
+from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.shapes import aligned
 
@@ -17,6 +19,23 @@ STARTS = 8
 """Starts that are drawn to find one at which the goal is not reached yet."""
 MOST_CELLS = 4096
 """Cells that the goal space is divided into, for learners that count visits or keep pairs of cells."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalTaskConfig:
+    """When an episode ends."""
+
+    episode_length: int = 50
+    """Steps of an episode."""
+    radius: float = 0.1
+    """Distance below which a goal is reached, in the units of goals."""
+    ends_at_goal: bool = True
+    """Whether reaching the goal ends the episode."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        require(self.radius > 0, "env.radius", self.radius, "give a distance above 0, in the units of goals")
 
 
 @flax.struct.dataclass

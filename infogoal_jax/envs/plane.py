@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Traits
-from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalBox
 
@@ -24,27 +24,25 @@ TEST_ROOMS, VALIDATION_ROOMS = ((2, 0), (0, 2)), ((2, 2),)
 
 
 @dataclasses.dataclass(frozen=True)
-class PlaneConfig:
+class PlaneConfig(GoalTaskConfig):
     """Sizes of a task in the plane."""
 
     episode_length: int = 100
     """Steps of an episode."""
     radius: float = 0.15
-    """Distance at which a goal is reached; rooms, and the parts of the arm, are 1 long."""
+    """Distance below which a goal is reached; rooms, and the parts of the arm, are 1 long."""
     held_out: bool = True
     """Whether parts of the plane are never desired in training; test goals lie there."""
-    ends_at_goal: bool = True
-    """Whether reaching the goal ends the episode."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        super().check(config)
         require(0 < self.radius < 1, "env.radius", self.radius, "give a distance above 0 and below 1")
 
 
 def traits(config: PlaneConfig) -> Traits:
     """What a task in the plane can be combined with follows from these."""
-    return Traits(finite_goals=False, moves=False)
+    return Traits(finite_goals=False, moves=False, ends_at_goal=config.ends_at_goal)
 
 
 def use_of_place(goal: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ from infogoal_jax.presets.preset import Changes, Preset
 
 if TYPE_CHECKING:
     from infogoal_jax.presets.loading import METHODS, Method, default_hyperparameters, load, method_named, name_of
+    from infogoal_jax.presets.registering import register
 
 registry: dict[str, Preset] = {
     "object_search": object_search.PRESET,
@@ -31,13 +32,16 @@ __all__ = [
     "load",
     "method_named",
     "name_of",
+    "register",
     "registry",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    """What `loading` has, which is imported when it is first asked for: it needs JAX, and a list of tasks does not."""
-    return getattr(importlib.import_module(f"{__name__}.loading"), name)
+    """What `loading` and `registering` have, which are imported when they are first asked for: they need JAX, and a
+    list of tasks does not."""
+    module = "registering" if name == "register" else "loading"
+    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
 
 
 def __dir__() -> list[str]:

@@ -53,6 +53,20 @@ def diverged_in_words(diverged: dict[int, int]) -> list[str]:
     return [f"seed {seed} diverged at epoch {epoch}; its numbers are left out" for seed, epoch in diverged.items()]
 
 
+def remarks_on(epochs: RunTable) -> list[str]:
+    """A sentence for each thing in the epochs of a run that tells of a mistake in its task."""
+    found, values = [], epochs.values
+    if "collect/success_rate" in values and not values["collect/success_rate"].any():
+        found.append(
+            "no episode of training reached its goal: more steps may be needed, or `reached` is never true of a goal "
+            "that is desired"
+        )
+    steps = int(values["collect/diverged"].sum()) if "collect/diverged" in values else 0
+    if steps:
+        found.append(f"{counted(steps, 'step')} of training led to numbers that are not finite, and were taken back")
+    return found
+
+
 def score_table(scores: dict[str, np.ndarray]) -> Table:
     """Success rate, SPL (where the task has one) and episode length of each kind of goals and code, for scores {name:
     [seeds]} with the names of `evaluation.Setting`."""
@@ -126,7 +140,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     else:
         reason = "every seed diverged" if diverged else "no evaluation is whole"
         say(console, f"{head}: no numbers; {reason}", style="bold")
-    for sentence in diverged_in_words(diverged):
+    for sentence in diverged_in_words(diverged) + remarks_on(epochs):
         say(console, sentence, style="bold red")
     known = {
         "train": "training goals",

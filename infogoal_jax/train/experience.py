@@ -59,9 +59,15 @@ def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainSt
         parts, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env
     )
     terminated, truncated = (ends.sum(dtype=jnp.int32) for ends in (rows.terminated, rows.truncated))
-    ended = jnp.maximum(terminated + truncated, 1)
-    return state, {
-        "collect/success_rate": terminated.astype(jnp.float32) / ended.astype(jnp.float32),
+    ended, reached = jnp.maximum(terminated + truncated, 1), terminated
+    if not env.ends_at_goal:
+        led_to = jax.tree.map(lambda leaf: leaf[:, 1:], rows.record)
+        reached = (rows.truncated & env.reached(led_to, rows.goal)).sum(dtype=jnp.int32)
+    counts = {}
+    if not env.goals.finite:  # A step that diverged is no transition, but ends its episode.
+        counts["collect/diverged"] = (~rows.valid & rows.truncated).sum(dtype=jnp.int32)
+    return state, counts | {
+        "collect/success_rate": reached.astype(jnp.float32) / ended.astype(jnp.float32),
         "collect/nothing_achieved": (~is_goal(env.goals_of(rows.record))).all(-1).mean(dtype=jnp.float32),
         "collect/valid": rows.valid.mean(dtype=jnp.float32),
         **({} if state.seen is None else {"collect/goals_seen": state.seen.sum(dtype=jnp.int32)}),

@@ -9,9 +9,10 @@ import hand_made_frames
 import hand_made_points
 import jax
 import jax.numpy as jnp
+import nbformat
 import numpy as np
 import pytest
-from places import ROOT
+from places import ROOT, block_of
 
 from infogoal_jax import (
     UserError,
@@ -211,15 +212,18 @@ def test_the_package_s_parts_keep_the_contract(monkeypatch, learner, relabelled)
     ],
     ids=["64 bits", "ranks", "types"],
 )
-def test_the_documented_task_is_the_same_whatever_jax_is_set_to(mode):
-    """Traced, with the types that it has without."""
-    page = (ROOT / "docs" / "guides" / "own_task.md").read_text()
-    script = page.partition("```python\n")[2].partition("train = make_train")[0]
+@pytest.mark.parametrize("task", ["two_rooms", "walled_square"])
+def test_a_documented_task_is_the_same_whatever_jax_is_set_to(mode, task):
+    """Traced, with the types that it has without: the task of the page, and that of the notebook."""
+    if task == "two_rooms":
+        script = block_of("guides/own_task.md")
+    else:
+        cells = nbformat.read(ROOT / "notebooks" / "your_own.ipynb", as_version=4).cells
+        script = "\n".join(cell.source for cell in cells if cell.id in ("imports", "task"))
 
     def traced():
-        names = {"__name__": "own_task"}
-        exec(script, names)
-        return trace(make_train(presets.load("walled_square", "infogoal", relabelling="her", updates_per_epoch=1)))
+        exec(script, {"__name__": "own_task"})
+        return trace(make_train(presets.load(task, "infogoal", relabelling="her", updates_per_epoch=1)))
 
     try:
         with mode():
@@ -227,4 +231,4 @@ def test_the_documented_task_is_the_same_whatever_jax_is_set_to(mode):
         assert checks.shapes(found) == checks.shapes(traced())
     finally:
         for registry in (envs.registry, presets.registry):
-            registry.pop("walled_square", None)
+            registry.pop(task, None)

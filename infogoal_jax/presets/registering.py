@@ -1,0 +1,55 @@
+"""A task with continuous goals of a user's own gets a name, a configuration and a preset in one line."""
+
+import dataclasses
+
+from infogoal_jax import checks, envs
+from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
+from infogoal_jax.errors import require
+from infogoal_jax.presets import plane, registry
+from infogoal_jax.presets.preset import Preset
+from infogoal_jax.registry import Entry
+
+EPOCHS = 40
+
+
+def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
+    """Give a task of one's own a name, by which `load` and every command know it in this process.
+
+    preset: its agent, sizes and floats; None: those of the tasks in the plane, TD3 with HER, or DQN where actions are
+    discrete. The fields of `GoalTaskConfig` are its configuration, with the values that `env` has.
+    Raises `UserError` for what is no `GoalTask`, and for one that breaks the contract of environments or has values out
+    of range.
+    """
+    checks.text(name, "name", "give the task a name, such as my_maze")
+    require(isinstance(env, GoalTask), "env", type(env).__name__, "give a GoalTask; see docs/guides/own_task.md")
+    checked = preset is None or isinstance(preset, Preset)
+    require(checked, "preset", preset, "give a presets.Preset, or None")
+    fields = {field.name: (field.type, getattr(env, field.name)) for field in dataclasses.fields(GoalTaskConfig)}
+    config = dataclasses.make_dataclass(
+        f"{type(env).__name__}Config",
+        [(name, *of_field) for name, of_field in fields.items()],
+        bases=(GoalTaskConfig,),
+        namespace={"__doc__": GoalTaskConfig.__doc__, "__module__": __name__},
+        frozen=True,
+    )
+    config().check(None)
+    check_contract(env)
+
+    def make(config: GoalTaskConfig) -> GoalTask:
+        return env.replace(**{field: getattr(config, field) for field in fields})
+
+    def traits(config: GoalTaskConfig) -> Traits:
+        return Traits(finite_goals=False, moves=env.discrete, ends_at_goal=config.ends_at_goal)
+
+    envs.registry[name] = Entry(config, make, traits=traits)
+    registry[name] = default_preset(env) if preset is None else preset
+
+
+def default_preset(env: GoalTask) -> Preset:
+    """The preset of a task that brings none."""
+    words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
+    preset = plane.preset(words, EPOCHS)
+    agents = {name: fields | {"bounded": env.ends_at_goal} for name, fields in preset.agents.items()}
+    return dataclasses.replace(preset, agent="dqn" if env.discrete else "td3", agents=agents)

@@ -1,0 +1,188 @@
+"""What is wrong with a task of a user's own with continuous goals is said in one line before anything is compiled, or
+counted while it trains."""
+
+import dataclasses
+import types
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import UserError, envs, make_train, presets
+from infogoal_jax.agents.td3 import TD3Config
+from infogoal_jax.envs.goal_task import Episode, GoalTask
+from infogoal_jax.envs.plane import PlaneConfig
+from infogoal_jax.goals import GoalBox
+from infogoal_jax.loading import reasons_against
+from infogoal_jax.report.runs import RunTable
+from infogoal_jax.report.summary import remarks_on
+from infogoal_jax.train.experience import collect_epoch
+
+GOALS = GoalBox.of([0.0, 0.0], [2.0, 2.0], use_of=lambda goal: goal[0] > 1.5)
+
+
+@flax.struct.dataclass
+class Square(GoalTask):
+    """A point in a square."""
+
+    action_size = 2
+    source = "a square (made up)"
+
+    def begin(self, key):
+        return jax.random.uniform(key, (2,), jnp.float32, 0.0, 2.0)
+
+    def move(self, place, action):
+        return jnp.clip(place + 0.1 * action, 0.0, 2.0)
+
+    def observation(self, place):
+        return place - 1.0
+
+    def achieved_goal(self, place):
+        return place
+
+
+@pytest.fixture
+def registered():
+    """Registers tasks, and forgets them afterwards."""
+    names = []
+
+    def register(env, name="square"):
+        names.append(name)
+        presets.register(name, env)
+
+    yield register
+    for name in names:
+        envs.registry.pop(name, None)
+        presets.registry.pop(name, None)
+
+
+def changed(**members):
+    """The square with other members."""
+    kind = types.new_class("Other", (Square,), {}, lambda names: names.update(members | {"__module__": "own"}))
+    return flax.struct.dataclass(kind)(GOALS)
+
+
+@flax.struct.dataclass
+class Timeless:
+    """A state without a time."""
+
+    goal: jax.Array
+    terminated: jax.Array
+    truncated: jax.Array
+    diverged: jax.Array
+
+
+def timeless(self, key, goal=None):
+    """A new episode of a state that lacks a field."""
+    false = jnp.zeros((), bool)
+    return Timeless(self.goals.draw(key), false, false, false)
+
+
+def drawn_anywhere(self, key):
+    """A new episode for a goal of any use."""
+    return self.reset_to(key, self.goals.draw_any(key))
+
+
+def drawn_outside(self, key):
+    """A new episode for a goal beyond the corners."""
+    return self.reset_to(key, self.goals.draw(key) + 5.0)
+
+
+WRONG = {
+    "a state that lacks a field": (dict(reset=timeless), "the state of env.reset = 'Timeless': has no field time"),
+    "a reset that draws held-out goals": (dict(reset=drawn_anywhere), r"the goal of env.reset = \[\[1.*is held out"),
+    "a reset that draws outside": (dict(reset=drawn_outside), "the goal of env.reset = .*lies outside; give 0 to 2"),
+    "reached that is never true": (
+        dict(reached=lambda self, record, goal: (record > goal).all(-1)),
+        r"env.reached: is False where the goal \[.*\] itself is achieved \(radius = 0.1\)",
+    ),
+    "reached that is always true": (
+        dict(reached=lambda self, record, goal: (record - goal < 9).all(-1)),
+        "env.reached = 'True for every two goals': there is nothing to learn",
+    ),
+    "whole numbers as observations": (
+        dict(observation=lambda self, place: place.astype(jnp.int32)),
+        r"env.render: returns int32 \[2\] of one observation; return uint8",
+    ),
+    "goals of another length": (dict(achieved_goal=lambda self, place: jnp.zeros(3)), "env.*: (raised|is float32)"),
+    "a world of another shape": (
+        dict(move=lambda self, place, action: jnp.zeros(3)),
+        "env.step: raised|the state of env.step",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case, registered):
+    members, message = WRONG[case]
+    with pytest.raises(UserError, match=message) as error:
+        registered(changed(**members))
+        make_train(presets.load("square", "none"))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("radius", "field"), [(0.0, "env.radius"), (-1.0, "env.radius"), (5.0, "env.reached")])
+def test_a_radius_that_decides_nothing_is_refused(radius, field, registered):
+    with pytest.raises(UserError, match=f"^{field} = "):
+        registered(Square(GOALS, radius=radius))
+        make_train(presets.load("square", "none"))
+
+
+@pytest.mark.parametrize("env", [GOALS, "square", envs.load("point_maze").goals])
+def test_what_is_no_goal_task_is_not_registered(env):
+    with pytest.raises(UserError, match="^env = .*give a GoalTask"):
+        presets.register("square", env)
+    assert "square" not in envs.registry and "square" not in presets.registry
+
+
+def test_values_are_bounded_where_an_episode_ends_at_its_goal_alone(registered):
+    """Every step at the goal is worth 1 otherwise: refused by the field, and not by default for a task of one's own."""
+    goes_on = presets.load("point_maze", "none", env=PlaneConfig(ends_at_goal=False))
+    (refusal,) = reasons_against(goes_on)
+    assert refusal.field == "agent.bounded" and "give False" in refusal.remedy
+    with pytest.raises(UserError, match=r"^agent.bounded = True: an episode of point_maze goes on at its goal"):
+        make_train(goes_on)
+    assert not reasons_against(dataclasses.replace(goes_on, agent=TD3Config(bounded=False)))
+    all_goals = presets.load("fetch_reach", "all_goals", env=dataclasses.replace(goes_on.env), agent="td3")
+    assert "relabelling" in {
+        refusal.field for refusal in reasons_against(dataclasses.replace(all_goals, task="reacher"))
+    }
+    registered(Square(GOALS, ends_at_goal=False))
+    config = presets.load("square", "none")
+    assert not config.agent.bounded and not reasons_against(config)
+
+
+@pytest.mark.long
+def test_steps_to_numbers_that_are_not_finite_are_counted(registered):
+    """A wall of NaN: what goes there is taken back, is no transition, and stands in the epochs."""
+    registered(changed(move=lambda self, place, action: jnp.where(place[0] > 1.9, jnp.nan, place + 0.1 * action)))
+    train = make_train(presets.load("square", "none", num_envs=8, rollout_steps=40, batch_size=8))
+
+    def collected(key):
+        state = train.initial(key, train.config.hyper, train.env)
+        return collect_epoch(train.parts, state, 0, train.config.hyper, train.env)
+
+    state, counts = jax.jit(collected)(jax.random.key(0))
+    rows = state.buffer
+    assert int(counts["collect/diverged"]) == (~rows.valid & rows.truncated).sum() > 0
+    assert np.isfinite(rows.observation).all()
+
+
+def test_a_report_says_what_epochs_tell_of_a_task():
+    never = RunTable([0], np.arange(2), {"collect/success_rate": np.zeros((1, 2)), "collect/diverged": np.ones((1, 2))})
+    first, second = remarks_on(never)
+    assert "no episode of training reached its goal" in first and second.startswith("2 steps of training")
+    assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}))
+
+
+def test_an_episode_keeps_what_the_task_does_not():
+    """Time, its end, and no start at the goal."""
+    env = Square(GOALS, radius=0.5, episode_length=2)
+    states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 200))
+    assert isinstance(states, Episode) and not np.any(env.reached(env.achieved(states), states.goal))
+    still = jnp.zeros((200, 2))
+    once = jax.vmap(env.step)(states, still)
+    twice = jax.vmap(env.step)(once, still)
+    assert not once.truncated.any() and twice.truncated.all() and (twice.time == 2).all()
