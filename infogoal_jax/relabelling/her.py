@@ -34,6 +34,9 @@ class HERConfig:
     """`future`: every later step that achieves a goal is equally likely; `soon`: each is less likely by the discount
     than the one before it, as contrastive RL asks; `prefix`: every goal that the episode achieved is equally likely
     [A], for finite goals."""
+    skip_reached: bool = False
+    """Leave a transition the goal of its episode where the drawn one is reached before it already, as an object's place
+    is until it is moved: no action is needed for such a goal (filtered HER, Manela and Biess 2019)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -233,4 +236,5 @@ def make(config: HERConfig) -> Relabelling:
         ),
         "prefix": (prefixes, prefix_goal),
     }[config.strategy]
-    return Relabelling(prepare, relabel_shares(later_goal, config.future_share, config.random_share))
+    relabel_goals = relabel_shares(later_goal, config.future_share, config.random_share)
+    return Relabelling(prepare, relabel_goals, skip_reached=config.skip_reached)

@@ -80,6 +80,8 @@ class Relabelling(NamedTuple):
     all."""
     candidates: int = 1
     """Transitions drawn for each that is learned from."""
+    skip_reached: bool = False
+    """Whether transitions keep their goals where the other one is reached before them."""
     all_goals: AllGoalsSpec | None = None
     """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
 

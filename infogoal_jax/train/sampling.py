@@ -73,7 +73,7 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         # Recorded episodes did not end where their goal was reached; what is drawn from them does.
         goal = buffer.goal[row, step]
     if parts.relabelling is not None:
-        row, step, goal = with_relabelled_goals(parts.relabelling, experience, relabel_key, row, step)
+        row, step, goal = with_relabelled_goals(parts.relabelling, env, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
     drawn = with_rewards(parts.config, env, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
@@ -222,12 +222,16 @@ def shares(known: jax.Array) -> jax.Array:
 
 
 def with_relabelled_goals(
-    relabelling, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
+    relabelling, env, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
     they are given."""
     relabel_key, choose_key = jax.random.split(key)
-    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, experience.buffer.goal[row, step])
+    desired = experience.buffer.goal[row, step]
+    goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired)
+    if relabelling.skip_reached:
+        before = jax.tree.map(lambda leaf: leaf[row, step], experience.buffer.record)
+        goal = select(env.reached(before, goal), desired, goal)
     if relabelling.choose is None:
         return row, step, goal
     kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)

@@ -18,6 +18,7 @@ from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig, any_known, soon
+from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import parts, sampling, update
 
@@ -237,3 +238,16 @@ def test_soon_is_geometric_and_cut_off():
     drawn = np.asarray(soon(jnp.float32(0.5))(jax.random.key(1), before, until))
     shares = np.bincount(drawn, minlength=5) / len(drawn)
     np.testing.assert_allclose(shares, 0.5 ** np.arange(5) / (0.5 ** np.arange(5)).sum(), atol=0.02)
+
+
+def test_goals_reached_before_a_transition_can_be_left_out():
+    """A cube that lies at 0 for two steps is moved to 1: the goal 0 says nothing about the first steps, 1 does."""
+    record = jnp.array([[[0.0], [0.0], [1.0]]])
+    drawn, desired = jnp.array([[0.0], [1.0], [0.0]]), jnp.full((1, 2, 1), 5.0)
+    env = SimpleNamespace(reached=lambda record, goal: jnp.abs(record - goal)[..., 0] < 0.1)
+    experience = SimpleNamespace(buffer=SimpleNamespace(record=record, goal=desired), relabelling=None)
+    row, step = jnp.zeros(3, jnp.int32), jnp.array([0, 0, 1], jnp.int32)
+    for skip, expected in ((False, [0.0, 1.0, 0.0]), (True, [5.0, 1.0, 5.0])):
+        relabelling = Relabelling(None, lambda *_: drawn, skip_reached=skip)
+        given = sampling.with_relabelled_goals(relabelling, env, experience, jax.random.key(0), row, step)
+        np.testing.assert_array_equal(given[2][:, 0], expected)
