@@ -18,7 +18,7 @@ from infogoal_jax import checks
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.keys import from_seed
-from infogoal_jax.shapes import with_rank
+from infogoal_jax.shapes import aligned, with_rank
 
 MOST_CHANNELS = 4
 """Of an image; more of them last, and fewer first, are an image with its channels first."""
@@ -188,6 +188,8 @@ TRIED = 128
 """Candidates for a training goal. If an eighth of the drawn goals are training goals, all 128 are others once in 10^7
 draws."""
 LEAST_SHARE = 1 / 8
+MOST_CELLS = 4096
+"""Cells that a continuous goal space is divided into, for learners that count visits or keep pairs of cells."""
 
 
 @flax.struct.dataclass
@@ -333,6 +335,26 @@ class GoalBox:
             return self.seen(goals)
         centre, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
         return (goals - with_rank(centre, goals.ndim)) / with_rank(half, goals.ndim)
+
+    @property
+    def cells_per_axis(self) -> int:
+        """Cells along each axis."""
+        return max(1, int(MOST_CELLS ** (1 / self.shape[0]) + 1e-6))
+
+    @property
+    def num_cells(self) -> int:
+        """Number of cells."""
+        return self.cells_per_axis ** self.shape[0]
+
+    def cell_of(self, goals: jax.Array) -> jax.Array:
+        """The cell of each goal [..., D], int32 [...]; one outside of the corners lies in the nearest, and "no goal" in
+        -1."""
+        count = self.cells_per_axis
+        goals, low, high = aligned(goals, self.low, self.high)
+        place = jnp.clip(((goals - low) / (high - low) * count).astype(jnp.int32), 0, count - 1)
+        steps = (count ** np.arange(self.shape[0], dtype=np.int32)[::-1]).astype(np.int32)
+        cell = (place * steps.reshape((1,) * (place.ndim - 1) + (-1,))).sum(-1, dtype=jnp.int32)
+        return jnp.where(is_goal(goals), cell, -1)
 
     def in_groups(self) -> jax.Array:
         """Which of the evaluated goals [M] belong to each of `groups`, bool [G, M]."""

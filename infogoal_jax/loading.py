@@ -98,8 +98,12 @@ def can_act(actions: str, traits: Traits) -> bool:
 def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     """Everything that speaks against this configuration of a task with these traits."""
     agent = agents.registry.name_of(config.agent)
+    dissimilar_by = getattr(config.learner, "dissimilar_by", "trajectory")
     if not traits.finite_goals:
         yield from refusals_of_continuous_goals(config)
+    elif dissimilar_by != "trajectory":
+        reason = f"goals of {config.task} are a finite set, of which all dissimilar pairs are known"
+        yield Refusal("learner.dissimilar_by", dissimilar_by, reason, "give trajectory")
     if not can_act(actions_of(config.agent), traits):
         reason = {
             "moves": f"this agent chooses among a few moves, and an action of {config.task} is a vector",

@@ -33,6 +33,8 @@ class GoalPairs:
     """float32 [B], 0 where no pair was found."""
     negative_weight: jax.Array
     """float32 [B, K], 0 where no negative was found."""
+    other: jax.Array | None = None
+    """[B, *shape], any achieved goals, beside which a classifier of similar goals sees the positives; None without."""
 
 
 def initial_dissimilarity(num_goals: int) -> jax.Array:

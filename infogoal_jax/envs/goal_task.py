@@ -8,7 +8,6 @@ from typing import Any
 import flax.struct
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
@@ -17,8 +16,6 @@ from infogoal_jax.shapes import aligned
 
 STARTS = 8
 """Starts that are drawn to find one at which the goal is not reached yet."""
-MOST_CELLS = 4096
-"""Cells that the goal space is divided into, for learners that count visits or keep pairs of cells."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,19 +140,10 @@ class GoalTask(Environment):
         return ((record - goal) ** 2).sum(-1) < self.radius**2
 
     @property
-    def cells_per_axis(self) -> int:
-        """Cells along each axis of the goal space."""
-        return max(1, int(MOST_CELLS ** (1 / self.goals.shape[0]) + 1e-6))
-
-    @property
     def num_cells(self) -> int:
-        """Number of cells."""
-        return self.cells_per_axis ** self.goals.shape[0]
+        """Cells that the goal space is divided into."""
+        return self.goals.num_cells
 
     def cell_of(self, record: jax.Array) -> jax.Array:
         """The cell of each record [..., D], int32 [...]; one outside of the goal space lies in the nearest."""
-        count = self.cells_per_axis
-        record, low, high = aligned(record, self.goals.low, self.goals.high)
-        place = jnp.clip(((record - low) / (high - low) * count).astype(jnp.int32), 0, count - 1)
-        steps = count ** np.arange(self.goals.shape[0], dtype=np.int32)[::-1]
-        return (place * steps.astype(np.int32).reshape((1,) * (place.ndim - 1) + (-1,))).sum(-1, dtype=jnp.int32)
+        return self.goals.cell_of(record)

@@ -8,6 +8,7 @@ the codes. beta grows as long as the code tells similar from dissimilar goals (E
 import dataclasses
 from typing import Annotated, Literal
 
+import flax.linen as nn
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,16 @@ from infogoal_jax.learners.goal_encoder import (
     kl_to_standard_normal,
     weighted_mean,
 )
-from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, SampleSpec, Visited, encode_each
+from infogoal_jax.learners.learner import (
+    DissimilarBy,
+    Encode,
+    GoalCode,
+    Learner,
+    LearnerBatch,
+    SampleSpec,
+    Visited,
+    encode_each,
+)
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
@@ -46,6 +56,10 @@ class InfoGoalConfig(GoalEncoderConfig):
     score: Literal["distance", "bilinear"] = "distance"
     """`distance`: f = exp(-mean absolute difference) [A]; `bilinear`: a learned f, the jointly optimised score of the
     paper."""
+    dissimilar_by: DissimilarBy = "trajectory"
+    """What tells that two goals of a continuous space are dissimilar. `trajectory`: they were not achieved within the
+    window in one trajectory, and neither achieves the other; `cells`: no trajectory has been in their cells of a grid
+    within the window; `classifier`: a network that learns it, as the paper proposes."""
     negatives: Literal["anchored", "independent"] = "anchored"
     """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn
     for it [A]."""
@@ -115,14 +129,32 @@ def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, thre
     return jnp.clip(beta, 0.0, 1.0)
 
 
+class SimilarityClassifier(nn.Module):
+    """Two inputs of goals [..., *input] to the logit [...] that the goals are similar; symmetric in both."""
+
+    hidden: tuple[int, ...]
+    size: int
+
+    @nn.compact
+    def __call__(self, first, second):
+        embed = networks.GoalLayers(self.hidden, self.size)
+        first, second = embed(first), embed(second)
+        together = jnp.concatenate([jnp.abs(first - second), first * second], axis=-1)
+        return networks.MLP(self.hidden[-1:], 1)(together)[..., 0]
+
+
 def make(config: InfoGoalConfig) -> Learner:
     """The InfoGoal learner for this configuration."""
+    by_classifier = config.dissimilar_by == "classifier"
     encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
+    classifier = SimilarityClassifier(config.hidden, config.latent_size) if by_classifier else None
 
     def init(key, example, hyper):
         params = {"encoder": encoder.init(key, example.goal_inputs[:1])}
         if config.score == "bilinear":
             params["score"] = jnp.eye(config.latent_size, dtype=jnp.float32)
+        if by_classifier:
+            params["classifier"] = classifier.init(jax.random.fold_in(key, 1), *[example.goal_inputs[:1]] * 2)
         start = 0.0 if config.beta_rule == "fixed" else hyper.beta_start
         return params, InfoGoalState(beta=jnp.asarray(start, jnp.float32), scale=jnp.ones((), jnp.float32))
 
@@ -171,7 +203,26 @@ def make(config: InfoGoalConfig) -> Learner:
             metrics["mean_code_accuracy"] = weighted_mean(right, weights)
             threshold = metrics["mean_code_accuracy"] - hyper.beta_margin
         state = state.replace(beta=next_beta(config, state.beta, accuracy, threshold, hyper))
-        return infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin, metrics, state
+        total = infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin
+        if by_classifier:
+            metrics["classifier_loss"] = classifier_loss(params, batch)
+            total += metrics["classifier_loss"]
+        return total, metrics, state
+
+    def similar_logit(params, first, second):
+        return classifier.apply(params["classifier"], first, second)
+
+    def classifier_loss(params, batch: LearnerBatch):
+        """Cross entropy of telling positives from any achieved goals, each beside its anchor."""
+        pairs = batch.pairs
+        anchor, positive, other = (batch.inputs_of(goal) for goal in (pairs.anchor, pairs.positive, pairs.other))
+        losses = jax.nn.softplus(-similar_logit(params, anchor, positive))
+        losses += jax.nn.softplus(similar_logit(params, anchor, other))
+        return weighted_mean(losses, pairs.positive_weight)
+
+    def similar(params, first, second):
+        """More often achieved within the window than by chance."""
+        return similar_logit(params, first, second) > 0
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
         """Eq. 16 with a minus sign: minus the distance from the mean code of the desired goal to that of the nearest
@@ -187,5 +238,11 @@ def make(config: InfoGoalConfig) -> Learner:
         scale = state.scale + SCALE_RATE * (weighted_mean(distance, mask) - state.scale)
         return -distance / jnp.maximum(scale, 1e-6), state.replace(scale=scale)
 
-    sample_spec = SampleSpec(config.num_pairs, config.window, config.num_negatives, config.negatives == "anchored")
-    return Learner(init, encode, loss, sample_spec, intrinsic_reward)
+    sample_spec = SampleSpec(
+        config.num_pairs,
+        config.window,
+        config.num_negatives,
+        anchored=config.negatives == "anchored",
+        dissimilar_by=config.dissimilar_by,
+    )
+    return Learner(init, encode, loss, sample_spec, intrinsic_reward, similar=similar if by_classifier else None)

@@ -7,7 +7,7 @@ Shapes: B transitions or pairs, n steps of a transition, d numbers of a code, F 
 
 import itertools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import flax.struct
 import jax
@@ -44,6 +44,9 @@ Encode = Callable[[jax.Array], GoalCode]
 """Goals [..., *shape] to their codes [...] under fixed parameters. A table for small goal sets, else the network."""
 
 
+DissimilarBy = Literal["trajectory", "cells", "classifier"]
+
+
 class SampleSpec(NamedTuple):
     """What is sampled for each evaluation of a learner's loss."""
 
@@ -57,6 +60,8 @@ class SampleSpec(NamedTuple):
     """Compare a negative with the anchor of its pair; False: with another goal, drawn for it."""
     dissimilar: bool = True
     """Draw dissimilar goals as negatives; False: any known goals."""
+    dissimilar_by: DissimilarBy = "trajectory"
+    """What tells that two goals of a continuous space are dissimilar."""
     num_goals: int = 0
     """Goals that are known or desired in training: `LearnerBatch.goals`."""
     first_seen: bool = False
@@ -184,6 +189,9 @@ class Learner(NamedTuple):
     """Use the mean of a code in evaluation instead of a sample."""
     by_index: bool = False
     """`encode` takes the numbers of goals, int32 [..., 1], in place of what they look like."""
+    similar: Callable[[Any, jax.Array, jax.Array], jax.Array] | None = None
+    """(params, goal_inputs [..., *input], goal_inputs [..., *input]) -> bool [...], whether two goals are similar, for
+    `SampleSpec.dissimilar_by` = "classifier"."""
     needs_features_of_goals: bool = False
     """The loss asks for `LearnerBatch.features_of`: goals have to be observations."""
 

@@ -105,7 +105,16 @@ def check_code(code: Any, name: str, axes: tuple[int, ...]) -> None:
 
 def with_learner_checks(learner: Learner) -> Learner:
     """The learner with checks. Raises `UserError` for what is none."""
-    functions = {"init": 3, "encode": 2, "loss": 5, "intrinsic_reward": 3, "observe": 2, "condition": 3, "augment": 2}
+    functions = {
+        "init": 3,
+        "encode": 2,
+        "loss": 5,
+        "intrinsic_reward": 3,
+        "observe": 2,
+        "condition": 3,
+        "augment": 2,
+        "similar": 3,
+    }
     check_record(learner, "learner", Learner, functions)
     spec = learner.sample_spec
     require(isinstance(spec, SampleSpec), "learner.sample_spec", type(spec).__name__, "give a SampleSpec")

@@ -32,10 +32,12 @@ class Experience:
     known: pairs.KnownGoals | pairs.AchievedGoals
     """Goals that may be negatives."""
     dissimilarity: jax.Array | None
-    """bool [N, N]; None where goals are not finite."""
+    """bool [N, N], as in `TrainState`."""
     codes: GoalCode | None
     """Of all goals by the epoch's first parameters, for the intrinsic reward, where there are too many goals to encode
     in every update."""
+    goal_params: Any = None
+    """The learner's parameters at the beginning of the epoch, where it classifies goals; else None."""
     relabelling: Any = None
     """The table that the relabelling made for the epoch; None without."""
     learner_relabelling: Any = None
@@ -85,16 +87,25 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
             state.learner, NewSteps(rows.goal, achieved[:, 1:], env.cell_of(rows.record)[:, 1:], rows.valid)
         ),
     )
-    if not env.goals.finite:
-        return state
-    seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
-    state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
-    if not learner.sample_spec.num_pairs:
+    if env.goals.finite:
+        seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
+        state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
+    if not learner.sample_spec.num_pairs or state.dissimilarity is None:
         return state
     similar = usable_goals(parts.config, env, rows.record)
+    similar = similar if env.goals.finite else env.goals.cell_of(similar)
     return state.replace(
         dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
     )
+
+
+def first_dissimilarity(parts, env) -> jax.Array | None:
+    """G_neg before any experience: of the goals of a set, or of the cells of a continuous space where the learner asks
+    for them."""
+    if env.goals.finite:
+        return pairs.initial_dissimilarity(env.goals.num_goals)
+    by_cells = parts.learner.sample_spec.dissimilar_by == "cells"
+    return pairs.initial_dissimilarity(env.goals.num_cells) if by_cells else None
 
 
 def usable_goals(config, env, record) -> jax.Array:
@@ -143,6 +154,7 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
         achieved_count=achieved_count,
         known=known,
         dissimilarity=state.dissimilarity,
+        goal_params=None if parts.learner.similar is None else state.params["goal"],
         codes=codes,
         relabelling=table,
         learner_relabelling=learner_table,

@@ -164,7 +164,7 @@ class TrainState:
     explorer: Any
     """The explorer's state; None without one."""
     dissimilarity: jax.Array | None
-    """G_neg, bool [N, N]; None where goals are not finite."""
+    """G_neg, bool [N, N], of goals or of cells; None where goals are continuous and no cells are asked for."""
     seen: jax.Array | None
     """bool [N], goals achieved so far; None where goals are not finite."""
     buffer: Trajectories | None

@@ -26,7 +26,13 @@ from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
 from infogoal_jax.train.evaluation import evaluate_settings
-from infogoal_jax.train.experience import Experience, collect_epoch, experience_of, update_statistics
+from infogoal_jax.train.experience import (
+    Experience,
+    collect_epoch,
+    experience_of,
+    first_dissimilarity,
+    update_statistics,
+)
 from infogoal_jax.train.parts import (
     INITIAL,
     UPDATE,
@@ -135,7 +141,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
             learner=learner_state,
             agent=agent_state,
             explorer=explorer_state,
-            dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals) if env.goals.finite else None,
+            dissimilarity=first_dissimilarity(parts, env),
             seen=jnp.zeros(env.goals.num_goals, bool) if env.goals.finite else None,
             buffer=None,
             env_states=None,

@@ -161,33 +161,58 @@ def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPair
             keys[4], experience.dissimilarity, experience.known.mask, contrast
         )
     else:
-        negative, negative_weight = sample_apart(spec.window, env, experience, keys[4], place, contrast)
-    return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight)
+        negative, negative_weight = sample_apart(parts, env, experience, keys[4], place, contrast)
+    other = None
+    if spec.dissimilar_by == "classifier":
+        other = with_placeholders(experience.known.draw(jax.random.fold_in(key, 5), (spec.num_pairs,)))
+    return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight, other)
 
 
 def sample_apart(
-    window: int, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
+    parts, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Draw for each goal of a continuous space one from the buffer that is dissimilar to it (line 20), by rejection.
 
-    Two goals are similar if they were achieved within the window in one trajectory, or if one of them achieves the
-    other. window: largest number of steps; place: row and step, int32 [B, 1] or [B, K], where the goals contrast [B, K,
-    D] were achieved. Returns goals [B, K, D] and weights float32 [B, K], 0 where every candidate was rejected.
+    place: row and step, int32 [B, 1] or [B, K], where the goals contrast [B, K, D] were achieved. Returns goals [B, K,
+    D] and weights float32 [B, K], 0 where every candidate was rejected.
     """
-    buffer, goals = experience.buffer, experience.known.goals
+    goals, spec = experience.known.goals, parts.learner.sample_spec
     place_key, goal_key = jax.random.split(key)
     tried = (*contrast.shape[:-1], goal_pairs.REJECTION_TRIES)
     there = replay.draw(place_key, experience.achieved_count, tried, goals.shape[1])
     candidates = goal_pairs.choose_goal(goal_key, goals[there])
+    if spec.dissimilar_by == "cells":
+        dissimilar = experience.dissimilarity[env.goals.cell_of(contrast)[..., None], env.goals.cell_of(candidates)]
+    elif spec.dissimilar_by == "classifier":
+        every = jnp.broadcast_to(contrast[..., None, :], candidates.shape)
+        seen = env.goals.inputs_of(every), env.goals.inputs_of(with_placeholders(candidates))
+        dissimilar = ~parts.learner.similar(experience.goal_params, *seen)
+    else:
+        dissimilar = achieved_apart(spec.window, env, experience, place, there, contrast, candidates)
+    accepted = dissimilar & is_goal(candidates) & (experience.achieved_count[-1] > 0)
+    first = accepted.argmax(-1)[..., None]
+    negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
+    return negative, accepted.any(-1).astype(jnp.float32)
+
+
+def achieved_apart(
+    window: int,
+    env,
+    experience: Experience,
+    place: tuple[jax.Array, jax.Array],
+    there: tuple[jax.Array, jax.Array],
+    contrast: jax.Array,
+    candidates: jax.Array,
+) -> jax.Array:
+    """Whether goals [B, K, D] and their candidates [B, K, tries, D], achieved at these rows and steps, were not
+    achieved within the window in one trajectory, and none achieves the other: bool [B, K, tries]."""
+    buffer, tried = experience.buffer, candidates.shape[:-1]
     here = tuple(jnp.broadcast_to(index[..., None], tried) for index in place)
     record, other = (jax.tree.map(lambda leaf, at=at: leaf[at], buffer.record) for at in (here, there))
     episode = experience.episode
     apart = (here[0] != there[0]) | (episode[here] != episode[there]) | (jnp.abs(here[1] - there[1]) > window)
     one_achieves_other = env.reached(other, contrast[..., None, :]) | env.reached(record, candidates)
-    accepted = apart & ~one_achieves_other & is_goal(candidates) & (experience.achieved_count[-1] > 0)
-    first = accepted.argmax(-1)[..., None]
-    negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
-    return negative, accepted.any(-1).astype(jnp.float32)
+    return apart & ~one_achieves_other
 
 
 def draw_goals(
