@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax._src import xla_bridge  # No public function says whether JAX has started without starting it.
 
-from infogoal_jax.errors import UserError, require, shown
+from infogoal_jax.errors import UserError, reason, require, shown
 from infogoal_jax.keys import is_key
 
 MOST_ENVS = 2**20
@@ -224,9 +224,9 @@ def called(name: str, function: Callable, *arguments: Any) -> Any:
         raise
     except NotImplementedError as error:
         raise UserError(f"{name}: is not written, and the contract asks for it") from error
-    except Exception as error:
-        words = next((line.strip() for line in str(error).splitlines() if line.strip()), "no message")
-        raise UserError(f"{name}: raised {type(error).__name__} when it was traced: {words}") from error
+    except (Exception, SystemExit) as error:
+        kind, colon, words = reason(error).partition(": ")
+        raise UserError(f"{name}: raised {kind} when it was traced{colon}{words}") from error
 
 
 def traced(name: str, function: Callable, *arguments: Any) -> Any:

@@ -1,6 +1,7 @@
 """The one error a user is meant to read: what was given, why it cannot be used, and what would be right; and what it is
 worded with."""
 
+import re
 import shlex
 
 LONGEST = 200
@@ -18,9 +19,18 @@ def require(condition: bool, field: str, value: object, remedy: str) -> None:
 
 
 def shown(value: object) -> str:
-    """A value as it is written in Python, cut where it is long."""
-    text = repr(value)
+    """A value as it is written in Python, in one line, cut where it is long."""
+    text = re.sub(r"\s*\n\s*", " ", repr(value))
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+def reason(error: BaseException) -> str:
+    """What an error of somebody else's code says: `ValueError: ` and the first line of its text, if it has one."""
+    try:
+        words = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    except Exception:  # Its own text fails.
+        words = ""
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
 def typed(path: object) -> str:

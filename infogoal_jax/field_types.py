@@ -51,7 +51,7 @@ def in_words(error: msgspec.ValidationError, hint: Any) -> str:
     if typing.get_origin(hint) is Literal:
         return f"give one of {', '.join(map(repr, typing.get_args(hint)))}"
     problem = re.sub(r"\barray\b", "list", str(error).replace("`", "").partition(" - at ")[0])
-    problem = re.sub(r"\bnull\b", "None", problem)
+    problem = re.sub(r"\bobject\b", "dict", re.sub(r"\bnull\b", "None", problem))
     return problem[0].lower() + problem[1:]
 
 

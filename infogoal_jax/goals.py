@@ -155,7 +155,8 @@ class GoalSet:
         return jnp.stack([getattr(self, f"{group}_mask") for group in self.groups])[:, self.evaluated]
 
     def only(self, group: str) -> "GoalSet":
-        """The same goals, of which those of one group alone are evaluated."""
+        """The same goals, of which those of one of `groups` alone are evaluated. Raises `UserError` for another."""
+        require(group in self.groups, "group", group, f"give one of {self.groups}")
         scored = np.flatnonzero(getattr(self, f"{group}_mask"))
         return self.replace(evaluated=jnp.asarray(scored, jnp.int32), groups=(group,))
 
@@ -190,6 +191,8 @@ draws."""
 LEAST_SHARE = 1 / 8
 MOST_CELLS = 4096
 """Cells that a continuous goal space is divided into, for learners that count visits or keep pairs of cells."""
+LONGEST_GOAL = 4096
+"""Numbers of a goal: a picture is what `seen` makes of one."""
 
 
 @flax.struct.dataclass
@@ -231,10 +234,11 @@ class GoalBox:
 
         sampler: draws a goal from a key; None: uniform. use_of: says of a goal whether it is held out: True or 2 for a
         test goal, 1 for a validation goal, False or 0 for a training goal. seen: what the goal encoder sees of goals.
-        num_evaluated: goals of each use that an evaluation asks for; seed: of these.
+        num_evaluated: goals of each use that an evaluation asks for, if that many of the 4,096 that are drawn have this
+        use; seed: of these.
 
-        Raises `UserError`, naming the field, for corners that are none, for a sampler that draws outside of them or
-        goals of the wrong type, and where fewer than an eighth of what it draws are training goals.
+        Raises `UserError`, naming the field, for corners that are none, for a function that returns something else than
+        it should or draws outside of the corners, and where fewer than an eighth of what is drawn are training goals.
         """
         with jax.ensure_compile_time_eval():  # A task may be made where something is traced.
             return cls._of(low, high, sampler, use_of, seen, num_evaluated, seed)
@@ -242,14 +246,14 @@ class GoalBox:
     @classmethod
     def _of(cls, low, high, sampler, use_of, seen, num_evaluated: int, seed: int) -> "GoalBox":
         remedy = "give the corners as numbers [D], such as [0.0, 0.0]"
-        low, high = (
-            np.asarray(checks.array(corner, name, "numbers", ("D",), remedy), np.float32)
-            for corner, name in ((low, "low"), (high, "high"))
-        )
+        low, high = (checked_corner(corner, name, remedy) for corner, name in ((low, "low"), (high, "high")))
         require(low.shape == high.shape, "high", high.tolist(), f"give as many numbers as low has, {len(low)}")
-        require(len(low) > 0 and np.isfinite([low, high]).all(), "low", low.tolist(), "give finite corners")
         require((low < high).all(), "high", high.tolist(), f"has to lie above low = {low.tolist()}")
-        checks.whole(num_evaluated, "num_evaluated", 1)
+        with np.errstate(over="ignore"):
+            half = np.float32(0.5) * (high - low)  # What goals are divided by; on a device the smallest numbers are 0.
+        fits = (half >= np.finfo(np.float32).tiny) & np.isfinite(2 * half)
+        require(fits.all(), "high", high.tolist(), f"lies too near to low = {low.tolist()} or too far from it")
+        checks.whole(num_evaluated, "num_evaluated", 1, DRAWN)
         for function, name in ((sampler, "sampler"), (use_of, "use_of"), (seen, "seen")):
             if function is not None:
                 checks.function(function, name, 1, f"see GoalBox.{name}")
@@ -259,13 +263,15 @@ class GoalBox:
         keys = jax.random.split(key, DRAWN)
         goal = checks.traced("sampler", space.draw_any, keys[0])
         checks.returned(goal, "sampler", checks.Spec((len(low),), "float32"))
-        use = checks.traced("use_of", space.use, goal)
-        checks.returned(use, "use_of", checks.Spec((), "int32"))
+        checked_use(use_of, goal)
+        checked_seen(space, goal)
         drawn, uses = (np.asarray(each) for each in jax.jit(jax.vmap(space.draw_with_use))(keys))
-        require(np.isfinite(drawn).all(), "sampler", drawn[~np.isfinite(drawn).all(1)][:1], "draw finite goals")
+        broken = ~np.isfinite(drawn).all(1)
+        require(not broken.any(), "sampler", drawn[broken][:1].tolist(), "draw finite goals")
         outside = (drawn < low - 1e-6).any(1) | (drawn > high + 1e-6).any(1)
         require(not outside.any(), "sampler", drawn[outside][:1].tolist(), "draws goals outside of low and high")
-        require(np.isin(uses, range(len(USES))).all(), "use_of", uses, f"give positions in {USES}, or bool")
+        others = uses[~np.isin(uses, range(len(USES)))][:1].tolist()
+        require(not others, "use_of", others, f"give positions in {USES}, or bool")
         share = (uses == 0).mean()
         require(
             share >= LEAST_SHARE,
@@ -275,11 +281,16 @@ class GoalBox:
         )
         chosen = [np.flatnonzero(uses == use)[:num_evaluated] for use in range(len(USES))]
         which = np.concatenate(chosen)
-        return space.replace(
+        space = space.replace(
             evaluated=jax.device_put(drawn[which]),
             uses=jax.device_put(uses[which]),
             groups=tuple(name for name, places in zip(USES, chosen, strict=True) if len(places)),
         )
+        if seen is not None:
+            finite = np.isfinite(np.asarray(jax.jit(space.inputs_of)(space.evaluated)))
+            broken = drawn[which][~finite.reshape(len(which), -1).all(1)][:1].tolist()
+            require(not broken, "seen", broken, "return finite numbers for every goal")
+        return space
 
     @property
     def shape(self) -> tuple[int]:
@@ -361,7 +372,8 @@ class GoalBox:
         return jnp.stack([self.uses == USES.index(group) for group in self.groups])
 
     def only(self, group: str) -> "GoalBox":
-        """The same goals, of which those of one group alone are evaluated."""
+        """The same goals, of which those of one of `groups` alone are evaluated. Raises `UserError` for another."""
+        require(group in self.groups, "group", group, f"give one of {self.groups}")
         scored = np.flatnonzero(np.asarray(self.uses) == USES.index(group))
         return self.replace(evaluated=self.evaluated[scored], uses=self.uses[scored], groups=(group,))
 
@@ -385,6 +397,44 @@ class GoalBox:
 
 
 GoalSpace = GoalSet | GoalBox
+
+
+def checked_corner(corner: Any, field: str, remedy: str) -> np.ndarray:
+    """A corner of a goal space, float32 [D]. Raises `UserError` for anything else, also for numbers that are traced."""
+    corner = checks.array(corner, field, "numbers", ("D",), remedy)
+    require(not checks.is_traced(corner), field, "a traced array", "a goal space is made of numbers that are known")
+    require(0 < len(corner) <= LONGEST_GOAL, field, f"{len(corner)} numbers", f"give 1 to {LONGEST_GOAL}")
+    with np.errstate(over="ignore"):
+        corner = np.asarray(corner, np.float32)
+    require(np.isfinite(corner).all(), field, corner.tolist(), "give finite numbers that float32 holds")
+    return corner
+
+
+def checked_use(use_of: Callable | None, goal: jax.ShapeDtypeStruct) -> None:
+    """Raise `UserError` for a function that says something else of a goal than bool or a whole number."""
+    if use_of is None:
+        return
+    use = checks.traced("use_of", lambda goal: jnp.asarray(use_of(goal)), goal)
+    is_use = use.ndim == 0 and (use.dtype == bool or jnp.issubdtype(use.dtype, jnp.integer))
+    require(is_use, "use_of", checks.described(use), f"return bool [], or int32 []: a position in {USES}")
+
+
+def checked_seen(space: "GoalBox", goal: jax.ShapeDtypeStruct) -> None:
+    """Raise `UserError` unless the goal encoder sees one vector float32 [F] or image uint8 [H, W, C] of each goal."""
+    one = checks.traced("seen", space.inputs_of, goal)
+    kind = (str(one.dtype), one.ndim) if checks.is_array(one) else None
+    fits = kind in (("float32", 1), ("uint8", 3)) and 0 not in one.shape
+    require(fits, "seen", checks.described(one), "return float32 [..., F], or images uint8 [..., H, W, C]")
+    is_image = one.ndim == 3
+    require(
+        not (is_image and one.shape[0] <= MOST_CHANNELS < one.shape[2]),
+        "seen",
+        checks.described(one),
+        "give images with their channels last",
+    )
+    for axes in ((2,), (2, 3)):
+        several = checks.traced("seen", space.inputs_of, checks.with_axes(goal, axes))
+        checks.returned(several, "seen", checks.Spec((*axes, *one.shape), str(one.dtype)), f"for goals {[*axes, 'D']}")
 
 
 def checked_inputs(inputs: Any) -> Any:

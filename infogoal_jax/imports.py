@@ -7,13 +7,16 @@ made with; that alone never runs anything.
 import hashlib
 import importlib.util
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from infogoal_jax.errors import UserError, require, typed
+from infogoal_jax.errors import UserError, reason, require, typed
+from infogoal_jax.files import read_bytes
 
 FLAG = "--import"
+MOST = 2**24
+"""Bytes of a file of Python."""
 GROUP = "infogoal.plugins"
 """Entry points of installed packages, modules that register tasks and parts when they are imported."""
 
@@ -36,7 +39,7 @@ def import_file(file: str | Path) -> None:
     given = f"import = {str(file)!r}"
     require(path.suffix == ".py", "import", str(file), "give a file that ends in .py")
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MOST)
     except OSError as error:
         raise UserError(f"{given}: {error.strerror or error}; give the file that registers the task") from error
     checksum, before = hashlib.sha256(content).hexdigest(), imported.get(path.name)
@@ -50,13 +53,12 @@ def import_file(file: str | Path) -> None:
     sys.modules[name] = module
     try:
         exec(compile(content, str(path), "exec"), module.__dict__)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # A script that ends its process would end the command, without a word.
         del sys.modules[name]
         lines = [at for at in traceback_lines(error) if at[0] == str(path)]
         line = lines[-1][1] if lines else getattr(error, "lineno", None)
         where = f", line {line}" if line else ""
-        reason = next(iter(str(error).splitlines()), "")
-        raise UserError(f"{given}{where}: {type(error).__name__}: {reason}; mend the file") from error
+        raise UserError(f"{given}{where}: {reason(error)}; mend the file") from error
     imported[path.name] = Imported(path, checksum)
 
 
@@ -72,12 +74,16 @@ def traceback_lines(error: BaseException) -> list[tuple[str, int]]:
 def import_installed() -> None:
     """Import what installed packages register. Raises `UserError`, naming the entry point, for one that fails."""
     for point in entry_points(group=GROUP):
-        try:
-            point.load()
-        except Exception as error:
-            raise UserError(
-                f"{GROUP}: {point.name} = {point.value!r}: {type(error).__name__}: {error}; mend or uninstall it"
-            ) from error
+        load(point)
+
+
+def load(point: EntryPoint) -> Any:
+    """What an entry point of an installed package names. Raises `UserError`, naming it, where its import fails."""
+    try:
+        return point.load()
+    except (Exception, SystemExit) as error:
+        said = f"{point.group}: {point.name} = {point.value!r}: {reason(error)}"
+        raise UserError(f"{said}; mend or uninstall the package") from error
 
 
 def take_imports(arguments: list[str]) -> list[str]:

@@ -314,6 +314,7 @@ def check_environment(config: TrainConfig, env: Any) -> None:
     """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
     goals or of too many goals."""
     require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
+    check_goals(env)
     count = env.goals.num_goals or 0
     require(
         count <= MOST_GOALS,

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.errors import UserError, a, nearest, shown
 from infogoal_jax.hyperparameters import NoHyperparameters, check_declared
 
@@ -29,7 +30,7 @@ class Entry(NamedTuple):
     """The method that a learner belongs to whose name is none; empty: it is a method by its own name."""
 
 
-class Registry(dict):
+class Registry(CheckedDict):
     """The parts of one kind by name. kind: what they are, which is also the field of `TrainConfig` that holds the
     configuration of one."""
 
@@ -39,9 +40,9 @@ class Registry(dict):
         for name, entry in entries.items():
             self[name] = entry
 
-    def __setitem__(self, name: str, entry: Entry) -> None:
-        """Register a part. Raises `UserError` for what is no `Entry`, and for the configuration of another part: which
-        part is meant follows from it. Tasks may share one, as a `TrainConfig` names its task."""
+    def check(self, name: str, entry: Entry) -> None:
+        """Raise `UserError` for what is no `Entry`, and for the configuration of another part: which part is meant
+        follows from it. Tasks may share one, as a `TrainConfig` names its task."""
         if not isinstance(name, str) or not name:
             raise UserError(f"{self.kind} = {name!r}: give a name")
         if not isinstance(entry, Entry):
@@ -54,7 +55,6 @@ class Registry(dict):
                 f"{self.kind} = {name!r}: {config} is the configuration of {others[0]!r}; derive one of its own from "
                 f"it: class My{config}({config})"
             )
-        super().__setitem__(name, entry)
 
     def check_entry(self, name: str, entry: Entry) -> None:
         """Raise `UserError` for an entry with something else in it than declared."""

@@ -14,11 +14,13 @@ from infogoal_jax import Hyperparameters, UserError, envs, learners, make_train,
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.envs.object_search import ObjectSearchConfig
+from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.learners.vae import VAEConfig
 from infogoal_jax.presets.preset import Changes
 from infogoal_jax.registry import Entry, Registry
+from infogoal_jax.report import task_figures
 from infogoal_jax.runner import search as searching
 from infogoal_jax.runner.training import checked_seeds
 from infogoal_paper import tuning
@@ -141,9 +143,9 @@ def without_training_goals():
             lambda: register("my_vae", Entry(OtherVAEConfig, print, method=3)),
             "learner = 'my_vae': Entry.method = 3: give the name of a method",
         ),
-        (lambda: load_with(methods={"infogaol": Changes()}), r"preset of object_search = \['infogaol'\].*'infogoal'"),
-        (lambda: load_with(training={"num_epoch": 20}), r"preset of object_search = \['num_epoch'\].*'num_epochs'"),
-        (lambda: load_with(hyper={"discout": 0.9}), r"preset of object_search = \['discout'\].*'discount'"),
+        (lambda: load_with(methods={"infogaol": Changes()}), r"preset of object_search = 'infogaol'.*'infogoal'"),
+        (lambda: load_with(training={"num_epoch": 20}), r"preset of object_search = 'num_epoch'.*'num_epochs'"),
+        (lambda: load_with(hyper={"discout": 0.9}), r"preset of object_search = 'discout'.*'discount'"),
         (lambda: goals_of(uses=[0, 2, 7]), "uses = .*array.*give positions in"),
         (lambda: goals_of(uses=["train", "test", "test"]), "uses = .*array.*give positions in"),
         (lambda: goals_of(regions=[0, 1, 0]), "regions = .*region_names has the regions 0 to 0"),
@@ -277,3 +279,68 @@ def test_all_public_names_can_be_completed():
     """Those that are imported when they are first asked for are listed like the others, and are there."""
     assert set(presets.__all__) <= set(dir(presets))
     assert all(getattr(presets, name) is not None for name in presets.__all__)
+
+
+GOOD = dict(agent="td3", training={}, hyper={}, methods={})
+
+
+@pytest.fixture
+def no_preset():
+    """Nobody knows the preset afterwards."""
+    yield
+    presets.registry.pop("point_maze_2", None)
+    envs.registry.pop("point_maze_2", None)
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(presets.Preset)])
+@pytest.mark.parametrize("value", [None, 3, ["td3"], b"x", {1: 2}])
+def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value, no_preset):
+    with pytest.raises(UserError, match=f"preset of point_maze_2: {field} = "):
+        presets.registry["point_maze_2"] = presets.Preset(**GOOD | {field: value})
+    assert "point_maze_2" not in presets.registry
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (dict(training={"nope": 3}), "'nope': no such method, part or field in it"),
+        (dict(hyper={"learner.nope": 3.0}), "'learner.nope': no such"),
+        (dict(env={"nope": 1}), "'nope': no such method, part or field in env"),
+        (dict(state_encoder={"nope": 1}), "in state_encoder"),
+        (dict(learner={"nope": 1}), "in learner"),
+        (dict(agents={"nope": {}}), "in agents"),
+        (dict(agents={"td3": {"nope": 1}}), r"in agents\['td3'\]"),
+        (dict(relabellings={"her": {"nope": 1}}), r"in relabellings\['her'\]"),
+        (dict(methods={"nope": Changes()}), "in methods"),
+        (dict(methods={"infogoal": Changes(learner={"nope": 1})}), r"in methods\['infogoal'\]"),
+        (dict(methods={"her": Changes(relabelling={"nope": 1})}), r"in methods\['her'\]"),
+    ],
+)
+def test_a_name_in_a_preset_that_nothing_has_is_refused(changes, said, no_preset):
+    envs.registry["point_maze_2"] = envs.registry["point_maze"]
+    presets.registry["point_maze_2"] = presets.Preset(**GOOD)
+    presets.load("point_maze_2")
+    presets.registry["point_maze_2"] = presets.Preset(**GOOD | changes)
+    with pytest.raises(UserError, match=f"preset of point_maze_2 = {said}|preset of point_maze_2 = .*{said}"):
+        presets.load("point_maze_2")
+
+
+@pytest.mark.parametrize("registry", [envs.registry, learners.registry, presets.registry, task_figures.registry])
+@pytest.mark.parametrize("name", ["mine", 3])
+def test_whichever_way_something_is_registered_it_is_checked(registry, name):
+    before = dict(registry)
+    for register in (
+        lambda: registry.__setitem__(name, 3),
+        lambda: registry.update({name: 3}),
+        lambda: registry.setdefault(name, 3),
+        lambda: registry.__ior__({name: 3}),
+    ):
+        with pytest.raises(UserError):
+            register()
+    assert registry.setdefault(next(iter(before))) is next(iter(before.values())) and dict(registry) == before
+
+
+def test_an_error_is_one_line_whatever_its_value_is():
+    with pytest.raises(UserError) as refused:
+        require(False, "env", {"a": np.zeros((3, 3)), "b": "two  spaces\n"}, "give one")
+    assert "\n" not in str(refused.value) and "two  spaces\\n" in str(refused.value)

@@ -44,6 +44,49 @@ def test_a_space_that_cannot_be_trained_on_is_refused(arguments, message):
         GoalBox.of(low, high, **dict(zip(("sampler", "use_of"), functions, strict=False)))
 
 
+def unit(**functions):
+    """The space from 0 to 1 in both axes."""
+    return GoalBox.of([0.0, 0.0], [1.0, 1.0], **functions)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: GoalBox.of([-1e39], [1e39]), "low = .*finite numbers that float32 holds"),
+        (lambda: GoalBox.of([-3e38], [3e38]), "high = .*too far"),
+        (lambda: GoalBox.of([0.0], [1e-45]), "high = .*too near"),
+        (lambda: GoalBox.of(np.zeros(5000), np.ones(5000)), "low = '5000 numbers': give 1 to 4096"),
+        (lambda: jax.jit(lambda low: GoalBox.of(low, [1.0]).low)(jnp.zeros(1)), "low = 'a traced array'"),
+        (lambda: unit(num_evaluated=10**6), "num_evaluated = 1000000: give a whole number from 1 to 4096"),
+        (lambda: unit(use_of=lambda goal: goal[0]), "use_of = 'float32 .*return bool"),
+        (lambda: unit(use_of=lambda goal: goal > 0.5), r"use_of = 'bool \[2\]'"),
+        (lambda: unit(use_of=lambda goal: 3), r"use_of = \[3\]: give positions in"),
+        (lambda: unit(sampler=lambda key: jax.random.uniform(key, (2,)) * jnp.nan), r"sampler = \[\[nan, nan\]\]"),
+        (lambda: unit(sampler=lambda key: exit(0)), "sampler: raised SystemExit when it was traced: 0"),
+        (lambda: unit(seen=lambda goals: None), "seen = 'NoneType': return float32"),
+        (lambda: unit(seen=len), "seen"),
+        (lambda: unit(seen=lambda goals: goals[..., 0]), r"seen = 'float32 \[\]'"),
+        (lambda: unit(seen=lambda goals: goals.astype(jnp.int32)), "seen = 'int32"),
+        (lambda: unit(seen=lambda goals: jnp.zeros(3)), r"seen: is float32 \[3\]; give float32 \[2, 3\]"),
+        (lambda: unit(seen=lambda goals: goals / 0.0), "seen = .*finite numbers for every goal"),
+        (lambda: unit(seen=lambda goals: 1 / 0), "seen: raised ZeroDivisionError"),
+        (lambda: unit(seen=lambda goals: jnp.zeros((*goals.shape[:-1], 3, 8, 8), jnp.uint8)), "seen = .*channels last"),
+        (lambda: unit().only("test"), r"group = 'test': give one of \('train',\)"),
+        (lambda: unit().checked([1e39, 0.0], "goal", 0), "goal = .*lies outside"),
+    ],
+    ids=range(21),
+)
+def test_what_would_not_be_noticed_while_training_is_refused(make, message):
+    with pytest.raises(UserError, match=message):
+        make()
+
+
+def test_goals_may_be_seen_as_vectors_or_images():
+    assert unit(seen=jnp.sin).inputs_of(jnp.zeros((3, 2))).shape == (3, 2)
+    images = unit(seen=lambda goals: jnp.zeros((*goals.shape[:-1], 8, 8, 3), jnp.uint8))
+    assert images.inputs_of(jnp.zeros((3, 2))).shape == (3, 8, 8, 3)
+
+
 @pytest.mark.parametrize("goals", [[[3.0, 0.0]], [[np.nan, 0.0]], [0.5, 0.0], [[1, 2, 3]]])
 def test_goals_that_are_none_of_the_space_are_refused(goals):
     with pytest.raises(UserError, match="goals"):

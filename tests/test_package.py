@@ -26,6 +26,7 @@ LAYERS = (
         "files",
         "field_types",
         "config",
+        "checked_dict",
         "registry",
         "hyperparameters",
         "goals",

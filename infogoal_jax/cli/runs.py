@@ -9,6 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional, UseAppendAction
 
 from infogoal_jax.cli.commands import check_seed
 from infogoal_jax.errors import UserError, counted, require, typed
+from infogoal_jax.imports import load
 
 
 def evaluate(
@@ -56,7 +57,7 @@ def report(
     # Packages that leave folders of their own name their file and what draws it, as an entry point.
     for point in entry_points(group="infogoal.reports"):
         if (Path(run) / point.name).exists():
-            print(f"figure      {point.load()(Path(run), format, captions, style)}")
+            print(f"figure      {load(point)(Path(run), format, captions, style)}")
             return 0
     from infogoal_jax.report.figures import draw_figures
     from infogoal_jax.report.summary import print_run

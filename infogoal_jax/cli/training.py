@@ -100,8 +100,12 @@ def train(
             "goes with neither --sweep, --vmap-size nor an engine",
         )
         require(resume != AUTO, "resume", resume, "name the folder of the sweep")
+        for name, value in (("tensorboard", tensorboard), ("wandb", wandb)):
+            require(not value, name, value, "goes with neither --sweep, --vmap-size nor an engine")
         folder = Path(resume or out or new_folder(config.task, presets.name_of(config)))
         settings = [] if resume else read_settings(sweep)
+        swept = synonyms.lr is not None and any("learning_rate" in setting for setting in settings)
+        require(not swept, "lr", synonyms.lr, "--sweep says the learning rates; leave one of both out")
         return train_parts(config, settings, numbers, vmap_size, folder, bool(resume), where, figures)
     if resume == AUTO:
         resume = run_to_go_on_with(config, numbers, out)
@@ -143,9 +147,10 @@ def train(
 
 def with_synonyms(config: Any, lr: float | None, total_steps: int) -> Any:
     """The configuration with what the flags of other libraries say, rounded to whole evaluations, which is printed.
-    Raises `UserError` for a task that takes no steps, or fewer than 0."""
+    Raises `UserError` for a task that takes no steps, and for fewer than 0 or more than a run can have."""
     import dataclasses
 
+    from infogoal_jax.field_types import LARGEST_WHOLE
     from infogoal_jax.loading import traits_declared
 
     if lr is not None:
@@ -157,10 +162,24 @@ def with_synonyms(config: Any, lr: float | None, total_steps: int) -> Any:
     recorded = traits is not None and traits.recorded
     require(not recorded, "total_steps", total_steps, f"{config.task} learns from recorded steps; give --num-epochs")
     chunk = config.num_envs * config.rollout_steps * config.epochs_per_evaluation
+    most = LARGEST_WHOLE // config.epochs_per_evaluation * chunk
+    require(total_steps <= most, "total_steps", total_steps, f"give at most {most}: {LARGEST_WHOLE} epochs")
     count = max(round(total_steps / chunk), 1)
     epochs = count * config.epochs_per_evaluation
     print(f"total_steps {count * chunk:,} environment steps at most: {epochs} epochs, {count} evaluations")
     return dataclasses.replace(config, num_epochs=epochs)
+
+
+OTHER_NAMES = {"--lr": "--hyper.learning-rate", "--total-steps": "--num-epochs"}
+"""The flags that say the same as `Synonyms` do."""
+
+
+def check_said_once(arguments: list[str]) -> None:
+    """Raise `UserError` where a field has two values: one by a flag of this library and one by that of others."""
+    given = {word.partition("=")[0].replace("_", "-") for word in arguments}
+    for name, other in OTHER_NAMES.items():
+        if {name, other} <= given:
+            raise UserError(f"{name}: says the same as {other}; give one of both")
 
 
 def check_where(where: Where, resume: str) -> None:
@@ -215,13 +234,16 @@ def train_parts(
 
     from infogoal_jax.report.sweeps import draw_sweep, print_sweep
     from infogoal_jax.runner.executors import run_in_processes, run_on_ray
-    from infogoal_jax.runner.parts import Plan, jobs_of, read_plan, run_parts, start
+    from infogoal_jax.runner.parts import NAME, Plan, jobs_of, read_plan, run_parts, start
+    from infogoal_jax.runs.checkpoint import check_same_config
 
     def say(words: str) -> None:
         print(words, flush=True)
 
     if resume:
-        config, plan = read_plan(folder)
+        planned, plan = read_plan(folder)
+        check_same_config(folder / NAME, planned, config)
+        config = planned
     else:
         plan = Plan(settings, list(seeds), vmap_size)
     if where.engine == "ray":
@@ -272,6 +294,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
     """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is
     chosen as its defaults."""
     task, choice = read_choice(arguments, "infogoal train")
+    check_said_once(arguments)
     if not task and choice.resume in (None, "", AUTO):
         return all_tasks(train, HELP, arguments, choice)
     if choice.resume in (None, "", AUTO):

@@ -11,12 +11,16 @@ import numpy as np
 from infogoal_jax import checks
 from infogoal_jax.checks import Spec
 from infogoal_jax.envs.environment import Environment
+from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.field_types import LARGEST_FLOAT, LARGEST_WHOLE
 from infogoal_jax.goals import GoalBox, GoalSet
 from infogoal_jax.keys import from_seed
 from infogoal_jax.replay import Trajectories
 
 FLAGS = ("terminated", "truncated", "diverged")
+LEAST_SQUARE = float(np.finfo(np.float32).tiny)
+"""What is smaller is 0 on a device."""
 STORED = (2, 3)
 """Axes of stored arrays, for the functions that take any."""
 DRAWN = 256
@@ -41,6 +45,11 @@ def check_contract(env: Environment) -> None:
             checks.traced("env.shortest_path", env.shortest_path, state), "env.shortest_path", Spec((), "int32")
         )
     check_stored(env, state)
+    if getattr(type(env), "draw", Environment.draw) is not Environment.draw:
+        checks.function(env.draw, "env.draw", 1, "give a function of a state")
+        picture = checks.traced("env.draw", env.draw, state)
+        checks.returned(picture, "env.draw", Spec(("H", "W", 3), "uint8"))
+        require(0 not in picture.shape, "env.draw", checks.described(picture), "give a picture with pixels")
 
 
 def check_members(env: Environment) -> None:
@@ -48,10 +57,14 @@ def check_members(env: Environment) -> None:
     asked = ("goals", "action_size", "episode_length", "source")
     missing = [name for name in asked if not hasattr(env, name)]
     require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
-    kind = type(env.goals).__name__
-    require(isinstance(env.goals, GoalSet | GoalBox), "env.goals", kind, "give a GoalSet.of or GoalBox.of")
+    check_goals(env)
+    if isinstance(env, GoalTask):
+        require(not env.goals.finite, "env.goals", type(env.goals).__name__, "a GoalTask has a GoalBox.of")
+        remedy = "give a distance above 0, whose square float32 holds"
+        square = checks.number(env.radius, "env.radius", 0, remedy=remedy) ** 2
+        require(LEAST_SQUARE <= square <= LARGEST_FLOAT, "env.radius", env.radius, remedy)
     for name in ("action_size", "episode_length", "num_cells"):
-        checks.whole(getattr(env, name), f"env.{name}", 1)
+        checks.whole(checks.called(f"env.{name}", getattr, env, name), f"env.{name}", 1, LARGEST_WHOLE)
     if env.num_observations is not None:
         checks.whole(env.num_observations, "env.num_observations", 1)
     for name in ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path", "ends_at_goal"):
@@ -74,6 +87,14 @@ def check_members(env: Environment) -> None:
             found = checks.written(np.shape(array), str(jnp.result_type(array)))
             fits = str(jnp.result_type(array)) == dtype and checks.has_shape(np.shape(array), shape)
             require(fits, f"env.{name}", found, wanted)
+
+
+def check_goals(env: Environment) -> None:
+    """Raise `UserError` for an environment whose goals are no goal space."""
+    kind = type(getattr(env, "goals", None)).__name__
+    require(
+        isinstance(getattr(env, "goals", None), GoalSet | GoalBox), "env.goals", kind, "give GoalSet.of or GoalBox.of"
+    )
 
 
 def check_state(env: Environment, state: Any) -> None:
@@ -135,7 +156,7 @@ def check_stored(env: Environment, state: Any) -> None:
         (seen.dtype == jnp.uint8 and seen.ndim == 3) or (seen.dtype == jnp.float32 and seen.ndim == 1)
     )
     found = checks.described(seen)
-    if not image_or_vector:
+    if not image_or_vector or 0 in seen.shape:
         raise UserError(f"env.render: returns {found} of one observation; return uint8 [H, W, C] or float32 [D]")
     checked: list[tuple[str, Callable, tuple, tuple, str]] = [
         ("env.render", env.render, (observation,), seen.shape, str(seen.dtype)),

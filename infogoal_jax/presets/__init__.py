@@ -4,6 +4,7 @@ named."""
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object_search, plane
 from infogoal_jax.presets.preset import Changes, Preset
 
@@ -11,14 +12,27 @@ if TYPE_CHECKING:
     from infogoal_jax.presets.loading import METHODS, Method, default_hyperparameters, load, method_named, name_of
     from infogoal_jax.presets.registering import register
 
-registry: dict[str, Preset] = {
-    "object_search": object_search.PRESET,
-    "object_manipulation": object_manipulation.PRESET,
-    **fetch.PRESETS,
-    "embodied_qa": embodied_qa.PRESET,
-    **fetch.POSITION_PRESETS,
-    **plane.PRESETS,
-}
+
+class Presets(CheckedDict):
+    """The presets by the names of their tasks."""
+
+    def check(self, name: str, value: Preset) -> None:
+        """Raise `UserError` for what is no preset, and for one with other types in it than declared."""
+        from infogoal_jax.presets.loading import check_preset  # It needs JAX, and a list of tasks does not.
+
+        check_preset(name, value)
+
+
+registry = Presets(
+    {
+        "object_search": object_search.PRESET,
+        "object_manipulation": object_manipulation.PRESET,
+        **fetch.PRESETS,
+        "embodied_qa": embodied_qa.PRESET,
+        **fetch.POSITION_PRESETS,
+        **plane.PRESETS,
+    }
+)
 TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)
 
 __all__ = [

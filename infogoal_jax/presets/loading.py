@@ -5,11 +5,13 @@ A method is a row of the paper's Table I: a combination of a learner, a relabell
 """
 
 import dataclasses
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.errors import UserError, nearest, require, shown
+from infogoal_jax.field_types import checked
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import registry
 from infogoal_jax.presets.preset import Preset
@@ -68,25 +70,65 @@ def preset_of(task: str) -> Preset:
         f"there is no preset for it yet; the environment alone is envs.load({task!r}). Known: {', '.join(registry)}",
     )
     preset = registry[task]
-    require(isinstance(preset, Preset), f"preset of {task}", preset, "register a presets.Preset")
     check_names(preset, task)
     return preset
 
 
+def check_preset(task: str, preset: Preset) -> None:
+    """Raise `UserError` for what is no preset, and for one with other types in it than declared."""
+    require(isinstance(task, str) and bool(task), "task", task, "give a name")
+    require(isinstance(preset, Preset), f"preset of {task}", preset, "register a presets.Preset")
+    checked(preset, f"preset of {task}: ")
+    for name, changes in preset.methods.items():
+        checked(changes, f"preset of {task}: methods[{name!r}].")
+
+
 def check_names(preset: Preset, task: str) -> None:
     """Raise `UserError` for a name in a preset that nothing has: what stands there would be lost."""
-    methods, relabellings = {*METHODS, *learners.registry}, {*relabelling.registry, ""}
-    fields = [field.name for field in dataclasses.fields(TrainConfig)]
-    floats = [field.name for field in dataclasses.fields(Hyperparameters)]
+    for place, names, known in names_in(preset, task):
+        for name in names:
+            require(
+                name in known,
+                f"preset of {task}",
+                name,
+                f"no such method, part or field {place}.{nearest(name, known)}",
+            )
+
+
+def names_in(preset: Preset, task: str) -> Iterator[tuple[str, Iterable[str], list[str]]]:
+    """The names in a preset: where they stand, themselves, and those that are known there."""
+    methods = [*METHODS, *learners.registry]
+    own = {kind: {name: fields_in(entry.config) for name, entry in parts.items()} for kind, parts in REGISTRIES.items()}
+    floats = fields_in(Hyperparameters) + [
+        f"{kind}.{field}"
+        for kind in ("learner", "agent")
+        for entry in REGISTRIES[kind].values()
+        for field in fields_in(entry.hyper)
+    ]
+    yield "in env", preset.env, fields_in(envs.registry.entry(task).config)
+    yield "in state_encoder", preset.state_encoder, fields_in(StateEncoderConfig)
+    yield "in learner", preset.learner, [field for fields in own["learner"].values() for field in fields]
+    for kind, parts in (("agent", preset.agents), ("relabelling", preset.relabellings)):
+        yield f"in {kind}s", parts, [*own[kind]]
+        for name, fields in parts.items():
+            yield f"in {kind}s[{name!r}]", fields, own[kind].get(name, [])
     for name, changes in {"": preset, **preset.methods}.items():
-        first, _, second = name.partition("+")
-        wrong = [name] if name and not (first in methods and second in relabellings) else []
-        wrong += [field for field in changes.training if field not in fields]
-        wrong += [field for field in changes.hyper if field.partition(".")[0] not in floats]
-        known = [*methods, *fields, *floats]
-        require(
-            not wrong, f"preset of {task}", wrong[:1], f"no such method or field.{nearest(''.join(wrong[:1]), known)}"
-        )
+        place = f"in methods[{name!r}]" if name else "in it"
+        yield place, changes.training, fields_in(TrainConfig)
+        yield place, changes.hyper, floats
+        if name:
+            first, plus, second = name.partition("+")
+            yield "in methods", [first], methods
+            yield "in methods", [second] if plus else [], [*relabelling.registry]
+            named = METHODS.get(first, Method(first))
+            yield place, changes.learner, own["learner"].get(named.learner, [])
+            relabelled = second or named.relabelling or preset.relabelling
+            yield place, changes.relabelling, own["relabelling"].get(relabelled, [])
+
+
+def fields_in(record: type) -> list[str]:
+    """The names of a record's fields."""
+    return [field.name for field in dataclasses.fields(record)]
 
 
 def part(registered, asked: Any, fields: dict[str, Any]) -> Any:

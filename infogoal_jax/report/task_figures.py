@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 
 from matplotlib.figure import Figure
 
+from infogoal_jax import checks
+from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.report.canvas import Subject
 from infogoal_jax.report.house_figures import draw_plans
@@ -16,12 +18,24 @@ from infogoal_jax.report.shelf_figures import draw_shelves
 Draw = Callable[[Subject], Mapping[str, Figure | None]]
 """(subject) -> figures by the name of their file; None, or no entry, for one that there are no numbers for."""
 
-registry: dict[str, Draw] = {
-    "object_search": draw_plans,
-    "object_manipulation": draw_image_goals,
-    "embodied_qa": draw_shelves,
-    **dict.fromkeys(FETCH_TASKS, draw_image_goals),
-}
+
+class Drawers(CheckedDict):
+    """What draws the figures of each task, by its name."""
+
+    def check(self, name: str, value: Draw) -> None:
+        """Raise `UserError` for what is no function of a subject."""
+        checks.text(name, "task", "give its name")
+        checks.function(value, f"figures of {name}", 1, "give a function of a subject")
+
+
+registry = Drawers(
+    {
+        "object_search": draw_plans,
+        "object_manipulation": draw_image_goals,
+        "embodied_qa": draw_shelves,
+        **dict.fromkeys(FETCH_TASKS, draw_image_goals),
+    }
+)
 
 
 def draw_of_task(subject: Subject) -> Mapping[str, Figure | None]:

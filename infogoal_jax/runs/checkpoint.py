@@ -166,10 +166,19 @@ def checked_epoch(header: dict[str, Any], saved: Path, now: Description) -> int:
 def check_same(path: Path, then: Description, now: Description, longer: bool = True) -> None:
     """Raise `UserError` with the fields in which two descriptions of a run differ. longer: whether `num_epochs` may.
     Where the data lie may differ: what they are has a checksum."""
+    before, after = ({"seeds": of.seeds, "data": of.data} for of in (then, now))
+    check_same_config(path, then.config, now.config, longer, before, after)
+
+
+def check_same_config(
+    path: Path, then: Any, now: Any, longer: bool = False, before: dict | None = None, after: dict | None = None
+) -> None:
+    """Raise `UserError` with the fields in which two configurations differ, as `check_same` does. before, after: other
+    values of them."""
     may_differ = {"num_epochs": None} if longer else {}
     before, after = (
-        {"seeds": of.seeds, "data": of.data, **json.loads(json.dumps(to_dict(located(of.config)))), **may_differ}
-        for of in (then, now)
+        {**(values or {}), **json.loads(json.dumps(to_dict(located(config)))), **may_differ}
+        for values, config in ((before, then), (after, now))
     )
     for values in (before, after):
         values["env"] |= dict.fromkeys(DATA)

@@ -1,6 +1,7 @@
 """Tasks of a user's own on the command line: `--import my_task.py`, entry points, and what a run remembers of them."""
 
 import json
+import os
 import sys
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import pytest
 from PIL import Image
 
 from infogoal_jax import envs, imports, presets
+from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
@@ -103,6 +105,8 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
         ("", "--import my_task.txt", "import = 'my_task.txt': give a file that ends in .py"),
         ("", "--import", "import = '': give the file"),
         ("1 +", "--import my_task.py", "line 1: SyntaxError"),
+        ("import sys\nsys.exit(0)", "--import my_task.py", "import = 'my_task.py', line 2: SystemExit: 0; mend"),
+        ("class E(Exception):\n    def __str__(self): 1 / 0\nraise E", "--import my_task.py", "line 3: E; mend"),
         ("a = 1\nb = c", "--import my_task.py", "import = 'my_task.py', line 2: NameError: name 'c' is not defined"),
     ],
 )
@@ -110,6 +114,13 @@ def test_a_file_that_cannot_be_imported_is_one_line(content, words, said, my_tas
     if content is not None:
         my_task.write_text(content)
     assert said in refused(["methods", *words.split()], capsys)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero"), lambda path: path.mkdir()])
+def test_what_is_no_regular_file_is_refused_at_once(make, my_task, capsys):
+    my_task.unlink()
+    make(my_task)
+    assert "import = 'my_task.py': " in refused(["methods", "--import", "my_task.py"], capsys)
 
 
 def test_a_file_that_fails_leaves_no_module_behind(my_task):
@@ -121,7 +132,9 @@ def test_a_file_that_fails_leaves_no_module_behind(my_task):
 
 def test_packages_register_tasks_by_an_entry_point(monkeypatch, capsys):
     loaded = []
-    points = [SimpleNamespace(name="mine", value="my_package", load=lambda: loaded.append("mine"))]
+    points = [
+        SimpleNamespace(group="infogoal.plugins", name="mine", value="my_package", load=lambda: loaded.append("mine"))
+    ]
     monkeypatch.setattr(imports, "entry_points", lambda group: points if group == "infogoal.plugins" else [])
     imports.import_installed()
     assert loaded == ["mine"]
@@ -141,4 +154,30 @@ def test_flags_of_other_libraries_say_what_they_come_to(capsys):
     assert "240 environment steps at most: 6 epochs, 3 evaluations" in capsys.readouterr().out
     assert with_synonyms(config, None, 0) == config
     assert "total_steps = -1: give 0 or more" in refused("train object_search --total-steps -1".split(), capsys)
+    for more in ("1" + "0" * 20, "1" + "0" * 400):
+        assert "total_steps = 1000" in refused(f"train object_search --total-steps {more}".split(), capsys)
     assert "learns from recorded steps" in refused("train embodied_qa --total-steps 100".split(), capsys)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--lr 1e-3 --hyper.learning-rate 1e-4",
+        "--lr=1e-3 --hyper.learning_rate=1e-3",
+        "--total-steps 100 --num-epochs 3",
+        "--lr 1e-3 --sweep learning_rate=1e-3,1e-4",
+        "--sweep discount=0.9,0.95 --tensorboard",
+        "--vmap-size 1 --wandb mine",
+    ],
+)
+def test_a_flag_that_would_be_ignored_is_refused(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    line = refused(["train", "point_maze", *words.split()], capsys)
+    assert any(said in line for said in ("give one of both", "leave one of both out", "goes with neither"))
+    assert not os.listdir(tmp_path)
+
+
+def test_commands_of_packages_that_fail_are_one_line(monkeypatch, capsys):
+    point = SimpleNamespace(group="infogoal.commands", name="mine", value="my_package:mine", load=lambda: 1 / 0)
+    monkeypatch.setattr(command, "entry_points", lambda group: [point] if group == point.group else [])
+    assert "infogoal.commands: mine = 'my_package:mine': ZeroDivisionError" in refused(["mine"], capsys)

@@ -16,6 +16,7 @@ import pytest
 from two_machines import cluster_of_two
 
 import infogoal_jax
+from infogoal_jax import presets
 from infogoal_jax.cli.main import main
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.runs import table_of
@@ -52,6 +53,14 @@ def small_program(monkeypatch):
 def same(first: Path, second: Path) -> bool:
     """Whether two runs left the same bits in every file."""
     return all((first / name).read_bytes() == (second / name).read_bytes() for name in FILES)
+
+
+@pytest.mark.parametrize("words", ["--lr 0.5", "--batch-size 8", "--env.radius 0.3", "--num-epochs 4"])
+def test_a_sweep_does_not_go_on_with_other_settings(words, tmp_path, monkeypatch, capsys):
+    """They were taken, and not used."""
+    parts.start(presets.load("point_maze", num_epochs=2, epochs_per_evaluation=1), Plan([{}], [0], 0), tmp_path / "s")
+    assert main(["train", "--resume", str(tmp_path / "s"), *words.split()]) == 2
+    assert "sweep.json: is of another configuration: " in capsys.readouterr().err
 
 
 def test_parts_make_the_run_that_others_read(tmp_path):

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -81,7 +82,10 @@ def whole(tiny_house, tmp_path_factory) -> tuple[Path, Path, float]:
 @pytest.mark.long
 @pytest.mark.parametrize("number", TIMES, ids=lambda number: number.name)
 def test_whatever_ends_it_the_run_goes_on(number, whole, tiny_house, tmp_path):
+    """`pytest -s` prints how many signals met a process that compiled, that trained, or none any more, and after how
+    many seconds those that trained nothing yet were gone."""
     other, cache, seconds = whole
+    met, waits = Counter(), []
     for time_of in range(round(FRACTION * TIMES[number])):
         compiling, folder = time_of % 2 == 0, tmp_path / f"run_{time_of}"
         command = Command(folder, tiny_house, tmp_path / f"cache_{time_of}" if compiling else cache)
@@ -90,16 +94,19 @@ def test_whatever_ends_it_the_run_goes_on(number, whole, tiny_house, tmp_path):
         hit, before = command.process.poll() is None, command.has_trained()
         began = time.monotonic()
         command.process.send_signal(number)
-        status = command.end()
+        status, took = command.end(), time.monotonic() - began
+        met["ended before" if not hit else "training" if before else "compiling"] += 1
+        waits += [took] if hit and not before else []
         if number == signal.SIGKILL:
             assert status in (-signal.SIGKILL, 0)
         elif hit:
             assert status in (130, 0), command.printed()
             assert "Traceback" not in command.printed()
             assert status == 0 or f"--resume {folder}" in command.printed()
-            assert before or command.has_trained() or time.monotonic() - began < AT_ONCE, command.printed()
+            assert before or command.has_trained() or took < AT_ONCE, command.printed()
         command = Command(folder, tiny_house, cache)
         assert command.end() == 0, command.printed()
         for name in FILES:
             assert (folder / name).read_bytes() == (other / name).read_bytes(), (time_of, name)
         assert not list(folder.glob(".*"))
+    print(f"{number.name}: {dict(met)}; gone after {max(waits, default=0):.1f} s at most")

@@ -28,6 +28,8 @@ from infogoal_jax import (
 )
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.registry import Entry
 from infogoal_jax.train import checked_parts
 
@@ -90,8 +92,20 @@ BROKEN = {
     "cell_of": (dict(cell_of=lambda self, record: record > 0), r"env.cell_of: is bool \[\]; give int32"),
     "action_mask": (dict(action_mask=lambda self, seen: jnp.ones(6)), r"env.action_mask: is float32 \[6\]; give bool"),
     "decides": (dict(decides=lambda self, state: 1), r"env.decides: is int32 \[\]; give bool"),
-    "action_size": (dict(action_size=True), "env.action_size = True: give a whole number from 1 on"),
-    "action_size of none": (dict(action_size=0), "env.action_size = 0: give a whole number from 1 on"),
+    "action_size": (dict(action_size=True), "env.action_size = True: give a whole number from 1"),
+    "action_size of none": (dict(action_size=0), "env.action_size = 0: give a whole number from 1"),
+    "action_size of billions": (dict(action_size=2**31), "env.action_size = 2147483648: give a whole number from 1 to"),
+    "goals": (dict(goals=[0, 1]), "env.goals = 'list': give GoalSet.of or GoalBox.of"),
+    "render nothing": (dict(render=lambda self, seen: jnp.zeros(0, jnp.float32)), r"env.render: returns float32 \[0\]"),
+    "draw": (dict(draw=3), "env.draw = 3: give a function"),
+    "draw a float": (
+        dict(draw=lambda self, state: jnp.zeros((4, 4, 3))),
+        r"env.draw: is float32 .*give uint8 \[H, W, 3",
+    ),
+    "draw nothing": (
+        dict(draw=lambda self, state: jnp.zeros((0, 4, 3), jnp.uint8)),
+        "env.draw = .*give a picture with",
+    ),
     "discrete": (dict(discrete=1), "env.discrete = 1: give True or False"),
     "num_observations": (dict(num_observations=2.0), "env.num_observations = 2.0: give a whole number"),
     "recorded": (dict(recorded=[1]), "recorded is True, should be False"),
@@ -110,6 +124,52 @@ def test_an_environment_that_breaks_the_contract_is_refused(case):
 
 def test_an_environment_that_keeps_it_is_trained():
     trace(make_train(CONFIG, changed()))
+
+
+class InALine(GoalTask):
+    """A point on a line moves towards its goal."""
+
+    def begin(self, key):
+        return jax.random.uniform(key, (1,), jnp.float32)
+
+    def move(self, world, action):
+        return world + 0.1 * action
+
+    def observation(self, world):
+        return world
+
+    def achieved_goal(self, world):
+        return world
+
+
+def in_a_line(goals=None, members=(), **fields):
+    """The task with other members and fields, as a class of a user's own."""
+    own = flax.struct.dataclass(type("Own", (InALine,), {"__module__": "own", **dict(members)}))
+    return own(GoalBox.of([0.0], [1.0]) if goals is None else goals, **fields)
+
+
+def test_a_goal_task_keeps_the_contract():
+    check_contract(in_a_line())
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf, None, "1", True, 1e-30, 1e30, 10**400, np.ones(2)])
+def test_a_radius_that_nothing_lies_within_is_refused(radius):
+    with pytest.raises(UserError, match="env.radius = .*give a distance above 0"):
+        check_contract(in_a_line(radius=radius))
+
+
+def test_a_goal_task_has_a_box_of_goals():
+    with pytest.raises(UserError, match="env.goals = 'GoalSet': a GoalTask has a GoalBox"):
+        check_contract(in_a_line(ENV.goals))
+
+
+@pytest.mark.parametrize("name", ["begin", "move", "observation", "achieved_goal"])
+@pytest.mark.parametrize(
+    "found", [None, 3, "a", [1.0], jnp.zeros(0), jnp.zeros(()), jnp.zeros((2, 2)), jnp.zeros(1, jnp.int32)]
+)
+def test_a_function_of_a_goal_task_that_returns_something_else_is_refused(name, found):
+    with pytest.raises(UserError, match="env"):
+        check_contract(in_a_line(members={name: lambda self, *arguments: found}))
 
 
 REGISTRIES = {
