@@ -57,7 +57,7 @@ def check_members(env: Environment) -> None:
     asked = ("goals", "action_size", "episode_length", "source")
     missing = [name for name in asked if not hasattr(env, name)]
     require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
-    check_goals(env)
+    check_goal_space(env)
     if isinstance(env, GoalTask):
         require(not env.goals.finite, "env.goals", type(env.goals).__name__, "a GoalTask has a GoalBox.of")
         remedy = "give a distance above 0, whose square float32 holds"
@@ -89,7 +89,7 @@ def check_members(env: Environment) -> None:
             require(fits, f"env.{name}", found, wanted)
 
 
-def check_goals(env: Environment) -> None:
+def check_goal_space(env: Environment) -> None:
     """Raise `UserError` for an environment whose goals are no goal space."""
     kind = type(getattr(env, "goals", None)).__name__
     require(
