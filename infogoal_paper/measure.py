@@ -30,6 +30,7 @@ from infogoal_jax.report.trajectory_figures import angles_to_goals
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, has_image_goals
 from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.program import Train
 from infogoal_jax.train.sampling import sample
 from infogoal_jax.train.update import update
@@ -51,16 +52,17 @@ def learner_share(train: Train) -> Any:
     parts = train.parts._replace(optimizer=optax.identity())
 
     def share(state, number, hyper, env):
-        experience, state = experience_of(parts, state, number, hyper, env)
+        setup = Setup(parts, hyper, env)
+        experience, state = experience_of(setup, state, number)
         plain = state.replace(optimizer_state=parts.optimizer.init(state.params))
 
         def of_batch(key):
             sample_key, update_key = jax.random.split(key)
-            drawn = sample(parts, env, experience, sample_key)
+            drawn = sample(setup, experience, sample_key)
 
             def step(weight):
                 asked = hyper.replace(learner_weight=weight, learning_rate=STEP, max_gradient_norm=1e30)
-                after, _ = update(parts, env, asked, experience, plain, drawn, update_key)
+                after, _ = update(setup._replace(hyper=asked), experience, plain, drawn, update_key)
                 moved = jax.tree.map(lambda old, new: (old - new) / STEP, plain.params["goal"], after.params["goal"])
                 return ravel_pytree(moved)[0]
 

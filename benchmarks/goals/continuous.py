@@ -24,6 +24,7 @@ from infogoal_jax import envs, make_train, presets
 from infogoal_jax.envs import plane
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.report.statistics import describe_machine, mean_interval
+from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.sampling import sample_pairs
 from infogoal_jax.train.update import updates
 
@@ -182,8 +183,9 @@ def of_negatives(train, config, states) -> dict[str, Any]:
 
     @jax.jit
     def draw(state, key, env):
-        experience, _ = train.experience_of(state, last, config.hyper, env)
-        return sample_pairs(parts, env, experience, key)
+        setup = train.setup(config.hyper, env)
+        experience, _ = experience_of(setup, state, last)
+        return sample_pairs(setup._replace(parts=parts), experience, key)
 
     def square(goals):
         column, row = np.moveaxis(np.clip((np.asarray(goals) / HOP).astype(int), 0, count - 1), -1, 0)
@@ -202,10 +204,11 @@ def of_negatives(train, config, states) -> dict[str, Any]:
 
     @jax.jit
     def some_updates(state, env):
-        experience, state = train.experience_of(state, last, config.hyper, env)
-        return updates(parts_of_updates, env, config.hyper, experience, state, state.key, config.updates_per_epoch)
+        setup = train.setup(config.hyper, env)
+        experience, state = experience_of(setup, state, last)
+        return updates(setup, experience, state, state.key, config.updates_per_epoch)
 
-    parts_of_updates, state = train.parts, member(states, 0)
+    state = member(states, 0)
     jax.block_until_ready(some_updates(state, train.env))
     times = []
     for _ in range(3):

@@ -138,7 +138,7 @@ def image_costs(task: str, seeds: int, updates: int) -> dict[str, float]:
             dissimilarity=state.dissimilarity,
             codes=encode_all(learner, state.params["goal"], env.goals),
         )
-        return updates_of(train.parts, env, hyper, experience, state, jax.random.key(2), updates)[0].params
+        return updates_of(train.setup(hyper, env), experience, state, jax.random.key(2), updates)[0].params
 
     def chosen(key, env):
         return env.goals.inputs[jax.random.randint(key, (images,), 0, env.goals.num_goals)]

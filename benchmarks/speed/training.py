@@ -45,6 +45,7 @@ from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shard
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.train.evaluation import random_policy
+from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
 
@@ -154,8 +155,9 @@ def update_cost(train, num_seeds: int, repeats: int) -> dict[str, float]:
     states = jax.jit(jax.vmap(start, in_axes=(0, None, None)))(keys, config.hyper, env)
 
     def epoch(state, key, hyper, env):
-        experience, state = train.experience_of(state, 0, hyper, env)
-        return updates(train.parts, env, hyper, experience, state, key, config.updates_per_epoch)[0].params
+        setup = train.setup(hyper, env)
+        experience, state = experience_of(setup, state, 0)
+        return updates(setup, experience, state, key, config.updates_per_epoch)[0].params
 
     arguments = (states, keys, config.hyper, env)
     program, compile_seconds = timed_compilation(jax.vmap(epoch, in_axes=(0, 0, None, None)), *arguments)

@@ -147,7 +147,7 @@ def walks_of_policy(subject: Subject) -> dict[int, list[Walk]]:
 
     @jit
     def episodes(params, env):
-        view = clean_view(subject.train.parts, params, env, env.goals.evaluated)
+        view = clean_view(subject.train.setup(env=env), params, env.goals.evaluated)
         policy = subject.train.policy(params, run.config.hyper, env)
         starts, key = draw_starts(env, env.goals.evaluated, num_starts), jax.random.key(EVALUATION_SEED + 1)
         found = run_side_by_side(env, policy, [view], starts, key)

@@ -48,14 +48,9 @@ class Watched:
 
     env: Any
 
-    @property
-    def episode_length(self) -> int:
-        """Steps after which an episode is truncated."""
-        return self.env.episode_length
-
-    def step(self, state, action):
-        """One step of the environment."""
-        return self.env.step(state, action)
+    def __getattr__(self, name: str) -> Any:
+        """All but the observation is the environment's own."""
+        return getattr(self.env, name)
 
     def observe(self, state):
         """The robot's state, `FetchState`."""
@@ -88,7 +83,7 @@ def policy_episodes(subject: Subject, which: np.ndarray, weights: Sequence[float
     @jit
     def run(params, env):
         goals, policy = jnp.asarray(which, jnp.int32), subject.train.policy(params, subject.run.config.hyper, env)
-        views = [corrupted_view(subject.train.parts, params, env, goals, 1, weight, seed) for weight in weights]
+        views = [corrupted_view(subject.train.setup(env=env), params, goals, 1, weight, seed) for weight in weights]
         starts, key = draw_starts(env, goals, 1, seed), jax.random.key(seed + 1)
         watched = Watched(env) if is_fetch(env) else env
         acting = watched.policy(policy) if is_fetch(env) else policy

@@ -72,7 +72,7 @@ class Run(Description):
         require(
             has_image_goals(self.env), "task", self.config.task, "its goals are not images; evaluate goals as they are"
         )
-        return corrupted_view(self.train.parts, self.params(seed), self.env, goals, num_starts, weight)
+        return corrupted_view(self.train.setup(env=self.env), self.params(seed), goals, num_starts, weight)
 
 
 def load_run(folder: str | Path, **moved: str) -> Run:

@@ -18,6 +18,7 @@ from infogoal_jax.goals import GoalSpace, corrupt, draw_backgrounds
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
 from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.rollout import Episodes, Policy, run_episodes, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
@@ -195,19 +196,24 @@ def corrupted_images(
     return corrupt(images, backgrounds.reshape(images.shape), weight)
 
 
-def clean_view(parts, params, env, goals: jax.Array) -> GoalView:
+def clean_view(setup: Setup, params: dict, goals: jax.Array) -> GoalView:
     """The codes of goals [M, *shape], the same for every start."""
-    codes = parts.learner.encode(params["goal"], env.goals.inputs_of(goals))
+    codes = setup.parts.learner.encode(params["goal"], setup.env.goals.inputs_of(goals))
     return GoalView(goals, jax.tree.map(lambda leaf: leaf[:, None], codes))
 
 
 def corrupted_view(
-    parts, params, env, goals: jax.Array, num_starts: int, weight: jax.Array | float, seed: int = EVALUATION_SEED
+    setup: Setup,
+    params: dict,
+    goals: jax.Array,
+    num_starts: int,
+    weight: jax.Array | float,
+    seed: int = EVALUATION_SEED,
 ) -> GoalView:
     """The codes of goals [M, *shape] as `corrupted_images` shows them, which stay the same for the length of an
     episode."""
-    images = corrupted_images(env, goals, num_starts, weight, seed)
-    codes = parts.learner.encode(params["goal"], images.reshape(-1, *images.shape[2:]))
+    images = corrupted_images(setup.env, goals, num_starts, weight, seed)
+    codes = setup.parts.learner.encode(params["goal"], images.reshape(-1, *images.shape[2:]))
     return GoalView(goals, jax.tree.map(lambda leaf: leaf.reshape(len(goals), num_starts, *leaf.shape[1:]), codes))
 
 
@@ -226,7 +232,7 @@ class Setting(NamedTuple):
 
 
 def evaluate_settings(
-    parts, params, hyper, env, num_starts: int, corruption: float | None = None, seed: int = EVALUATION_SEED
+    setup: Setup, params: dict, num_starts: int, corruption: float | None = None, seed: int = EVALUATION_SEED
 ) -> dict[str, jax.Array]:
     """Metrics of the trained policy on every evaluated goal in each `Setting`, from the same starts.
 
@@ -234,11 +240,12 @@ def evaluate_settings(
     `first_reached`: int32 [M, num_starts] of clean goals and sampled codes, episode_length + 1 where a goal was not
     reached; success within t steps is `first_reached <= t`, at whatever time it was.
     """
+    parts, _, env = setup
     goals = env.goals.evaluated
-    views = {False: clean_view(parts, params, env, goals)}
+    views = {False: clean_view(setup, params, goals)}
     if has_image_goals(env):
         weight = parts.config.test_corruption if corruption is None else corruption
-        views[True] = corrupted_view(parts, params, env, goals, num_starts, weight, seed)
+        views[True] = corrupted_view(setup, params, goals, num_starts, weight, seed)
     settings = [Setting(corrupted, mean_code) for mean_code in (False, True) for corrupted in views]
     starts = draw_starts(env, goals, num_starts, seed)
 
@@ -248,7 +255,7 @@ def evaluate_settings(
 
     def policy(observation, shown, key):
         codes, use_mean = shown
-        return trained_policy(parts, params, hyper, env, use_mean)(observation, codes, key)
+        return trained_policy(setup, params, use_mean)(observation, codes, key)
 
     key = seed_key(seed, 1)
     shown = [shown_in(setting) for setting in settings]

@@ -13,7 +13,7 @@ from infogoal_jax.learners.learner import GoalCode, NewSteps, conditioned, encod
 from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train.parts import COLLECT, CORRUPT, TrainState, encode_states, numbered
+from infogoal_jax.train.parts import COLLECT, CORRUPT, Setup, TrainState, encode_states, numbered
 from infogoal_jax.train.rollout import collect, training_policy
 
 
@@ -51,14 +51,15 @@ class Experience:
     asks for them."""
 
 
-def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainState, dict]:
+def collect_epoch(setup: Setup, state: TrainState, number: jax.Array) -> tuple[TrainState, dict]:
     """Collect the rows of an epoch into the buffer."""
+    env = setup.env
     collect_key = numbered(state.key, COLLECT, number)
     corruption_key = numbered(state.key, CORRUPT, number)
-    acting = training_policy(parts, state.params, hyper, env, corruption_key)
-    env_states, rows = collect(env, state.env_states, acting, collect_key, parts.config.rollout_steps)
+    acting = training_policy(setup, state.params, corruption_key)
+    env_states, rows = collect(env, state.env_states, acting, collect_key, setup.config.rollout_steps)
     state = update_statistics(
-        parts, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows, env
+        setup, state.replace(env_states=env_states, buffer=replay.add(state.buffer, rows, number)), rows
     )
     terminated, truncated = (ends.sum(dtype=jnp.int32) for ends in (rows.terminated, rows.truncated))
     ended, reached = jnp.maximum(terminated + truncated, 1), terminated
@@ -76,9 +77,10 @@ def collect_epoch(parts, state: TrainState, number, hyper, env) -> tuple[TrainSt
     }
 
 
-def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> TrainState:
+def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> TrainState:
     """The state that has seen these rows: goals achieved, pairs that are no longer dissimilar, and what the agent makes
     of them."""
+    parts, _, env = setup
     learner, achieved = parts.learner, env.goals_of(rows.record)
     state = state.replace(
         agent=parts.agent.observe(state.agent, rows),
@@ -92,38 +94,40 @@ def update_statistics(parts, state: TrainState, rows: Trajectories, env) -> Trai
         state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
     if not learner.sample_spec.num_pairs or state.dissimilarity is None:
         return state
-    similar = usable_goals(parts.config, env, rows.record)
+    similar = usable_goals(setup, rows.record)
     similar = similar if env.goals.finite else env.goals.cell_of(similar)
     return state.replace(
         dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
     )
 
 
-def first_dissimilarity(parts, env) -> jax.Array | None:
+def first_dissimilarity(setup: Setup) -> jax.Array | None:
     """G_neg before any experience: of the goals of a set, or of the cells of a continuous space where the learner asks
     for them."""
-    if env.goals.finite:
-        return pairs.initial_dissimilarity(env.goals.num_goals)
-    by_cells = parts.learner.sample_spec.dissimilar_by == "cells"
-    return pairs.initial_dissimilarity(env.goals.num_cells) if by_cells else None
+    goals = setup.env.goals
+    if goals.finite:
+        return pairs.initial_dissimilarity(goals.num_goals)
+    by_cells = setup.parts.learner.sample_spec.dissimilar_by == "cells"
+    return pairs.initial_dissimilarity(goals.num_cells) if by_cells else None
 
 
-def usable_goals(config, env, record) -> jax.Array:
+def usable_goals(setup: Setup, record: jax.Array) -> jax.Array:
     """Goals achieved in these records that may be anchors and positives, and that transitions may be relabelled with:
     [..., K, *shape], padded with "no goal"."""
-    goals = env.goals_of(record)
-    usable = is_goal(goals) & env.goals.usable(goals, config.known_goals)
+    goals = setup.env.goals_of(record)
+    usable = is_goal(goals) & setup.env.goals.usable(goals, setup.config.known_goals)
     return select(usable, goals, no_goals_like(goals))
 
 
-def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experience, TrainState]:
+def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[Experience, TrainState]:
     """What the updates of an epoch draw from, and the state with what the explorer made of it."""
+    parts, hyper, env = setup
     offline = env.recorded is not None
     buffer = env.recorded if offline else state.buffer
     written = jnp.arange(buffer.valid.shape[0], dtype=jnp.int32) < (
         buffer.valid.shape[0] if offline else (number + 1) * parts.config.num_envs
     )
-    goals = usable_goals(parts.config, env, buffer.record)
+    goals = usable_goals(setup, buffer.record)
     achieved = is_goal(goals).any(-1) & written[:, None]
     achieved_count = replay.running_count(achieved)
     known, codes = pairs.AchievedGoals(goals, achieved_count), None
@@ -136,11 +140,11 @@ def experience_of(parts, state: TrainState, number, hyper, env) -> tuple[Experie
     learner_relabelling = parts.learner.sample_spec.relabelling
     if parts.relabelling is not None or learner_relabelling is not None:
         achievements = Achievements(goals, achieved_count, replay.steps_left(buffer.valid), known)
-        context = relabelling_context(parts, state, number, hyper, env, buffer, written, achievements, codes)
+        context = relabelling_context(setup, state, number, buffer, written, achievements, codes)
         table = None if parts.relabelling is None else parts.relabelling.prepare(context)
         learner_table = None if learner_relabelling is None else learner_relabelling.prepare(context)
     if parts.explorer is not None:
-        features = encode_states(parts, state.params, env, env.num_observations)(
+        features = encode_states(setup, state.params, env.num_observations)(
             jnp.arange(env.num_observations, dtype=jnp.int32)
         )
         bonus, explored = parts.explorer.compute_bonus(
@@ -173,25 +177,24 @@ def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Arra
 
 
 def relabelling_context(
-    parts,
+    setup: Setup,
     state: TrainState,
-    number,
-    hyper,
-    env,
+    number: jax.Array,
     rows: Trajectories,
-    written,
+    written: jax.Array,
     achievements: Achievements,
     codes: GoalCode | None,
 ) -> Context:
     """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are
     few."""
+    parts, hyper, env = setup
     learner, agent = parts.learner, parts.agent
 
     def goal_codes():
         return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
 
     def value(observation, goal):
-        features = encode_states(parts, state.params, env, goal.shape[0])(observation)
+        features = encode_states(setup, state.params, goal.shape[0])(observation)
         code = conditioned(
             learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features
         )

@@ -12,6 +12,7 @@ import optax
 from infogoal_jax import agents, exploration, hyperparameters, learners, networks, relabelling
 from infogoal_jax.agents.agent import Agent
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goals import corrupt, draw_backgrounds
@@ -35,6 +36,20 @@ class Parts(NamedTuple):
     explorer: Explorer | None
     state_encoder: networks.PatchEncoder | networks.VectorEncoder
     optimizer: optax.GradientTransformation
+
+
+class Setup(NamedTuple):
+    """What every function of the program is given: the parts, which decide the program, and two of its arguments."""
+
+    parts: Parts
+    hyper: Hyperparameters
+    """Those of a seed, which differ from the configuration's in a sweep."""
+    env: Environment
+
+    @property
+    def config(self) -> TrainConfig:
+        """The configuration that the parts are of."""
+        return self.parts.config
 
 
 def make_parts(config: TrainConfig, env) -> Parts:
@@ -111,11 +126,12 @@ def check_hyperparameters(config: TrainConfig, hyper: Hyperparameters) -> None:
     hyperparameters.check(hyper)
 
 
-def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
+def encode_states(setup: Setup, params: dict, asked: int) -> Callable[[Any], jax.Array]:
     """psi(s): stored observations [...] to features [..., F], by the encoder of these parameters.
 
     Every image once if there are fewer than will be asked for, else only those asked for.
     """
+    parts, _, env = setup
     if env.num_observations is not None and env.num_observations <= asked:
         return parts.state_encoder.apply(
             params["state"], env.render(jnp.arange(env.num_observations, dtype=jnp.int32))
@@ -123,9 +139,10 @@ def encode_states(parts, params, env, asked: int) -> Callable[[Any], jax.Array]:
     return lambda observation: parts.state_encoder.apply(params["state"], env.render(observation))
 
 
-def training_view(parts, env, augmented: bool) -> View | None:
+def training_view(setup: Setup, augmented: bool) -> View | None:
     """How the inputs of goals look while training: as they are, or under a background, and in updates as the learner
     augments them."""
+    parts, _, env = setup
 
     def view(key, inputs):
         corrupt_key, augment_key = jax.random.split(key)

@@ -13,7 +13,6 @@ names.
 
 import dataclasses
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
@@ -25,18 +24,13 @@ from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.errors import require
 from infogoal_jax.keys import fold, is_key
 from infogoal_jax.learners.learner import InputSpec, conditioned
-from infogoal_jax.train.evaluation import evaluate_settings
-from infogoal_jax.train.experience import (
-    Experience,
-    collect_epoch,
-    experience_of,
-    first_dissimilarity,
-    update_statistics,
-)
+from infogoal_jax.train.evaluation import EVALUATION_SEED, evaluate_settings
+from infogoal_jax.train.experience import collect_epoch, experience_of, first_dissimilarity, update_statistics
 from infogoal_jax.train.parts import (
     INITIAL,
     UPDATE,
     Parts,
+    Setup,
     TrainResult,
     TrainState,
     check_hyperparameters,
@@ -63,12 +57,6 @@ class Train:
     share."""
     evaluation: Callable[[TrainState, Hyperparameters, Any], dict[str, jax.Array]]
     """(state, hyper, env) -> the metrics of an evaluation."""
-    policy: Callable[..., Policy]
-    """(params, hyper, env, use_mean=False) -> the policy of `rollout.trained_policy`."""
-    evaluate: Callable[..., dict[str, jax.Array]]
-    """(params, hyper, env, num_starts, corruption=None, seed=...) -> the metrics of `evaluation.evaluate_settings`."""
-    experience_of: Callable[[TrainState, jax.Array, Hyperparameters, Any], tuple[Experience, TrainState]]
-    """(state, key, hyper, env) -> what the updates of an epoch learn from, and the state with it."""
     parts: Parts
     check_env: Callable[[Any], None] = lambda env: None
     """Raises `UserError` for an environment that cannot be given in the place of `env`."""
@@ -100,6 +88,26 @@ class Train:
         flat = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), epoch_metrics)
         return TrainResult(metrics=metrics, epochs=flat, params=state.params, state=state)
 
+    def setup(self, hyper: Hyperparameters | None = None, env: Any = None) -> Setup:
+        """What the functions of the program are given, with these hyperparameters and environment or its own."""
+        return Setup(self.parts, self.config.hyper if hyper is None else hyper, self.env if env is None else env)
+
+    def policy(self, params: dict, hyper: Hyperparameters, env: Any, use_mean: bool | jax.Array = False) -> Policy:
+        """The policy of `rollout.trained_policy`."""
+        return trained_policy(self.setup(hyper, env), params, use_mean)
+
+    def evaluate(
+        self,
+        params: dict,
+        hyper: Hyperparameters,
+        env: Any,
+        num_starts: int,
+        corruption: float | None = None,
+        seed: int = EVALUATION_SEED,
+    ) -> dict[str, jax.Array]:
+        """The metrics of `evaluation.evaluate_settings`."""
+        return evaluate_settings(self.setup(hyper, env), params, num_starts, corruption, seed)
+
     def chunk(self, state: TrainState, numbers: jax.Array, hyper: Hyperparameters, env: Any) -> tuple:
         """Epochs of these numbers, int32 [E], then an evaluation: (state, {name: [E]}, {name: evaluation})."""
         state, epoch_metrics = self.epochs(state, numbers, hyper, env)
@@ -115,11 +123,12 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
 
     def initial(key, hyper, env) -> TrainState:
         """The state before the first epoch."""
+        setup = Setup(parts, hyper, env)
         keys = jax.random.split(fold(key, INITIAL), 4)
         env_states = jax.vmap(env.reset)(jax.random.split(keys[3], config.num_envs))
         observation = jax.tree.map(lambda leaf: leaf[0], env.observe(env_states))
         params, explorer_state = {"state": encoder.init(keys[1], env.render(observation))}, None
-        features = encode_states(parts, params, env, 1)(observation)
+        features = encode_states(setup, params, 1)(observation)
         params["goal"], learner_state = learner.init(
             keys[0], InputSpec(env.goals.inputs_of(env.goals.examples), features, env.num_cells), hyper.learner
         )
@@ -141,7 +150,7 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
             learner=learner_state,
             agent=agent_state,
             explorer=explorer_state,
-            dissimilarity=first_dissimilarity(parts, env),
+            dissimilarity=first_dissimilarity(setup),
             seen=jnp.zeros(env.goals.num_goals, bool) if env.goals.finite else None,
             buffer=None,
             env_states=None,
@@ -149,17 +158,17 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
             env_steps=jnp.zeros((), jnp.int32),
         )
         if env.recorded is not None:
-            return update_statistics(parts, state, env.recorded, env)
-        example = rows_shape(env, env_states, training_policy(parts, params, hyper, env, key), config.rollout_steps)
+            return update_statistics(setup, state, env.recorded)
+        example = rows_shape(env, env_states, training_policy(setup, params, key), config.rollout_steps)
         return state.replace(buffer=replay.empty(example, config.buffer_epochs), env_states=env_states)
 
     def epoch(state: TrainState, number, hyper, env):
-        collected = {}
+        setup, collected = Setup(parts, hyper, env), {}
         if env.recorded is None:
-            state, collected = collect_epoch(parts, state, number, hyper, env)
-        experience, state = experience_of(parts, state, number, hyper, env)
+            state, collected = collect_epoch(setup, state, number)
+        experience, state = experience_of(setup, state, number)
         update_key = numbered(state.key, UPDATE, number)
-        state, metrics = updates(parts, env, hyper, experience, state, update_key, config.updates_per_epoch)
+        state, metrics = updates(setup, experience, state, update_key, config.updates_per_epoch)
         metrics |= collected
         if learner.sample_spec.num_pairs and env.goals.finite:
             left = pairs.count_dissimilar_regions(state.dissimilarity, env.goals.regions, state.seen)
@@ -170,18 +179,9 @@ def make_train(config: TrainConfig, env: Any, check_env: Callable[[Any], None] =
         return jax.lax.scan(lambda carry, number: epoch(carry, number, hyper, env), state, numbers)
 
     def evaluation(state: TrainState, hyper, env):
-        metrics = evaluate_settings(parts, state.params, hyper, env, config.evaluation_starts)
+        metrics = evaluate_settings(Setup(parts, hyper, env), state.params, config.evaluation_starts)
         return metrics | {"env_steps": state.env_steps}
 
     return Train(
-        config=config,
-        env=env,
-        initial=initial,
-        epochs=epochs,
-        evaluation=evaluation,
-        policy=partial(trained_policy, parts),
-        evaluate=partial(evaluate_settings, parts),
-        experience_of=partial(experience_of, parts),
-        parts=parts,
-        check_env=check_env,
+        config=config, env=env, initial=initial, epochs=epochs, evaluation=evaluation, parts=parts, check_env=check_env
     )

@@ -12,17 +12,20 @@ from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.learners.learner import Encode, GoalCode, GoalEncoding, conditioned
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.contracts import check_is_environment, checked_policy
-from infogoal_jax.train.parts import encode_states, sees_means, tests_on_means, training_view
+from infogoal_jax.train.parts import Setup, encode_states, sees_means, tests_on_means, training_view
 
 Policy = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 """Stored observations [E, ...], goals [E, *shape] and a key to actions: int32 [E], or vectors [E, A]. A trained policy
 also takes the codes `GoalCode` [E] of goals, in place of the goals."""
 
 
-def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mean: bool | jax.Array = False) -> Policy:
+def policy(
+    setup: Setup, params: dict, exploration: Exploration, encode: Encode, use_mean: bool | jax.Array = False
+) -> Policy:
     """The policy of these parameters. The goal is drawn anew from its code at every step (paper, Sec. V-F), or its mean
     is used: in all episodes or, bool [E], in some."""
-    see = encode_states(parts, params, env, parts.config.num_envs * parts.config.rollout_steps)
+    parts, _, env = setup
+    see = encode_states(setup, params, parts.config.num_envs * parts.config.rollout_steps)
 
     def act(observation, goal, key):
         sample_key, act_key = jax.random.split(key)
@@ -34,26 +37,28 @@ def policy(parts, params, exploration: Exploration, env, encode: Encode, use_mea
     return act
 
 
-def training_policy(parts, params, hyper, env, key) -> Policy:
+def training_policy(setup: Setup, params: dict, key: jax.Array) -> Policy:
     """The policy that collects: each goal under a background, where training corrupts goals, that stays for the
     epoch."""
-    view = training_view(parts, env, augmented=False)
+    parts, hyper, env = setup
+    view = training_view(setup, augmented=False)
     encode = GoalEncoding(
         parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key
     ).of_training_goals()
-    return policy(parts, params, Exploration(hyper.epsilon, hyper.noise), env, encode, sees_means(parts))
+    return policy(setup, params, Exploration(hyper.epsilon, hyper.noise), encode, sees_means(parts))
 
 
-def trained_policy(parts, params, hyper, env, use_mean: bool | jax.Array = False) -> Policy:
+def trained_policy(setup: Setup, params: dict, use_mean: bool | jax.Array = False) -> Policy:
     """The policy that training is for: greedy but for `test_epsilon`. It takes goals [E, *shape], or their codes
     `GoalCode` [E], which may be those of other inputs. use_mean: of the code, not a sample."""
+    parts, hyper, env = setup
 
     def encode(goal: jax.Array | GoalCode) -> GoalCode:
         return goal if isinstance(goal, GoalCode) else encode_index(goal)
 
     encode_index = GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size).of_any()
     exploration = Exploration(hyper.test_epsilon, 0.0)
-    return policy(parts, params, exploration, env, encode, use_mean | tests_on_means(parts))
+    return policy(setup, params, exploration, encode, use_mean | tests_on_means(parts))
 
 
 def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):

@@ -10,10 +10,10 @@ from infogoal_jax import replay
 from infogoal_jax.goals import is_goal, same, select, with_placeholders
 from infogoal_jax.keys import draw_chance
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec
+from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience, usable_goals
-from infogoal_jax.train.parts import spec_of
+from infogoal_jax.train.parts import Setup, spec_of
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
 
@@ -63,8 +63,9 @@ class Sample:
     """float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without."""
 
 
-def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
+def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     """Draw what one update learns from: transitions, some of them under other goals, and goal pairs."""
+    parts, _, env = setup
     transition_key, relabel_key, pair_key = jax.random.split(key, 3)
     buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
     candidates = parts.config.batch_size * (1 if parts.relabelling is None else parts.relabelling.candidates)
@@ -73,16 +74,16 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         # Recorded episodes did not end where their goal was reached; what is drawn from them does.
         goal = buffer.goal[row, step]
     if parts.relabelling is not None:
-        row, step, goal = with_relabelled_goals(parts.relabelling, env, experience, relabel_key, row, step)
+        row, step, goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
-    drawn = with_rewards(parts.config, env, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
+    drawn = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
-        drawn = drawn.replace(pairs=sample_pairs(parts, env, experience, pair_key))
+        drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
     if spec.num_goals:
-        drawn = drawn.replace(goals=draw_goals_to_learn(goals_key, experience, env, spec.num_goals))
+        drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
     if spec_of(parts) is not None:
-        known, goals_key = goals_to_learn(experience, env), jax.random.fold_in(key, 5)
+        known, goals_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
         goals = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], goals_key)
         drawn = drawn.replace(all_goals=goals, goal_share=shares(known if goals is None else known[goals]))
     if spec.first_seen:
@@ -93,7 +94,7 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
         other = spec.relabelling.relabel(
             jax.random.fold_in(key, 4), experience.learner_relabelling, row, step, drawn.transitions.goal
         )
-        relabelled = with_rewards(parts.config, env, replay.transitions_at(buffer, row, step, num_steps, other, ends))
+        relabelled = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, other, ends))
         kept = {
             name: getattr(relabelled.transitions, name) for name in ("goal", "next_observation", "mask", "terminated")
         }
@@ -110,25 +111,26 @@ def sample(parts, env, experience: Experience, key: jax.Array) -> Sample:
     return drawn
 
 
-def goals_to_learn(experience: Experience, env) -> jax.Array:
+def goals_to_learn(setup: Setup, experience: Experience) -> jax.Array:
     """Goals of a finite set that something may be learned of: known ones, and training goals, which are desired from
     the start; bool [N]."""
-    return experience.known.mask | env.goals.train_mask
+    return experience.known.mask | setup.env.goals.train_mask
 
 
-def draw_goals_to_learn(key: jax.Array, experience: Experience, env, num: int) -> jax.Array:
+def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, num: int) -> jax.Array:
     """Goals [num, *shape] that something may be learned of: known ones and training goals. In a continuous space half
     of them are of each kind."""
-    if env.goals.finite:
-        return goal_pairs.choose_from_mask(key, goals_to_learn(experience, env), (num,))
+    if setup.env.goals.finite:
+        return goal_pairs.choose_from_mask(key, goals_to_learn(setup, experience), (num,))
     known_key, desired_key, choose_key = jax.random.split(key, 3)
-    desired = jax.vmap(env.goals.draw)(jax.random.split(desired_key, num))
+    desired = jax.vmap(setup.env.goals.draw)(jax.random.split(desired_key, num))
     take_known = draw_chance(choose_key, 0.5, (num,)) & experience.known.any()
     return select(take_known, experience.known.draw(known_key, (num,)), desired)
 
 
-def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPairs:
+def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
     """Goal pairs for the contrastive bound, as the learner's `SampleSpec` asks (Algorithm 1, lines 16 to 20)."""
+    parts, _, env = setup
     spec, buffer, count = parts.learner.sample_spec, experience.buffer, experience.achieved_count
     keys, shape = (
         jax.random.split(key, 5),
@@ -138,7 +140,7 @@ def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPair
         keys[0], buffer, experience.achieved, count, spec.num_pairs, spec.window
     )
     records = jax.tree.map(lambda leaf: jnp.stack([leaf[row, first], leaf[row, second]]), buffer.record)
-    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(parts.config, env, records))
+    anchor, positive = jax.vmap(goal_pairs.choose_goal)(keys[1:3], usable_goals(setup, records))
     # Else the draw has nothing to choose from, and returned a row not written yet.
     any_achieved = count[-1] > 0
     positive_weight = (is_goal(anchor) & is_goal(positive) & any_achieved).astype(jnp.float32)
@@ -161,7 +163,7 @@ def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPair
             keys[4], experience.dissimilarity, experience.known.mask, contrast
         )
     else:
-        negative, negative_weight = sample_apart(parts, env, experience, keys[4], place, contrast)
+        negative, negative_weight = sample_apart(setup, experience, keys[4], place, contrast)
     other = None
     if spec.dissimilar_by == "classifier":
         other = with_placeholders(experience.known.draw(jax.random.fold_in(key, 5), (spec.num_pairs,)))
@@ -169,13 +171,14 @@ def sample_pairs(parts, env, experience: Experience, key: jax.Array) -> GoalPair
 
 
 def sample_apart(
-    parts, env, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
+    setup: Setup, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Draw for each goal of a continuous space one from the buffer that is dissimilar to it (line 20), by rejection.
 
     place: row and step, int32 [B, 1] or [B, K], where the goals contrast [B, K, D] were achieved. Returns goals [B, K,
     D] and weights float32 [B, K], 0 where every candidate was rejected.
     """
+    parts, _, env = setup
     goals, spec = experience.known.goals, parts.learner.sample_spec
     place_key, goal_key = jax.random.split(key)
     tried = (*contrast.shape[:-1], goal_pairs.REJECTION_TRIES)
@@ -188,7 +191,7 @@ def sample_apart(
         seen = env.goals.inputs_of(every), env.goals.inputs_of(with_placeholders(candidates))
         dissimilar = ~parts.learner.similar(experience.goal_params, *seen)
     else:
-        dissimilar = achieved_apart(spec.window, env, experience, place, there, contrast, candidates)
+        dissimilar = achieved_apart(setup, experience, place, there, contrast, candidates)
     accepted = dissimilar & is_goal(candidates) & (experience.achieved_count[-1] > 0)
     first = accepted.argmax(-1)[..., None]
     negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
@@ -196,8 +199,7 @@ def sample_apart(
 
 
 def achieved_apart(
-    window: int,
-    env,
+    setup: Setup,
     experience: Experience,
     place: tuple[jax.Array, jax.Array],
     there: tuple[jax.Array, jax.Array],
@@ -206,6 +208,7 @@ def achieved_apart(
 ) -> jax.Array:
     """Whether goals [B, K, D] and their candidates [B, K, tries, D], achieved at these rows and steps, were not
     achieved within the window in one trajectory, and none achieves the other: bool [B, K, tries]."""
+    env, window = setup.env, setup.parts.learner.sample_spec.window
     buffer, tried = experience.buffer, candidates.shape[:-1]
     here = tuple(jnp.broadcast_to(index[..., None], tried) for index in place)
     record, other = (jax.tree.map(lambda leaf, at=at: leaf[at], buffer.record) for at in (here, there))
@@ -247,29 +250,29 @@ def shares(known: jax.Array) -> jax.Array:
 
 
 def with_relabelled_goals(
-    relabelling, env, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
+    setup: Setup, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The transitions that are learned from, among those that start at these rows and steps [B], and the goals that
     they are given."""
-    relabel_key, choose_key = jax.random.split(key)
+    relabelling, (relabel_key, choose_key) = setup.parts.relabelling, jax.random.split(key)
     desired = experience.buffer.goal[row, step]
     goal = relabelling.relabel(relabel_key, experience.relabelling, row, step, desired)
     if relabelling.skip_reached:
         before = jax.tree.map(lambda leaf: leaf[row, step], experience.buffer.record)
-        goal = select(env.reached(before, goal), desired, goal)
+        goal = select(setup.env.reached(before, goal), desired, goal)
     if relabelling.choose is None:
         return row, step, goal
     kept = relabelling.choose(choose_key, experience.relabelling, row, step, goal)
     return row[kept], step[kept], goal[kept]
 
 
-def with_rewards(config, env, transitions: Transitions) -> Sample:
+def with_rewards(setup: Setup, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
-    external = env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
-    return Sample(transitions, external, usable_goals(config, env, transitions.records), pairs=None)
+    external = setup.env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
+    return Sample(transitions, external, usable_goals(setup, transitions.records), pairs=None)
 
 
-def draws_at_once(parts, count: int) -> int:
+def draws_at_once(relabelling: Relabelling | None, count: int) -> int:
     """How many updates' samples are drawn side by side: all of them, but for a relabelling that compares candidates,
     whose tables take memory."""
-    return count if parts.relabelling is None or parts.relabelling.choose is None else min(count, CHOICES_AT_ONCE)
+    return count if relabelling is None or relabelling.choose is None else min(count, CHOICES_AT_ONCE)

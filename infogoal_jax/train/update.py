@@ -1,7 +1,7 @@
 """One gradient update (Algorithm 1, lines 21 and 22): encode a sample, add the losses, step, then the targets."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import flax.struct
 import jax
@@ -16,15 +16,27 @@ from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Vis
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.parts import code_seen, encode_states, spec_of, training_view
+from infogoal_jax.train.parts import Setup, TrainState, code_seen, encode_states, spec_of, training_view
 from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
 
 
+class Networks(NamedTuple):
+    """The networks of one update."""
+
+    params: dict
+    """Those that are trained."""
+    target_params: dict
+    """Those of the target networks."""
+    view_key: jax.Array | None
+    """Of how the update varies goal inputs."""
+
+
 def returns(
-    parts, params, learner_state, env, hyper, experience: Experience, drawn: Sample
+    setup: Setup, params: dict, learner_state: Any, experience: Experience, drawn: Sample
 ) -> tuple[jax.Array, Any, dict]:
     """Discounted reward of each transition's steps, float32 [B]: the environment's, plus the intrinsic reward (Eq. 16).
     Then the learner's state, and metrics."""
+    parts, hyper, env = setup
     batch, external = drawn.transitions, drawn.external
     if experience.codes is None:
         frozen = jax.lax.stop_gradient(params["goal"])
@@ -55,20 +67,20 @@ def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     return hyper.discount ** batch.mask.sum(1) * (~batch.terminated).astype(jnp.float32)
 
 
-def goal_encoding(parts, params, env, view_key: jax.Array) -> GoalEncoding:
+def goal_encoding(setup: Setup, params: dict, view_key: jax.Array | None) -> GoalEncoding:
     """How an update encodes goals with these parameters, their inputs varied by draws from the key."""
-    view = training_view(parts, env, augmented=True)
-    return GoalEncoding(parts.learner, params["goal"], env.goals, parts.config.batch_size, view, view_key)
+    view = training_view(setup, augmented=True)
+    return GoalEncoding(setup.parts.learner, params["goal"], setup.env.goals, setup.config.batch_size, view, view_key)
 
 
-def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, reward, view_key, key) -> AgentBatch:
+def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: jax.Array, key: jax.Array) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way
     before and after the step."""
+    parts, hyper, env = setup
+    params, target_params, view_key = networks
     keys = jax.random.split(key, 3)
-    see, see_by_target = (
-        encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
-    )
-    encodings = [goal_encoding(parts, given, env, view_key) for given in (params, target_params)]
+    see, see_by_target = (encode_states(setup, given, 2 * setup.config.batch_size) for given in (params, target_params))
+    encodings = [goal_encoding(setup, given, view_key) for given in (params, target_params)]
     code, target_code = (  # A relabelled goal may be any, not a training goal alone.
         (encoding.of_training_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
         for encoding in encodings
@@ -99,33 +111,21 @@ def agent_batch(parts, env, hyper, params, target_params, batch: Transitions, re
     )
 
 
-def under_all_goals(
-    parts,
-    env,
-    hyper,
-    params,
-    target_params,
-    batch: Transitions,
-    goals: jax.Array | None,
-    share: jax.Array,
-    view_key: jax.Array,
-    key: jax.Array,
-) -> AllGoals:
-    """The transitions under these goals [G], or under all goals of the task, of which unknown ones have no share.
-
-    share: float32 [G]; view_key: of how goal inputs are varied; key: of the noise of codes.
-    """
+def under_all_goals(setup: Setup, networks: Networks, drawn: Sample, key: jax.Array) -> AllGoals:
+    """The transitions under the goals [G] of the sample, or under all goals of the task, of which unknown ones have no
+    share. key: of the noise of codes."""
+    parts, hyper, env = setup
+    params, target_params, view_key = networks
+    batch, goals = drawn.transitions, drawn.all_goals
     goals = jnp.arange(env.goals.num_goals, dtype=jnp.int32) if goals is None else goals
     records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
     reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
-    code, target_code = (
-        goal_encoding(parts, given, env, view_key).of_any()(goals) for given in (params, target_params)
-    )
+    code, target_code = (goal_encoding(setup, given, view_key).of_any()(goals) for given in (params, target_params))
     if parts.config.stop_encoder_gradient:
         code = jax.lax.stop_gradient(code)
     keys = jax.random.split(key)
     return AllGoals(
-        share=share,
+        share=drawn.goal_share,
         code=code_seen(parts, code, keys[0]),
         target_code=code_seen(parts, target_code, keys[1]),
         reward=reward,
@@ -133,30 +133,32 @@ def under_all_goals(
     )
 
 
-def steps_to_learn_from(parts, params, env, hyper, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
+def steps_to_learn_from(setup: Setup, params: dict, drawn: Sample, codes: AgentBatch) -> tuple[jax.Array, Steps]:
     """The goals [B] and transitions that the learner's loss sees: the agent's, or the same steps relabelled; with the
     environment's reward alone."""
+    hyper = setup.hyper
     if drawn.relabelled is None:
         reward = discounted(drawn.external, drawn.transitions, hyper)
         return drawn.transitions.goal, Steps(codes.features, codes.next_features, reward, codes.discount)
     relabelled = drawn.relabelled
     following = jax.lax.stop_gradient(
-        encode_states(parts, params, env, 2 * parts.config.batch_size)(relabelled.next_observation)
+        encode_states(setup, params, 2 * setup.config.batch_size)(relabelled.next_observation)
     )
     reward = discounted(relabelled.external, relabelled, hyper)
     return relabelled.goal, Steps(codes.features, following, reward, discount_after(relabelled, hyper))
 
 
-def features_of_goals(parts, params, env) -> Callable[[jax.Array], jax.Array]:
+def features_of_goals(setup: Setup, params: dict) -> Callable[[jax.Array], jax.Array]:
     """Goals int32 [...] to the features [..., F] of the observations that they are, without gradient."""
+    parts, _, env = setup
     return lambda goals: jax.lax.stop_gradient(parts.state_encoder.apply(params["state"], env.goals.inputs_of(goals)))
 
 
-def moves_of(parts, env, params, target_params, move: tuple) -> Moves:
+def moves_of(setup: Setup, networks: Networks, move: tuple) -> Moves:
     """Single steps (observation, action, next observation) [B] as an explorer sees them."""
     observation, action, following = move
     see, see_by_target = (
-        encode_states(parts, given, env, 2 * parts.config.batch_size) for given in (params, target_params)
+        encode_states(setup, given, 2 * setup.config.batch_size) for given in (networks.params, networks.target_params)
     )
     return Moves(see(observation), action, jax.lax.stop_gradient(see_by_target(following)))
 
@@ -195,35 +197,34 @@ def named(part: str, metrics: dict) -> dict:
     return {f"{part}/{name}": value for name, value in metrics.items()}
 
 
-def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key: jax.Array):
+def update(
+    setup: Setup, experience: Experience, state: TrainState, drawn: Sample, key: jax.Array
+) -> tuple[TrainState, dict]:
     """One update of every network and of the learner's state. Returns the state and this update's metrics, named by
     part.
 
     The optimizer sees all parameters as one vector, networks see trees: on a GPU a step for each layer would be as many
     kernels, and a bias that is a slice of a vector is not added in the kernel of the product that it belongs to.
     """
+    parts, hyper, env = setup
     learner, agent = parts.learner, parts.agent
     loss_key, code_key, agent_key, view_key = jax.random.split(key, 4)
     batch, pairs, targets = drawn.transitions, drawn.pairs, state.target_params
-    reward, learner_state, reward_metrics = returns(parts, state.params, state.learner, env, hyper, experience, drawn)
+    reward, learner_state, reward_metrics = returns(setup, state.params, state.learner, experience, drawn)
 
     def total_loss(params):
-        encode = goal_encoding(parts, params, env, view_key).of_any()
-        codes = agent_batch(parts, env, hyper, params, targets, batch, reward, view_key, code_key)
+        networks = Networks(params, targets, view_key)
+        encode = goal_encoding(setup, params, view_key).of_any()
+        codes = agent_batch(setup, networks, batch, reward, code_key)
         if spec_of(parts) is not None:
-            noise_key = jax.random.fold_in(key, 5)
-            codes = codes.replace(
-                all_goals=under_all_goals(
-                    parts, env, hyper, params, targets, batch, drawn.all_goals, drawn.goal_share, view_key, noise_key
-                )
-            )
+            codes = codes.replace(all_goals=under_all_goals(setup, networks, drawn, jax.random.fold_in(key, 5)))
         seen = LearnerBatch(
             encode,
             env.goals.inputs_of,
             pairs,
             drawn.goals,
-            *steps_to_learn_from(parts, params, env, hyper, drawn, codes),
-            features_of_goals(parts, params, env) if learner.needs_features_of_goals else None,
+            *steps_to_learn_from(setup, params, drawn, codes),
+            features_of_goals(setup, params) if learner.needs_features_of_goals else None,
         )
         learner_loss, learner_metrics, after = learner.loss(
             params["goal"], learner_state, seen, hyper.learner, loss_key
@@ -236,7 +237,7 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
             parts.name, learner_metrics
         )
         if parts.explorer is not None:
-            moves = moves_of(parts, env, params, targets, drawn.move)
+            moves = moves_of(setup, networks, drawn.move)
             explorer_loss, explorer_metrics, after = parts.explorer.loss(
                 params["explorer"], state.explorer, moves, jax.random.fold_in(key, 4)
             )
@@ -260,21 +261,23 @@ def update(parts, env, hyper, experience: Experience, state, drawn: Sample, key:
     return state, metrics
 
 
-def updates(parts, env, hyper, experience: Experience, state, key: jax.Array, count: int):
+def updates(
+    setup: Setup, experience: Experience, state: TrainState, key: jax.Array, count: int
+) -> tuple[TrainState, dict]:
     """`count` updates. Returns the state and the means of their metrics.
 
     What they learn from is drawn at once: draws would be many of the kernels that a GPU has to start.
     """
     sample_key, update_key = jax.random.split(key)
     drawn = jax.lax.map(
-        lambda key: sample(parts, env, experience, key),
+        lambda key: sample(setup, experience, key),
         jax.random.split(sample_key, count),
-        batch_size=draws_at_once(parts, count),
+        batch_size=draws_at_once(setup.parts.relabelling, count),
     )
     keys = jax.random.split(update_key, count)
 
     def step(state, drawn_and_key):
-        state, metrics = update(parts, env, hyper, experience, state, *drawn_and_key)
+        state, metrics = update(setup, experience, state, *drawn_and_key)
         return state, Scalars.of(metrics)
 
     state, metrics = jax.lax.scan(step, state, (drawn, keys))

@@ -17,9 +17,10 @@ from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.experience import Experience
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.sampling import with_rewards
-from infogoal_jax.train.update import agent_batch, returns
+from infogoal_jax.train.update import Networks, agent_batch, returns
 
 K = hand_made_points.LONG_INTERVAL
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""
@@ -137,19 +138,14 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
     row, first = (jnp.asarray(index) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
     batch = replay.transitions_at(rows, row, first, parts.agent.num_steps)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)
+    setup = train.setup(hyper)
     before = InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0))
 
     @jax.jit
     def transitions():
-        reward, after, metrics = returns(
-            parts, {"goal": None}, before, env, hyper, experience, with_rewards(parts.config, env, batch)
-        )
-        return (
-            reward,
-            after,
-            metrics,
-            agent_batch(parts, env, hyper, params, params, batch, reward, None, jax.random.key(0)),
-        )
+        reward, after, metrics = returns(setup, {"goal": None}, before, experience, with_rewards(setup, batch))
+        networks = Networks(params, params, view_key=None)
+        return reward, after, metrics, agent_batch(setup, networks, batch, reward, jax.random.key(0))
 
     reward, after, metrics, made = transitions()
 
@@ -195,9 +191,9 @@ def gradients(train, rows):
         parts = train.parts._replace(config=dataclasses.replace(train.config, stop_encoder_gradient=stop))
 
         def loss(params):
-            codes = agent_batch(
-                parts, train.env, hyper, params, target_params, batch, jnp.ones(64), None, jax.random.key(1)
-            )
+            networks = Networks(params, target_params, view_key=None)
+            setup = Setup(parts, hyper, train.env)
+            codes = agent_batch(setup, networks, batch, jnp.ones(64), jax.random.key(1))
             return parts.agent.loss(
                 params["agent"], target_params["agent"], codes, apart, hyper.agent, jax.random.key(2)
             )

@@ -18,6 +18,7 @@ from infogoal_jax.envs import object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
+from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.rollout import rollout
 from infogoal_jax.train.sampling import sample
 
@@ -251,8 +252,8 @@ def test_questions_of_the_test_are_never_learned_from(env):
 
     @jax.jit
     def draws(state, keys):
-        experience, _ = train.experience_of(state, 0, train.config.hyper, env)
-        return jax.vmap(lambda key: sample(train.parts, env, experience, key))(keys)
+        experience, _ = experience_of(train.setup(env=env), state, 0)
+        return jax.vmap(lambda key: sample(train.setup(env=env), experience, key))(keys)
 
     drawn = draws(state, jax.random.split(jax.random.key(1), 50))
     hidden = np.asarray(env.goals.validation_mask | env.goals.test_mask)

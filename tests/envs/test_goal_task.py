@@ -162,7 +162,7 @@ def test_steps_to_numbers_that_are_not_finite_are_counted(registered):
 
     def collected(key):
         state = train.initial(key, train.config.hyper, train.env)
-        return collect_epoch(train.parts, state, 0, train.config.hyper, train.env)
+        return collect_epoch(train.setup(), state, 0)
 
     state, counts = jax.jit(collected)(jax.random.key(0))
     rows = state.buffer

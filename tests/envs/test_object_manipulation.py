@@ -19,7 +19,7 @@ from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import traits_seen
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.update import agent_batch
+from infogoal_jax.train.update import Networks, agent_batch
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,9 @@ def test_agents_see_the_codes_of_their_goals(env, relabelling):
         terminated=jnp.zeros(count, bool),
     )
     made = jax.jit(
-        lambda params: agent_batch(parts, env, hyper, params, params, batch, jnp.zeros(count), None, jax.random.key(2))
+        lambda params: agent_batch(
+            train.setup(), Networks(params, params, view_key=None), batch, jnp.zeros(count), jax.random.key(2)
+        )
     )(state.params)
     expected = jax.jit(lambda params: parts.learner.encode(params, env.goals.inputs_of(goal)).mean)(
         state.params["goal"]

@@ -19,6 +19,7 @@ from infogoal_jax.learners.learner import GoalCode, SampleSpec
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import Experience
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.sampling import sample_pairs
 
 GROUPS, SIZE = 3, 4
@@ -188,7 +189,7 @@ def experience(known: np.ndarray) -> Experience:
 def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never(dissimilar):
     known = np.arange(GOALS) != UNKNOWN
     spec = SampleSpec(num_pairs=6000, window=STEPS, num_negatives=1, dissimilar=dissimilar)
-    drawn = jax.jit(lambda key: sample_pairs(parts(spec), ENV, experience(known), key))(jax.random.key(0))
+    drawn = jax.jit(lambda key: sample_pairs(Setup(parts(spec), None, ENV), experience(known), key))(jax.random.key(0))
     anchor, negative, weight = (
         np.asarray(drawn.anchor),
         np.asarray(drawn.negative)[:, 0],
@@ -208,7 +209,7 @@ def test_random_negatives_may_be_similar_to_the_anchor_and_dissimilar_ones_never
 
 def test_no_random_negative_carries_weight_while_no_goal_is_known():
     spec = SampleSpec(num_pairs=20, window=STEPS, num_negatives=2, dissimilar=False)
-    drawn = jax.jit(lambda key: sample_pairs(parts(spec), ENV, experience(np.zeros(GOALS, bool)), key))(
+    drawn = jax.jit(lambda key: sample_pairs(Setup(parts(spec), None, ENV), experience(np.zeros(GOALS, bool)), key))(
         jax.random.key(0)
     )
     assert not drawn.negative_weight.any()

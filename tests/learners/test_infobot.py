@@ -13,7 +13,7 @@ from infogoal_jax.learners import infobot
 from infogoal_jax.learners.goal_encoder import kl_to_standard_normal
 from infogoal_jax.learners.infobot import InfoBotHyperparameters
 from infogoal_jax.learners.learner import GoalCode, Visited
-from infogoal_jax.train.experience import collect_epoch, first_seen
+from infogoal_jax.train.experience import collect_epoch, experience_of, first_seen
 from infogoal_jax.train.sampling import sample
 
 FEATURES, GOALS = 4, 8
@@ -245,9 +245,10 @@ def test_goals_first_seen_are_those_of_the_step_that_is_learned_from():
     train = make_train(config, hand_made.environment())
 
     def drawn(key):
-        state, _ = collect_epoch(train.parts, train.initial(key, config.hyper, train.env), 0, config.hyper, train.env)
-        experience, _ = train.experience_of(state, jnp.asarray(0), config.hyper, train.env)
-        found = sample(train.parts, train.env, experience, jax.random.key(1))
+        setup = train.setup()
+        state, _ = collect_epoch(setup, train.initial(key, config.hyper, train.env), 0)
+        experience, _ = experience_of(setup, state, jnp.asarray(0))
+        found = sample(setup, experience, jax.random.key(1))
         return experience.first_seen, experience.buffer, found.achieved, found.first_seen, found.transitions.mask
 
     table, buffer, achieved, found, mask = jax.tree.map(np.asarray, jax.jit(drawn)(jax.random.key(0)))

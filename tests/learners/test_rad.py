@@ -15,7 +15,7 @@ from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
 from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.registry import Entry
-from infogoal_jax.train.parts import training_view
+from infogoal_jax.train.parts import Setup, training_view
 
 AUGMENT = rad.make(rad.RADConfig()).augment
 
@@ -108,7 +108,7 @@ def test_updates_see_varied_goals_and_acting_sees_them_as_collecting_does(corrup
     """Under the corruption of training, if any, which both see."""
     env, key = hand_made_points.points(), jax.random.key(0)
     parts = SimpleNamespace(learner=rad.make(rad.RADConfig()), config=SimpleNamespace(training_corruption=corruption))
-    acting, updating = (training_view(parts, env, augmented) for augmented in (False, True))
+    acting, updating = (training_view(Setup(parts, None, env), augmented) for augmented in (False, True))
     if corruption:
         seen, varied = (view(key, env.goals.inputs) for view in (acting, updating))
     else:
@@ -136,7 +136,8 @@ def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
     env, learner = hand_made.environment(), rad.make(rad.RADConfig(hidden=(32,)))
     params, _ = hand_made.initial(learner, jax.random.key(0), hand_made.example(env.goals.inputs), NoHyperparameters())
     view = training_view(
-        SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), env, augmented=True
+        Setup(SimpleNamespace(learner=learner, config=SimpleNamespace(training_corruption=0.0)), None, env),
+        augmented=True,
     )
     same_goal = jnp.zeros(10, jnp.int32)
     varied = GoalEncoding(learner, params, env.goals, 32, view, jax.random.key(1)).of_any()(same_goal).mean

@@ -20,7 +20,7 @@ from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig, any_known, soon
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
-from infogoal_jax.train import parts, sampling, update
+from infogoal_jax.train import experience, parts, sampling, update
 
 DRAWS = 4000
 ONE_UPDATE = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 1}
@@ -183,7 +183,7 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
     for share, made in ((0.0, plain), (1.0, train)):
         draw = jax.jit(
             lambda state, made=made: sampling.sample(
-                made.parts, env, made.experience_of(state, 0, made.config.hyper, env)[0], jax.random.key(1)
+                made.setup(), experience.experience_of(made.setup(), state, 0)[0], jax.random.key(1)
             )
         )
         drawn[share] = draw(state)
@@ -196,16 +196,14 @@ def test_a_learner_sees_in_hindsight_what_the_agent_learns_from_as_it_is():
 
     features = jnp.ones((len(told.goal), 4))
     codes = SimpleNamespace(features=features, next_features=2 * features, reward=None, discount=None)
-    learned = jax.jit(
-        lambda params, drawn: update.steps_to_learn_from(train.parts, params, env, train.config.hyper, drawn, codes)
-    )
+    learned = jax.jit(lambda params, drawn: update.steps_to_learn_from(train.setup(), params, drawn, codes))
     goal, steps = learned(state.params, drawn[1.0])
     np.testing.assert_array_equal(goal, told.goal)
     taken = np.asarray(told.mask.sum(1))
     reward = np.where(told.terminated, 0.98 ** (taken - 1), 0.0)  # 1 at the last step, which reached the goal.
     np.testing.assert_allclose(steps.reward, reward, rtol=1e-5)
     np.testing.assert_allclose(steps.discount, np.where(told.terminated, 0.0, 0.98**taken), rtol=1e-5)
-    seen = jax.jit(lambda params: parts.encode_states(train.parts, params, env, 1)(told.next_observation))(state.params)
+    seen = jax.jit(lambda params: parts.encode_states(train.setup(), params, 1)(told.next_observation))(state.params)
     np.testing.assert_allclose(steps.next_features, seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(steps.features, features)
 
@@ -249,5 +247,6 @@ def test_goals_reached_before_a_transition_can_be_left_out():
     row, step = jnp.zeros(3, jnp.int32), jnp.array([0, 0, 1], jnp.int32)
     for skip, expected in ((False, [0.0, 1.0, 0.0]), (True, [5.0, 1.0, 5.0])):
         relabelling = Relabelling(None, lambda *_: drawn, skip_reached=skip)
-        given = sampling.with_relabelled_goals(relabelling, env, experience, jax.random.key(0), row, step)
+        setup = parts.Setup(SimpleNamespace(relabelling=relabelling), None, env)
+        given = sampling.with_relabelled_goals(setup, experience, jax.random.key(0), row, step)
         np.testing.assert_array_equal(given[2][:, 0], expected)

@@ -31,6 +31,7 @@ from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import episode_video, random_policy, write_video
 from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
+from infogoal_jax.train.parts import Setup
 
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
 
@@ -163,7 +164,7 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
 
     some, env = np.array([126, 130]), points.train.env
     parts = points.train.parts._replace(learner=learner._replace(encode=encode))
-    corrupted_view(parts, points_subject.params, env, jnp.asarray(some), 1, 0.4, 9)
+    corrupted_view(Setup(parts, None, env), points_subject.params, jnp.asarray(some), 1, 0.4, 9)
     np.testing.assert_array_equal(seen[-1], image_goals.seen_images(env, some, 0.4, 9))
 
 

@@ -43,8 +43,8 @@ def mean_code_actions(train, params):
     @partial(jax.jit, static_argnums=2)
     def actions(env, key, seed):
         goals, policy = env.goals.evaluated, train.policy(params, train.config.hyper, env, use_mean=True)
-        clean = clean_view(train.parts, params, env, goals)
-        corrupted = corrupted_view(train.parts, params, env, goals, STARTS, 0.4, seed)
+        clean = clean_view(train.setup(env=env), params, goals)
+        corrupted = corrupted_view(train.setup(env=env), params, goals, STARTS, 0.4, seed)
         observation = jnp.zeros_like(env.observe(jax.tree.map(flat, draw_starts(env, goals, STARTS))))
         return {
             prefix: policy(observation, jax.tree.map(repeated, view.shown), key).reshape(-1, STARTS, 3)
@@ -79,8 +79,8 @@ def test_an_evaluation_on_corrupted_goals_has_one_test_background_an_episode(tra
 @pytest.mark.long
 def test_a_corruption_of_weight_0_leaves_the_evaluation_as_it_is(train, params):
     env = train.env
-    clean = clean_view(train.parts, params, env, env.goals.evaluated).shown
-    unchanged = corrupted_view(train.parts, params, env, env.goals.evaluated, STARTS, 0.0).shown
+    clean = clean_view(train.setup(), params, env.goals.evaluated).shown
+    unchanged = corrupted_view(train.setup(), params, env.goals.evaluated, STARTS, 0.0).shown
     jax.tree.map(partial(np.testing.assert_allclose, atol=1e-5), clean.mean + 0 * unchanged.mean, unchanged.mean)
     metrics = jax.jit(train.evaluate, static_argnums=3)(params, train.config.hyper, env, STARTS, 0.0)
     for group in ("train", "test"):
@@ -98,8 +98,8 @@ def test_scores_belong_to_goals_and_starts_in_any_order(train, params):
     other_starts = jax.tree.map(lambda leaf: leaf[rows][:, columns], starts)
     run = jax.jit(lambda goals, starts: evaluate(policy, env, goals, starts))
     for view in (
-        clean_view(train.parts, params, env, goals),
-        corrupted_view(train.parts, params, env, goals, STARTS, 0.8),
+        clean_view(train.setup(env=env), params, goals),
+        corrupted_view(train.setup(env=env), params, goals, STARTS, 0.8),
     ):
         shown = jax.tree.map(lambda leaf: leaf[rows][:, columns if leaf.shape[1] > 1 else slice(None)], view.shown)
         scores, other = run(view, starts), run(GoalView(goals[rows], shown), other_starts)

@@ -1,6 +1,7 @@
 """All goals at once in the program: who is learned of, what enters, and which combinations make sense."""
 
 import dataclasses
+from functools import partial
 
 import hand_made
 import hand_made_frames
@@ -17,8 +18,9 @@ from infogoal_jax.loading import check_combination, load_environment
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.sampling import draw_goals, shares
-from infogoal_jax.train.update import under_all_goals
+from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.sampling import Sample, draw_goals, shares
+from infogoal_jax.train.update import Networks, under_all_goals
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
 
@@ -70,7 +72,7 @@ def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
     train = training("infogoal", known_goals=known_goals)
     state = initial(train)
     seen = state.replace(seen=jnp.ones_like(state.seen))
-    experience, _ = jax.jit(train.experience_of)(seen, jnp.asarray(0), train.config.hyper, train.env)
+    experience, _ = jax.jit(partial(experience_of, train.setup()))(seen, jnp.asarray(0))
     usable = np.asarray(train.env.goals.usable_mask(known_goals))
     for mask in (np.asarray(experience.known.mask), usable):
         assert mask[TRAIN].all() and mask[TEST].all() == mask[TEST].any() == enter
@@ -127,7 +129,8 @@ def test_rewards_are_those_of_each_goal_alone(goals):
     )
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
     share, key = shares(known if goals is None else known[goals]), jax.random.key(1)
-    found = under_all_goals(train.parts, env, hyper, params, params, batch, goals, share, key, key)
+    drawn = Sample(batch, external=None, achieved=None, pairs=None, all_goals=goals, goal_share=share)
+    found = under_all_goals(train.setup(), Networks(params, params, view_key=key), drawn, key)
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)

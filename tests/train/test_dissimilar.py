@@ -14,6 +14,7 @@ from infogoal_jax.learners import infogoal
 from infogoal_jax.learners.learner import LearnerBatch, SampleSpec
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.experience import Experience, first_dissimilarity
+from infogoal_jax.train.parts import Setup
 from infogoal_jax.train.sampling import sample_pairs
 from tests import hand_made
 
@@ -58,7 +59,7 @@ def experience(learner) -> Experience:
         decided=~nothing,
     )
     achieved = jnp.ones(record.shape[:2], bool)
-    count, matrix = replay.running_count(achieved), first_dissimilarity(parts(learner), ENV)
+    count, matrix = replay.running_count(achieved), first_dissimilarity(Setup(parts(learner), None, ENV))
     if matrix is not None:
         matrix = pairs.remove_similar(matrix, BOX.cell_of(record[:, :, None]), rows.episode(), WINDOW)
     return Experience(
@@ -75,7 +76,9 @@ def experience(learner) -> Experience:
 
 def draw(learner):
     """The goals that negatives are compared with, negatives and weights, each [B, K]; and the pairs."""
-    drawn = jax.jit(lambda key: sample_pairs(parts(learner), ENV, experience(learner), key))(jax.random.key(1))
+    drawn = jax.jit(lambda key: sample_pairs(Setup(parts(learner), None, ENV), experience(learner), key))(
+        jax.random.key(1)
+    )
     return (*(np.asarray(each) for each in (drawn.contrast, drawn.negative, drawn.negative_weight)), drawn)
 
 
@@ -126,7 +129,7 @@ def test_the_classifier_learns_from_pairs_which_goals_are_similar():
     known = experience(learner).replace(goal_params=params)
 
     def loss(params, key):
-        drawn = sample_pairs(parts(learner), ENV, known, key)
+        drawn = sample_pairs(Setup(parts(learner), None, ENV), known, key)
         batch = LearnerBatch(
             lambda goals: learner.encode(params, BOX.inputs_of(goals)), BOX.inputs_of, drawn, None, drawn.anchor, None
         )

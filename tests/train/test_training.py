@@ -207,7 +207,7 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
             dissimilarity=pairs.initial_dissimilarity(env.goals.num_goals),
             codes=None,
         )
-        return sample_pairs(train.parts, env, experience, key)
+        return sample_pairs(train.setup(), experience, key)
 
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()
 

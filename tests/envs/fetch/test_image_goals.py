@@ -25,7 +25,7 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, GoalEncoding, encode_all
 from infogoal_jax.low_level.trainer import shipped
-from infogoal_jax.train.parts import training_view
+from infogoal_jax.train.parts import Setup, training_view
 
 GRIDS = {}
 
@@ -142,11 +142,12 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     parts = SimpleNamespace(config=SimpleNamespace(training_corruption=0.5), learner=SimpleNamespace(augment=None))
     assert (
         training_view(
-            SimpleNamespace(config=SimpleNamespace(training_corruption=0.0), learner=parts.learner), env, augmented=True
+            Setup(SimpleNamespace(config=SimpleNamespace(training_corruption=0.0), learner=parts.learner), None, env),
+            augmented=True,
         )
         is None
     )
-    view = training_view(parts, env, augmented=True)
+    view = training_view(Setup(parts, None, env), augmented=True)
     encoding = GoalEncoding(pixels, None, env.goals, 1000, view, jax.random.key(0))
     for encode in (encoding.of_training_goals(), encoding.of_any()):
         seen = encode(goals).mean
