@@ -1,9 +1,10 @@
-"""A run: all seeds of one configuration, with tables, a checkpoint and the policy in a folder after each chunk."""
+"""A run: all seeds of one configuration, in a folder with tables, a checkpoint and the policy."""
 
 import contextlib
 import dataclasses
 import math
 import platform
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -186,8 +187,12 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
     return RunResult(folder, train, params, diverged, stopped=not sweep.finished)
 
 
+CHECKPOINT_SHARE = 0.1
+"""Of the time that passes, what goes into checkpoints at most: those of several seeds' replay buffers are gigabytes."""
+
+
 class RunFiles(Callback):
-    """The files of a run, written after each chunk, and what is told to listeners."""
+    """The files of a run, its rows written after each chunk, and what is told to listeners."""
 
     def __init__(
         self,
@@ -201,8 +206,9 @@ class RunFiles(Callback):
     ):
         self.folder, self.now, self.listeners, self.stop = folder, now, listeners, stop
         self.phase, self.left = phase, left
-        self.epoch = self.first = epoch
+        self.epoch = self.first = self.saved = epoch
         self.steps_before = 0
+        self.saved_at = self.save_seconds = 0.0
 
     def compiling(self, sweep: Sweep) -> None:
         """Tell whoever waits."""
@@ -218,7 +224,7 @@ class RunFiles(Callback):
         self.steps_before = int(np.sum(distributed.gathered(jax.device_get(sweep.states.state.env_steps))))
 
     def evaluated(self, sweep: Sweep) -> None:
-        """Write the rows of the chunk, then the checkpoint and the policy."""
+        """Write the rows of the chunk, then the checkpoint and the policy if they are due, and tell the listeners."""
         config, seeds, before = self.now.config, self.now.seeds, self.epoch
         self.epoch = sweep.evaluations * config.epochs_per_evaluation
         epochs = rows_of(range(before + 1, self.epoch + 1), seeds, sweep.learned)
@@ -229,20 +235,43 @@ class RunFiles(Callback):
             env_steps_per_second=(int(sweep.scored["env_steps"].sum()) - self.steps_before) / sweep.run_seconds,
             updates_per_second=(self.epoch - self.first) * config.updates_per_epoch * len(seeds) / sweep.run_seconds,
         )
-        states = distributed.gathered_by_writer(sweep.states.state)
+        if distributed.is_writer():
+            tables.append_rows(self.folder, "epochs", epochs)
+            tables.append_rows(self.folder, "evaluations", evaluations)
+            tables.write_timing(self.folder, timing)
+        if distributed.any_process(sweep.finished or self.is_due()):
+            self.save(sweep)
         if not distributed.is_writer():
             return
-        tables.append_rows(self.folder, "epochs", epochs)
-        tables.append_rows(self.folder, "evaluations", evaluations)
-        checkpoint.save(self.folder / "checkpoint", {"epoch": self.epoch, **self.now.values()}, states)
-        self.save_policy(states.params)
-        tables.write_timing(self.folder, timing)
-        self.stop.advice = how_to_go_on(self.folder, self.epoch)
         progress = Progress(
             self.epoch, config.num_epochs, epochs=epochs, evaluations=evaluations, **dataclasses.asdict(timing)
         )
         for listener in self.listeners:
             listener(progress)
+
+    def stopped(self, sweep: Sweep) -> None:
+        """Write what was not due after the last chunk."""
+        if sweep.states is not None and self.saved < self.epoch:
+            self.save(sweep)
+
+    def is_due(self) -> bool:
+        """Whether this process writes, and writing takes a second at most or little of the time since it was last
+        done."""
+        share = self.save_seconds / max(time.monotonic() - self.saved_at, 1e-9)
+        return distributed.is_writer() and (self.save_seconds < 1.0 or share < CHECKPOINT_SHARE)
+
+    def save(self, sweep: Sweep) -> None:
+        """Write the checkpoint, then the policy."""
+        began = time.monotonic()
+        states = distributed.gathered_by_writer(sweep.states.state)
+        self.saved = self.epoch
+        if not distributed.is_writer():
+            return
+        checkpoint.save(self.folder / "checkpoint", {"epoch": self.epoch, **self.now.values()}, states)
+        self.save_policy(states.params)
+        self.stop.advice = how_to_go_on(self.folder, self.epoch)
+        self.saved_at = time.monotonic()
+        self.save_seconds = self.saved_at - began
 
     def save_policy(self, params: Any) -> None:
         """Write the parameters of all seeds."""

@@ -92,6 +92,29 @@ def test_killed_at_a_random_moment_it_ends_with_the_same_bits(tmp_path):
     kill_and_resume(tmp_path, first, time.monotonic() - started, kills=1)
 
 
+def test_large_checkpoints_take_a_tenth_of_the_time_at_most(uninterrupted, env, tmp_path, monkeypatch):
+    """Where writing takes two seconds and a chunk none, there are checkpoints after the first chunk and the last, and
+    where the clock stops a run. It ends with the same bits."""
+    now, saved = [0.0], []
+
+    def save(path, header, tree):
+        checkpoint_save(path, header, tree)
+        if path.name == "checkpoint":
+            now[0] += 2.0
+            saved.append(header["epoch"])
+
+    checkpoint_save = checkpoint.save
+    monkeypatch.setattr(checkpoint, "save", save)
+    monkeypatch.setattr(training.time, "monotonic", lambda: now[0])
+    chunks = small_config().num_evaluations
+    calls = iter([1e9] * (chunks - 1) + [0.0] * 9)
+    first, last = small_config().epochs_per_evaluation, small_config().num_epochs
+    training.run(small_config(), [0, 1], tmp_path / "run", env=env, left=lambda: next(calls))
+    assert saved == [first, last - first] and chunks > 3
+    training.run(small_config(), [0, 1], tmp_path / "run", resume=True, env=env)
+    assert saved == [first, last - first, last] and same_run(tmp_path / "run", uninterrupted)
+
+
 def test_rows_after_the_last_checkpoint_are_dropped(tmp_path):
     rows = [
         {"seed": seed, "epoch": epoch, "x": 0.1 * epoch, "steps": [epoch]} for epoch in (1, 2, 3) for seed in (0, 1)
