@@ -70,6 +70,7 @@ SHOWN = {
         "cube_infogoal_her_norm/",
         "cube_infogoal_norm/",
         "cube_infogoal_privileged/",
+        "cube_infogoal_known_goals/",
         "cube_her_privileged/",
         "cube_infogoal_her_privileged/",
     ),
