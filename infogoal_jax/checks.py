@@ -223,7 +223,8 @@ def called(name: str, function: Callable, *arguments: Any) -> Any:
     except UserError:
         raise
     except NotImplementedError as error:
-        raise UserError(f"{name}: is not written, and the contract asks for it") from error
+        missing = f"{error} is" if str(error) else "is"
+        raise UserError(f"{name}: {missing} not written, and the contract asks for it") from error
     except (Exception, SystemExit) as error:
         kind, colon, words = reason(error).partition(": ")
         raise UserError(f"{name}: raised {kind} when it was traced{colon}{words}") from error

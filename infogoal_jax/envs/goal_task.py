@@ -55,8 +55,8 @@ class Episode:
 
 @flax.struct.dataclass
 class GoalTask(Environment):
-    """A task whose goals are vectors, reached within a radius. Derive from it and write the four functions without a
-    body: all are pure, and take one world."""
+    """A task whose goals are vectors, reached within a radius. Derive from it, give `action_size`, and write the four
+    functions without a body: all are pure, and take one world."""
 
     goals: GoalBox
     """The goal space, `GoalBox.of(low, high)`."""
@@ -67,25 +67,24 @@ class GoalTask(Environment):
     ends_at_goal: bool = flax.struct.field(pytree_node=False, default=True)
     """Whether reaching the goal ends the episode."""
 
-    action_size = 1
     discrete = False
     source = "simulated"
 
     def begin(self, key: jax.Array) -> Any:
         """A world at the start of an episode."""
-        raise NotImplementedError
+        raise NotImplementedError("begin")
 
     def move(self, world: Any, action: jax.Array) -> Any:
         """The world after one action: float32 [action_size] in [-1, 1], or int32 where `discrete`."""
-        raise NotImplementedError
+        raise NotImplementedError("move")
 
     def observation(self, world: Any) -> jax.Array:
         """What the agent sees: float32 [F], each number of the order of 1."""
-        raise NotImplementedError
+        raise NotImplementedError("observation")
 
     def achieved_goal(self, world: Any) -> jax.Array:
         """The goal that is achieved, float32 [D]."""
-        raise NotImplementedError
+        raise NotImplementedError("achieved_goal")
 
     def reset(self, key: jax.Array) -> Episode:
         """A new episode for a training goal."""

@@ -102,6 +102,10 @@ WRONG = {
         dict(reached=lambda self, record, goal: (record - goal < 9).all(-1)),
         "env.reached = 'True for every two goals': there is nothing to learn",
     ),
+    "a function that is not written": (
+        dict(achieved_goal=GoalTask.achieved_goal),
+        "env.reset: achieved_goal is not written, and the contract asks for it",
+    ),
     "whole numbers as observations": (
         dict(observation=lambda self, place: place.astype(jnp.int32)),
         r"env.render: returns int32 \[2\] of one observation; return uint8",
@@ -121,6 +125,13 @@ def test_a_task_in_which_nothing_can_be_learned_is_refused_in_one_line(case, reg
         registered(changed(**members))
         make_train(presets.load("square", "none"))
     assert "\n" not in str(error.value)
+
+
+def test_a_task_that_does_not_say_how_large_its_actions_are_is_refused():
+    """Without it actions of one number would be broadcast over a place."""
+    kind = flax.struct.dataclass(type("Own", (GoalTask,), {"__module__": "own"}))
+    with pytest.raises(UserError, match="^env = 'Own': has no action_size, which the contract asks for"):
+        presets.register("square", kind(GOALS))
 
 
 @pytest.mark.parametrize(("radius", "field"), [(0.0, "env.radius"), (-1.0, "env.radius"), (5.0, "env.reached")])
