@@ -14,6 +14,7 @@ them is replaced by what the numbers of the source give. Sources:
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json
+    positions Fetch with continuous goals, positions.py, in positions.csv and transfer.jsonl
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures
@@ -36,7 +37,7 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
-from infogoal_paper import all_goals, noise_numbers, numbers, scores, trial_numbers, trials, tuning
+from infogoal_paper import all_goals, noise_numbers, numbers, positions, scores, trial_numbers, trials, tuning
 from infogoal_paper.manifest import PROTOCOLS
 from infogoal_paper.table_formats import markdown_lines
 
@@ -278,6 +279,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),
+    "positions": positions.tables,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 

@@ -1,0 +1,48 @@
+"""The table of Fetch with continuous goals, from runs as they lie on disk."""
+
+import json
+
+from infogoal_paper import positions
+
+
+def write_run(folder, agent: str, successes: dict[int, list[float]]) -> None:
+    """As much of a run as is read: success of each seed after each of two evaluations."""
+    folder.mkdir()
+    parts = {"learner": {"name": "none"}, "agent": {"name": agent}}
+    config = {"task": "fetch_push_positions"} | parts
+    about = {"config": config, "device": "a GPU", "versions": {"jax": "0.11.2"}}
+    (folder / "config.json").write_text(json.dumps(about))
+    lines = [
+        f"{seed},{epoch},{epoch}00000,{success}"
+        for seed, own in successes.items()
+        for epoch, success in enumerate(own, start=1)
+    ]
+    (folder / "evaluations.csv").write_text("\n".join(["seed,epoch,env_steps,train_goal/success_rate", *lines]) + "\n")
+
+
+def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
+    """A second run of the same parts takes the first one's place; a seed that never got there is counted."""
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv")
+    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
+    assert positions.tables() == {}
+    write_run(tmp_path / "first", "sac", {0: [0.1, 0.2], 1: [0.1, 0.2]})
+    write_run(tmp_path / "second", "sac", {0: [0.95, 1.0], 1: [0.1, 0.8]})
+    write_run(tmp_path / "other", "td3", {0: [0.9, 0.9], 1: [0.0, 0.9]})
+    positions.take([tmp_path / "first"])
+    positions.take([tmp_path / "second", tmp_path / "other"])
+    *_, sac, td3 = positions.tables()["success"].splitlines()
+    assert sac == "| Push | SAC | 0.90 ± 1.27 | 0.20 | 0.10 to 0.10 (1 of 2 seeds) |"
+    assert td3 == "| Push | TD3 | 0.90 ± 0.00 | 0.20 | 0.10 to 0.20 |"
+
+
+def test_policies_are_shown_beside_the_reference(tmp_path, monkeypatch):
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv")
+    monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
+    for seed, (ours, there) in enumerate(((1.0, 0.9), (0.8, 0.9))):
+        reached = {"ours": {"mean": ours}, "reference": {"mean": there}, "difference": ours - there}
+        row = {"task": "fetch_push_positions", "method": "none", "reached": reached}
+        (tmp_path / f"push-{seed}.json").write_text(json.dumps(row))
+    for _ in range(2):
+        positions.take_transfers(sorted(tmp_path.glob("push-*.json")))
+    line = positions.tables()["transfer"].splitlines()[-1]
+    assert line.startswith("| Push | 2 | 0.900 ± ") and line.endswith("| 0.900 ± 0.000 | 0.000 ± 1.271 |")
