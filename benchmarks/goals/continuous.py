@@ -84,8 +84,18 @@ def studies() -> dict[str, list[Setting]]:
                 Setting(f"{task} infogoal, window {window}, {lane}", task, "infogoal", {"window": window}, hyper, env)
                 for lane, hyper in lanes.items()
             ]
-        for name, learner in (("relative", {"beta_rule": "relative"}), ("16 negatives", {"num_negatives": 16})):
-            causes.append(Setting(f"{task} infogoal, {name}", task, "infogoal", learner, env=env))
+            following = {"window": window, "beta_rule": "relative"}
+            causes += [
+                Setting(
+                    f"{task} infogoal, window {window}, margin {margin}, weight {weight}",
+                    task,
+                    "infogoal",
+                    following,
+                    {"learner.beta_margin": margin, "learner_weight": weight},
+                    env,
+                )
+                for margin, weight in ((0.005, 1.0), (0.02, 1.0), (0.005, 0.1))
+            ]
     methods = [
         Setting(f"{task} {method}", task, method, env=held_out[task])
         for task in ("point_maze", "fetch_reach_positions")
