@@ -11,6 +11,8 @@ PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 
 COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
 COMPILE_AS_USED := --xla_backend_optimization_level=1
 ENVIRONMENT := .venv
+# Compiled programs outlive a session: the next one compiles what has changed (tests/conftest.py).
+KEPT := INFOGOAL_TEST_PROGRAMS=$(ENVIRONMENT)/programs
 READY := $(ENVIRONMENT)/.ready
 READY_FOR_ALL := $(ENVIRONMENT)/.ready-for-all
 
@@ -20,10 +22,10 @@ train: $(READY)
 	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
 
 test: $(READY) lint
-	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
+	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
 
 test-long: test $(READY_FOR_ALL)
-	XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m long
+	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m long
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .

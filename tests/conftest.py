@@ -61,13 +61,17 @@ LONGEST_FIRST = (
 )
 """Files that are begun first: what is short fills the gap that is left at the end, and both processes are done at about
 the same time."""
+KEPT = "INFOGOAL_TEST_PROGRAMS"
+"""Where `make test` keeps compiled programs for the next session; unset, they go with the session."""
+MOST_KEPT = 4e9
+"""Bytes of them, of code that is long gone: with more, the next session begins anew."""
 ON_DISK = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
 """Small programs too: a file of tests has hundreds, and reading one takes a fraction of the time of compiling it."""
 
 
 def pytest_configure(config):
     """Keep compiled programs in a folder that this session's processes share: the workers, and those that tests start;
-    nobody's own cache is used.
+    nobody's own cache is used. A program is found by all that it is made of, so that one that is kept is never another.
 
     The command line looks for them below XDG_CACHE_HOME, everything else at JAX_COMPILATION_CACHE_DIR: here both are
     the same folder.
@@ -77,6 +81,8 @@ def pytest_configure(config):
         folder = Path(tempfile.mkdtemp(prefix="infogoal_tests_"))
         config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
         programs = folder / "infogoal" / "jax"
+        if os.environ.get(KEPT):
+            link_kept(Path(os.environ[KEPT]).absolute(), programs)
         os.environ.update(ON_DISK | {"XDG_CACHE_HOME": str(folder), "JAX_COMPILATION_CACHE_DIR": str(programs)})
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update(
@@ -85,6 +91,15 @@ def pytest_configure(config):
     jax.config.update(
         "jax_persistent_cache_min_entry_size_bytes", int(ON_DISK["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"])
     )
+
+
+def link_kept(kept: Path, programs: Path) -> None:
+    """Let the session's programs be those that are kept."""
+    if kept.exists() and sum(file.stat().st_size for file in kept.iterdir()) > MOST_KEPT:
+        shutil.rmtree(kept)
+    kept.mkdir(parents=True, exist_ok=True)
+    programs.parent.mkdir()
+    programs.symlink_to(kept, target_is_directory=True)
 
 
 def pytest_collection_modifyitems(items):

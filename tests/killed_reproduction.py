@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import math
 import multiprocessing
 import os
@@ -20,6 +21,8 @@ from infogoal_paper.work import Outcome, Work, work_on
 
 SEEDS = 0, 1
 LANES = Lane("preset", ()), Lane("short sight", (("discount", 0.5),))
+FEW = 20_000
+"""Weights of the small program."""
 LOG = "log"
 DEADLY, SLOW = "deadly", "slow"
 """Files beside it: one names a run, and whoever begins it dies; where the other is, an evaluation takes a second."""
@@ -32,6 +35,7 @@ def runs(count: int = 3) -> list[Run]:
     ]
 
 
+@functools.cache
 def config_of(run: Run, goal_images: Path | None = None):
     """The hand-made task, of another episode length on each goal set, so that each has a program of its own."""
     hyper = dict(run.lane.values)
@@ -39,9 +43,12 @@ def config_of(run: Run, goal_images: Path | None = None):
     return dataclasses.replace(config, hyper=config.hyper.replace(**hyper))
 
 
+environment = functools.cache(hand_made.environment)
+
+
 def counted_train(config, env=None):
     """Training whose program compiles in a moment, with what an evaluation of a task says."""
-    train = small_train(config, env)
+    train = small_train(config, env, size=FEW)
 
     def evaluation(state, hyper, env):
         first = jnp.ones((len(train.env.goals.evaluated), 1), jnp.int32)
@@ -83,7 +90,7 @@ def small_programs(folder: Path, judge=None, keeping: float = work.KEEPING):
             patches.enter_context(mock.patch.object(module, "config_of", config_of))
         for module, name, value in (
             (batches, "make_train", counted_train),
-            (batches, "load_environment", lambda config: hand_made.environment()),
+            (batches, "load_environment", lambda config: environment()),
             (batches, "build_data", lambda run: None),
             (batches, "begin", begin),
             (sweep, "advance", advance),

@@ -71,28 +71,33 @@ def search_config():
     return hand_made.config("none", num_epochs=30, epochs_per_evaluation=2, updates_per_epoch=5)
 
 
+MEGABYTE = 250_000
+"""Weights of the small program where it is killed: writing them takes its time."""
+
+
 @flax.struct.dataclass
 class SmallState:
-    """What the small program carries: a megabyte, so that writing it takes its time."""
+    """What the small program carries."""
 
     params: dict
     env_steps: jax.Array
     key: jax.Array
 
 
-def small_train(config, env=None):
+def small_train(config, env=None, size: int = MEGABYTE):
     """Training whose program compiles in a moment: its numbers depend on every epoch, seed and hyperparameter before.
+    size: of its weights.
 
     Nothing is learned by it; what is killed here is the loop around the program. `tests/runner/test_resume.py` kills
     the real one.
     """
 
     def initial(key, hyper, env):
-        return SmallState({"weight": jax.random.normal(key, (250_000,))}, jnp.int32(0), key)
+        return SmallState({"weight": jax.random.normal(key, (size,))}, jnp.int32(0), key)
 
     def epochs(state, numbers, hyper, env):
         def epoch(state, number):
-            noise = jax.random.normal(jax.random.fold_in(state.key, number), (250_000,))
+            noise = jax.random.normal(jax.random.fold_in(state.key, number), (size,))
             weight = hyper.discount * state.params["weight"] + hyper.learning_rate * noise
             state = state.replace(params={"weight": weight}, env_steps=state.env_steps + 10)
             seen = {"agent/loss": jnp.square(weight).mean(), "agent/gradient_norm": jnp.abs(weight).max()}

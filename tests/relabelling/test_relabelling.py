@@ -51,6 +51,12 @@ def relabelled(rows: Trajectories, config, known=None, name: str = "her"):
     return [np.asarray(part) for part in drawn(rows, known)]
 
 
+@jax.jit
+def three_steps(rows, row, step, goal):
+    """The transitions of three steps that start there, under these goals."""
+    return replay.transitions_at(rows, row, step, 3, goal, lambda record, wanted: (record == wanted[..., None]).any(-1))
+
+
 def test_goals_are_achieved_later_in_the_same_episode(rows):
     """With a share of 1 every goal was achieved later, every such goal comes up, and where there is none the goal
     stays."""
@@ -82,12 +88,7 @@ def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
     after n steps."""
     rows = random_rows(several)
     row, step, goal = relabelled(rows, config, name=name)
-
-    def reached(record, wanted):
-        return (record == wanted[..., None]).any(-1)
-
-    at = jax.jit(lambda rows, row, step, goal: replay.transitions_at(rows, row, step, 3, goal, reached))
-    rows, batch = jax.tree.map(np.asarray, (rows, at(rows, row, step, goal)))
+    rows, batch = jax.tree.map(np.asarray, (rows, three_steps(rows, row, step, goal)))
     first = batch.observation
     for i in range(300):
         assert goal[i] == 0 or goal[i] in later_goals(rows, row[i], step[i])

@@ -187,7 +187,7 @@ def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
     assert ("loading 2.0 s, tracing 0.0 s" in shown) == (width >= 100)
 
 
-def test_a_run_tells_its_phases_in_order(tmp_path):
+def test_a_run_tells_its_phases_in_order(small_program, tmp_path):
     told = []
     config = dataclasses.replace(hand_made.config(), num_epochs=2)
     run(

@@ -1,7 +1,6 @@
 """All goals at once in the program: who is learned of, what enters, and which combinations make sense."""
 
 import dataclasses
-from functools import partial
 
 import hand_made
 import hand_made_frames
@@ -36,6 +35,14 @@ def initial(train):
     return jax.jit(train.initial)(jax.random.key(0), train.config.hyper, train.env)
 
 
+@pytest.fixture(scope="module")
+def begun():
+    """Training with InfoGoal, and the state of one seed before the first epoch. What is done with all goals changes
+    nothing about it."""
+    train = training("infogoal")
+    return train, initial(train)
+
+
 def run(train):
     """What training of one seed returns."""
     return jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
@@ -67,14 +74,12 @@ def test_the_bare_agent_is_the_same_whatever_may_be_known():
 
 
 @pytest.mark.parametrize(("known_goals", "enter"), [("held_out", False), ("train", False), ("visited", True)])
-def test_what_is_held_out_enters_neither_updates_nor_pairs(known_goals, enter):
+def test_what_is_held_out_enters_neither_updates_nor_pairs(begun, known_goals, enter):
     """Though every goal was achieved."""
-    train = training("infogoal", known_goals=known_goals)
-    state = initial(train)
+    train, (_, state) = training("infogoal", known_goals=known_goals), begun
     seen = state.replace(seen=jnp.ones_like(state.seen))
-    experience, _ = jax.jit(partial(experience_of, train.setup()))(seen, jnp.asarray(0))
-    usable = np.asarray(train.env.goals.usable_mask(known_goals))
-    for mask in (np.asarray(experience.known.mask), usable):
+    known = jax.jit(lambda state: experience_of(train.setup(), state, 0)[0].known.mask)(seen)
+    for mask in (np.asarray(known), np.asarray(train.env.goals.usable_mask(known_goals))):
         assert mask[TRAIN].all() and mask[TEST].all() == mask[TEST].any() == enter
 
 
@@ -105,22 +110,21 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
 
 
 @pytest.mark.parametrize("code", ["sampled", "mean"])
-def test_an_agent_that_learns_from_means_of_codes_acts_on_them(code):
+def test_an_agent_that_learns_from_means_of_codes_acts_on_them(begun, code):
     """However often it acts, it does the same."""
-    train = training("infogoal", relabelling=AllGoalsConfig(code=code))
+    train, (_, state) = training("infogoal", relabelling=AllGoalsConfig(code=code)), begun
     env, hyper = train.env, train.config.hyper.replace(test_epsilon=jnp.asarray(0.0))
-    policy = train.policy(initial(train).params, hyper, env)
+    policy = train.policy(state.params, hyper, env)
     rooms, goals = jnp.arange(env.num_observations), jnp.arange(env.num_observations) % env.goals.num_goals
     actions = jax.jit(jax.vmap(policy, in_axes=(None, None, 0)))(rooms, goals, jax.random.split(jax.random.key(1), 32))
     assert (actions == actions[0]).all() == (code == "mean")
 
 
 @pytest.mark.parametrize("goals", [pytest.param(None, marks=pytest.mark.long), jnp.array([6, 0, 6])])
-def test_rewards_are_those_of_each_goal_alone(goals):
+def test_rewards_are_those_of_each_goal_alone(begun, goals):
     """As the environment decides, for every goal and transition."""
-    train = make_train(hand_made.config("none", relabelling="all_goals"), hand_made.environment())
-    env, hyper = train.env, train.config.hyper
-    params = initial(train).params
+    train, state = begun
+    env, hyper, params = train.env, train.config.hyper, state.params
     start = jnp.arange(env.num_observations)
     arrived = env.next_node[start, 0]
     count = len(start)
@@ -130,7 +134,7 @@ def test_rewards_are_those_of_each_goal_alone(goals):
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
     share, key = shares(known if goals is None else known[goals]), jax.random.key(1)
     drawn = Sample(batch, external=None, achieved=None, pairs=None, all_goals=goals, goal_share=share)
-    found = under_all_goals(train.setup(), Networks(params, params, view_key=key), drawn, key)
+    found = jax.jit(lambda drawn: under_all_goals(train.setup(), Networks(params, params, key), drawn, key))(drawn)
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)

@@ -15,7 +15,9 @@ Recorded programs are compiled with `OPTIONS`, whatever XLA_FLAGS say: other opt
 compiles a program in several pieces, a change in one place of it can move the rounding of another by a bit.
 """
 
+import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import sys
@@ -88,22 +90,49 @@ def test_every_method_of_the_paper_has_a_task():
     }
 
 
-@pytest.mark.parametrize(
-    ("task", "method"), [*(("object_search", method) for method in presets.METHODS), ("fetch_reach", "infogoal")]
-)
+@contextlib.contextmanager
+def nothing_promoted():
+    """Nothing that NumPy does without being asked, which a user may have forbidden to code of his own: what can be
+    traced here has the same types everywhere."""
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        yield
+
+
+@functools.cache
+def traced(task: str, method: str, in_64_bits: bool = False):
+    """Shapes and types of the state, of an epoch and of the evaluation after it."""
+    with jax.enable_x64(True) if in_64_bits else nothing_promoted():
+        train = train_of(task, method)
+
+        def chunk(key, env):
+            numbers = jnp.arange(1, dtype=jnp.int32)
+            return train.chunk(train.initial(key, train.config.hyper, env), numbers, train.config.hyper, env)
+
+        return jax.eval_shape(chunk, jax.random.key(0), train.env)
+
+
+TRACED = [*(("object_search", method) for method in presets.METHODS), ("fetch_reach", "infogoal")]
+IN_64_BITS = [("object_search", "infogoal"), ("fetch_reach", "infogoal")]
+
+
+@pytest.mark.parametrize(("task", "method"), TRACED)
 def test_goes_through_an_epoch_and_an_evaluation(task, method):
     """Traced, not run: shapes agree from the first draw to the evaluation after an epoch, and the method's own loss has
     its metrics. Seeds are beside each other where the programs run, among the long tests."""
-    train = train_of(task, method)
-
-    def chunk(key, env):
-        return train.chunk(train.initial(key, train.config.hyper, env), jnp.arange(1), train.config.hyper, env)
-
-    state, epochs, metrics = jax.eval_shape(chunk, jax.random.key(0), train.env)
+    state, epochs, metrics = traced(task, method)
     assert metrics["test_goal/success_rate"].shape == () and epochs["agent/loss"].shape == (1,)
     assert state.params["agent"].keys() == state.target_params["agent"].keys()
     learner = presets.METHODS[method].learner
     assert any(name.startswith(f"{learner}/") for name in epochs) == (learner not in ("none", "rad", "index"))
+
+
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [pytest.param(*pair, marks=[] if pair in IN_64_BITS else [pytest.mark.long]) for pair in working()],
+)
+def test_every_program_is_the_same_with_64_bits(task, method):
+    """Traced: what is carried from epoch to epoch and what comes out has the types that it has without."""
+    assert traced(task, method, in_64_bits=True) == traced(task, method)
 
 
 @pytest.mark.long
@@ -120,44 +149,13 @@ def test_trains_without_a_number_that_is_not_finite(task, method):
     assert not np.array_equal(*result.epochs["agent/loss"])
 
 
-MODES = {
-    "64 bits": lambda: jax.enable_x64(True),
-    "ranks": lambda: jax.numpy_rank_promotion("raise"),
-    "types": lambda: jax.numpy_dtype_promotion("strict"),
-}
-"""What a user may have set for code of his own: 64 bits, or nothing that NumPy does without being asked."""
-TWO = (("object_search", "infogoal"), ("fetch_reach", "her"))
-in_each_mode = pytest.mark.parametrize("mode", list(MODES))
-
-
-@in_each_mode
-@pytest.mark.parametrize(
-    ("task", "method"), [pytest.param(*pair, marks=[] if pair in TWO else [pytest.mark.long]) for pair in working()]
-)
-def test_every_program_is_the_same_whatever_jax_is_set_to(task, method, mode):
-    """Traced: what is carried from epoch to epoch and what comes out has the types that it has without."""
-
-    def traced():
-        train = train_of(task, method)
-
-        def chunk(key, env):
-            numbers = jnp.arange(1, dtype=jnp.int32)
-            return train.chunk(train.initial(key, train.config.hyper, env), numbers, train.config.hyper, env)
-
-        return jax.eval_shape(chunk, jax.random.key(0), train.env)
-
-    with MODES[mode]():
-        found = traced()
-    assert found == traced()
-
-
-@in_each_mode
 @pytest.mark.parametrize(
     "task",
     ["fetch_reach", *(pytest.param(task, marks=pytest.mark.long) for task in FETCH_TASKS if task != "fetch_reach")],
 )
-def test_the_physics_is_the_same_whatever_jax_is_set_to(task, mode):
-    """Traced: the state after a step has the types of the one before it, and those that it has without the mode."""
+def test_the_physics_is_the_same_whatever_jax_is_set_to(task):
+    """Traced: the state after a step has the types of the one before it, with 64 bits and where nothing is
+    promoted."""
 
     def stepped(key):
         env = envs.load(task, FetchConfig(goals="positions"))
@@ -165,10 +163,11 @@ def test_the_physics_is_the_same_whatever_jax_is_set_to(task, mode):
         after = env.step(before, jnp.zeros(4, jnp.float32))
         return before, after, env.observe(after), env.reached(env.achieved(after), after.goal)
 
-    with MODES[mode]():
-        found = jax.eval_shape(stepped, jax.random.key(0))
-    assert found == jax.eval_shape(stepped, jax.random.key(0))
-    assert jax.tree.map(lambda leaf: leaf.dtype, found[0]) == jax.tree.map(lambda leaf: leaf.dtype, found[1])
+    with nothing_promoted():
+        plain = jax.eval_shape(stepped, jax.random.key(0))
+    with jax.enable_x64(True):
+        assert jax.eval_shape(stepped, jax.random.key(0)) == plain
+    assert jax.tree.map(lambda leaf: leaf.dtype, plain[0]) == jax.tree.map(lambda leaf: leaf.dtype, plain[1])
 
 
 RECORD = FIXTURES / "same_numbers.json"
