@@ -29,6 +29,7 @@ next."""
 LONGEST_FIRST = (
     "command",
     "every_method",
+    "work",
     "fly",
     "folder",
     "programs",

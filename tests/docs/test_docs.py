@@ -85,20 +85,20 @@ def commands_in(group: Group, path: str = "") -> Iterator[str]:
 @functools.cache
 def flags_of_all_parts() -> set[str]:
     """The flags of `infogoal train`, of every task and part."""
-    chosen = [
-        f"{task} --learner {learner} --relabelling her" for task in presets.TASKS for learner in learners.registry
-    ]
-    chosen += [f"object_search --method {method}" for method in presets.METHODS] + ["object_manipulation --agent dqn"]
+    chosen = [f"{task} --relabelling her" for task in presets.TASKS] + ["object_manipulation --agent dqn"]
+    chosen += [f"object_search --learner {learner}" for learner in learners.registry]
+    chosen += [f"object_search --method {method}" for method in presets.METHODS]
     return set().union(*(flags_of(f"train {words}") for words in chosen))
 
 
 @functools.cache
 def flags_of_commands() -> dict[str, set[str]]:
-    """The flags of every command, by its words; of one that takes parts by name, those of every part."""
-    return {
-        words: flags_of(words) | (flags_of_all_parts() if words.split()[0] in ("train", "tune") else set())
-        for words in commands_in(commands())
-    }
+    """The flags of every command, by its words; of one that takes parts by name, those of every part. A task has the
+    same flags wherever it is named."""
+    found = {words: flags_of(words) for words in commands_in(commands()) if not words.startswith("tune ")}
+    found |= {words: flags | flags_of_all_parts() for words, flags in found.items() if words.startswith("train ")}
+    tuned = {words.replace("train", "tune", 1): flags for words, flags in found.items() if words.startswith("train ")}
+    return found | {words: flags | flags_of("tune object_search") for words, flags in tuned.items()}
 
 
 def benchmark_flags(path: Path) -> set[str]:
@@ -108,6 +108,7 @@ def benchmark_flags(path: Path) -> set[str]:
     return {name.value for name in names if isinstance(name, ast.Constant) and name.value.startswith("--")}
 
 
+@functools.cache
 def known_flags() -> set[str]:
     """The flags of all commands and benchmarks."""
     scripts = [*(ROOT / "benchmarks").glob("*/*.py"), *(ROOT / "infogoal_paper").glob("*.py")]
