@@ -21,6 +21,7 @@ from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
 from infogoal_jax.learners.learner import has_own_loss, has_reward
+from infogoal_jax.runs import low_level as low_levels
 from infogoal_jax.train import program
 from infogoal_jax.train.checked_parts import is_foreign
 from infogoal_jax.train.parts import check_hyperparameters, make_learner
@@ -330,13 +331,7 @@ def check_environment(config: TrainConfig, env: Any) -> None:
 def steer(env, config) -> target_states.SubgoalEnv:
     """The environment under the low level that HRAC's configuration names. Raises `UserError` for one that cannot be
     used."""
-    # With it comes MuJoCo, which takes half a second that no other task needs.
-    from infogoal_jax.low_level.trainer import load_joint_level, load_with_header
-
     require(env.has_target_states, "agent", "hrac", "this task has no target states that a low level could be sent to")
-    if isinstance(env.space, target_states.JointSpace):
-        header, low_level = load_joint_level(config.low_level, env.space.size, env.action_size)
-    else:
-        header, low_level = load_with_header(config.low_level, env.space.task.name)
-    name = f"low level, content {header['sha256'][:8]}"
+    about, low_level = low_levels.read(config.low_level, env)
+    name = f"low level, content {about['content']}"
     return target_states.SubgoalEnv(env, low_level, env.space, config.interval, config.subgoal_scale, name)

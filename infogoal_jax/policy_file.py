@@ -23,24 +23,31 @@ KINDS = ("bool", "uint8", "int32", "uint32", "int64", "float32", "float64")
 """Types of inputs."""
 
 
-def contract(left, right, dimension_numbers, **_):
+def contract(library, left, right, dimension_numbers):
     """The product of two arrays over the dimensions that JAX's dot_general names."""
     (left_sum, right_sum), (left_batch, right_batch) = dimension_numbers
     if not left_batch:
-        return np.tensordot(left, right, (left_sum, right_sum))
+        return library.tensordot(left, right, (left_sum, right_sum))
     names = iter("abcdefghijklmnopqrstuvwxyz")
     left_names = [next(names) for _ in left.shape]
     shared = dict(zip(right_sum + right_batch, left_sum + left_batch, strict=True))
     right_names = [left_names[shared[axis]] if axis in shared else next(names) for axis in range(right.ndim)]
     batch = [left_names[axis] for axis in left_batch]
     free = [name for name in left_names if name not in right_names] + [n for n in right_names if n not in left_names]
-    return np.einsum(f"{''.join(left_names)},{''.join(right_names)}->{''.join(batch + free)}", left, right)
+    return library.einsum(f"{''.join(left_names)},{''.join(right_names)}->{''.join(batch + free)}", left, right)
 
 
-def broadcast(x, shape, broadcast_dimensions, **_):
+def broadcast(library, x, shape, broadcast_dimensions):
     """The array with the dimensions of `shape`, its own at the places `broadcast_dimensions`."""
     own = dict(zip(broadcast_dimensions, x.shape, strict=True))
-    return np.broadcast_to(x.reshape([own.get(axis, 1) for axis in range(len(shape))]), shape)
+    return library.broadcast_to(x.reshape([own.get(axis, 1) for axis in range(len(shape))]), shape)
+
+
+def select(library, which, first, *cases):
+    """For each element the case of its number, bool or int."""
+    for number, case in enumerate(cases, 1):
+        first = library.where(which if which.dtype == bool else which == number, case, first)
+    return first
 
 
 NUMPY = {
@@ -51,32 +58,50 @@ NUMPY = {
     "ne": "not_equal", "lt": "less", "le": "less_equal", "gt": "greater", "ge": "greater_equal",
     "stop_gradient": "positive", "sin": "sin", "cos": "cos", "floor": "floor", "rem": "fmod",
 }  # fmt: skip
-OPERATIONS = {name: lambda *x, as_in=as_in, **_: getattr(np, as_in)(*x) for name, as_in in NUMPY.items()} | {
-    "copy": lambda x, **_: x,
-    "rsqrt": lambda x, **_: 1 / np.sqrt(x),
-    "logistic": lambda x, **_: 1 / (1 + np.exp(-x)),
-    "integer_pow": lambda x, y, **_: x**y,
-    "select_n": lambda which, *cases, **_: np.choose(which.astype(int), cases),
-    "convert_element_type": lambda x, new_dtype, **_: x.astype(new_dtype),
-    "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
-    "squeeze": lambda x, dimensions, **_: np.squeeze(x, tuple(dimensions)),
-    "expand_dims": lambda x, dimensions, **_: np.expand_dims(x, tuple(dimensions)),
-    "transpose": lambda x, permutation, **_: x.transpose(permutation),
-    "broadcast_in_dim": broadcast,
-    "concatenate": lambda *x, dimension, **_: np.concatenate(x, dimension),
-    "split": lambda x, sizes, axis, **_: np.split(x, np.cumsum(sizes)[:-1], axis),
-    "unstack": lambda x, axis, **_: list(np.moveaxis(x, axis, 0)),
-    "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
-        tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
-    ],
-    "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes)),
-    "reduce_max": lambda x, axes, **_: x.max(tuple(axes)),
-    "clamp": lambda low, x, high, **_: np.clip(x, low, high),
-    "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
-    "reduce_min": lambda x, axes, **_: x.min(tuple(axes)),
-    "dot_general": contract,
-}
-"""JAX's primitives in NumPy: those that networks of this package are made of."""
+
+
+def operations(library):
+    """JAX's primitives, those that networks of this package are made of, in a library with the functions of NumPy, as
+    jax.numpy is one."""
+    return {name: lambda *x, own=own, **_: getattr(library, own)(*x) for name, own in NUMPY.items()} | {
+        "copy": lambda x, **_: x,
+        "rsqrt": lambda x, **_: 1 / library.sqrt(x),
+        "logistic": lambda x, **_: 1 / (1 + library.exp(-x)),
+        "integer_pow": lambda x, y, **_: x**y,
+        "select_n": lambda *x, **_: select(library, *x),
+        "convert_element_type": lambda x, new_dtype, **_: x.astype(new_dtype),
+        "reshape": lambda x, new_sizes, **_: x.reshape(new_sizes),
+        "squeeze": lambda x, dimensions, **_: library.squeeze(x, tuple(dimensions)),
+        "expand_dims": lambda x, dimensions, **_: library.expand_dims(x, tuple(dimensions)),
+        "transpose": lambda x, permutation, **_: x.transpose(permutation),
+        "broadcast_in_dim": lambda x, shape, broadcast_dimensions, **_: broadcast(
+            library, x, shape, broadcast_dimensions
+        ),
+        "concatenate": lambda *x, dimension, **_: library.concatenate(x, dimension),
+        "split": lambda x, sizes, axis, **_: library.split(x, np.cumsum(sizes)[:-1], axis),
+        "unstack": lambda x, axis, **_: list(library.moveaxis(x, axis, 0)),
+        "slice": lambda x, start_indices, limit_indices, strides=None, **_: x[
+            tuple(map(slice, start_indices, limit_indices, strides or [1] * x.ndim))
+        ],
+        "reduce_sum": lambda x, axes, **_: x.sum(tuple(axes)),
+        "reduce_max": lambda x, axes, **_: x.max(tuple(axes)),
+        "clamp": lambda low, x, high, **_: library.clip(x, low, high),
+        "argmax": lambda x, axes, index_dtype, **_: x.argmax(*axes).astype(index_dtype),
+        "reduce_min": lambda x, axes, **_: x.min(tuple(axes)),
+        "dot_general": lambda left, right, dimension_numbers, **_: contract(library, left, right, dimension_numbers),
+    }
+
+
+OPERATIONS = operations(np)
+
+
+def run_program(program, constants, arguments, operations=OPERATIONS):
+    """What a program gives for these arguments: a list of arrays."""
+    known = dict(enumerate(constants)) | dict(zip(program["inputs"][0], arguments, strict=True))
+    for name, inputs, outputs, settings in program["operations"]:
+        results = operations[name](*(known[place] for place in inputs), **settings)
+        known.update(zip(outputs, results if name in ("split", "unstack") else [results], strict=True))
+    return [known[place] for place in program["outputs"]]
 
 
 def members_of(path):
@@ -166,19 +191,16 @@ class ExportedPolicy:
 
     def run(self, *arguments):
         """What the program gives for these arguments: a list of arrays."""
-        known = dict(enumerate(self.constants))
-        for place, kind, value in zip(*self.program["inputs"], arguments, strict=True):
+        given = []
+        for kind, value in zip(self.program["inputs"][1], arguments, strict=True):
             shape, dtype = kind
             value = np.asarray(value)
             if value.dtype.kind == np.dtype(dtype).kind == "f":
                 value = value.astype(dtype)
             if list(value.shape) != shape or value.dtype != dtype:
                 raise ValueError(f"an array of shape {value.shape} and type {value.dtype}; wants {shape}, {dtype}")
-            known[place] = value
-        for name, inputs, outputs, settings in self.program["operations"]:
-            results = OPERATIONS[name](*(known[place] for place in inputs), **settings)
-            known.update(zip(outputs, results if name in ("split", "unstack") else [results], strict=True))
-        return [np.asarray(known[place]) for place in self.program["outputs"]]
+            given.append(value)
+        return [np.asarray(array) for array in run_program(self.program, self.constants, given)]
 
     def mean(self):
         """No noise: the code of a goal is its mean."""

@@ -17,8 +17,9 @@ them is replaced by what the numbers of the source give. Sources:
     positions Fetch with continuous goals, positions.py, in positions.csv and transfer.jsonl
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
-scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and curve.csv of `infogoal pretrain fetch_reach`. --pictures
-draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png and all_goals.png, too.
+scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
+--pictures draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png and
+all_goals.png, too.
 """
 
 import argparse
@@ -197,8 +198,9 @@ SB3_HER = RESULTS / "sb3_her"
 CURVES = SB3_HER / "curves.csv"
 LEARNERS = {"sb3": "Stable-Baselines3, SAC + HER", "ours": "infogoal-jax, TD3 + HER"}
 LEARNER_COLOURS = {"sb3": "#0072B2", "ours": "#D55E00"}
-LEARNER_FILES = {"sb3": "numbers.csv", "ours": "curve.csv"}
+LEARNER_FILES = {"sb3": "numbers.csv", "ours": "evaluations.csv"}
 FIELDS = "env_steps", "success_rate"
+SUCCESS_OF_RUNS = "train_goal/success_rate"
 ENOUGH = 0.9
 
 
@@ -225,8 +227,15 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def take_sb3(folder: Path) -> int:
     """Put the curves of a folder into the numbers; how many of the two files it has."""
     found = {name: read_csv(folder / file) for name, file in LEARNER_FILES.items() if (folder / file).exists()}
-    rows = [row for row in read_csv(CURVES) if row["learner"] not in found]
-    rows += [{"learner": name} | row for name, own in found.items() for row in own]
+    before = read_csv(CURVES)
+    rows, columns = [row for row in before if row["learner"] not in found], list(before[0])
+    for row in found.get("ours", []):
+        row["success_rate"] = row[SUCCESS_OF_RUNS]
+    rows += [
+        {"learner": name} | {key: row[key] for key in columns if key in row}
+        for name, own in found.items()
+        for row in own
+    ]
     with open(CURVES, "w", newline="") as file:
         writer = csv.DictWriter(file, list(dict.fromkeys(field for row in rows for field in row)), lineterminator="\n")
         writer.writeheader()

@@ -45,7 +45,7 @@ LAYERS = (
     {"presets"},
     {"runs"},
     {"train"},
-    {"loading", "runner", "low_level"},
+    {"loading", "runner"},
     {"report", "bridges"},
     {"cli"},
 )
@@ -126,7 +126,7 @@ LOOPS = {"chunk_of", "chunk"}
 """What makes a program of epochs and evaluation, and what runs it."""
 KNOWN_TO_THE_PROGRAM = {"environment", "target_states"}
 """Of environments: their contract. The rest of them, and presets and data, read files."""
-READS_FILES = {"runs", "runner", "low_level", "loading", "data", "stand_ins", "presets", "files"}
+READS_FILES = {"runs", "runner", "loading", "data", "stand_ins", "presets", "files"}
 HOST = {"pathlib", "io", "tempfile", "shutil", "subprocess", "threading", "signal", "zipfile", "socket", "cv2"}
 HARMLESS = {"fspath", "fsencode", "PathLike", "register_at_fork"}
 """Of `os`: what looks at the name of a file, and what marks a process as a copy."""

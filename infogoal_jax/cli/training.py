@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, Suppress
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional
 
 from infogoal_jax.cli.choice import (
     AUTO,
@@ -16,16 +16,15 @@ from infogoal_jax.cli.choice import (
     all_tasks,
     check_left_out,
     check_same_parts,
-    configuration_flags,
     of_task,
     preset_of,
     read_choice,
 )
 from infogoal_jax.cli.commands import (
+    Command,
     Group,
     TaskCommands,
     check_resumed_in_place,
-    first_word,
     named,
     new_folder,
     seeds_from,
@@ -290,15 +289,15 @@ def run_to_go_on_with(config: Any, seeds: range, out: str) -> str:
     return str(newest) if newest else ""
 
 
-def tasks(arguments: list[str]) -> TaskCommands:
+def tasks(arguments: list[str], command: Command = train) -> TaskCommands:
     """`train` for each task; for one that is named, or known from a run to resume, with the configuration that is
-    chosen as its defaults."""
-    task, choice = read_choice(arguments, "infogoal train")
+    chosen as its defaults. command: `train`, or what is called in its place."""
+    task, choice = read_choice(arguments, f"infogoal {command.__name__}")
     check_said_once(arguments)
     if not task and choice.resume in (None, "", AUTO):
-        return all_tasks(train, HELP, arguments, choice)
+        return all_tasks(command, HELP, arguments, choice)
     if choice.resume in (None, "", AUTO):
-        return of_task(train, preset_of(task, choice), choice, arguments)
+        return of_task(command, preset_of(task, choice), choice, arguments)
     from infogoal_jax.runs import configuration
     from infogoal_jax.runs.folder import PREFIX, SUFFIX
 
@@ -315,7 +314,7 @@ def tasks(arguments: list[str]) -> TaskCommands:
     about = configuration.read(Path(choice.resume))
     check_same_parts(about.config, task, choice)
     arguments = arguments if task else [about.config.task, *arguments]
-    return of_task(train, about.config, choice, arguments, seeds=len(about.seeds), first_seed=about.seeds[0])
+    return of_task(command, about.config, choice, arguments, seeds=len(about.seeds), first_seed=about.seeds[0])
 
 
 def methods(
@@ -355,57 +354,59 @@ def methods(
     return 0
 
 
-JOINTS = "object_manipulation"
-"""Trained with one seed where nothing else is asked for, as the shipped one was."""
+TARGETS = "_targets"
+"""What the name of a task's target states ends in."""
 
 
 def pretrain(
+    parts: Annotated[object, tyro.conf.arg(name="")] = None,
     config: Annotated[object, tyro.conf.arg(name="")] = None,
+    resume: str = "",
     seeds: int = 4,
     first_seed: int = 0,
     out: str = "",
-    evaluation_episodes: int = 2000,
-    command: Suppress[str] = "",
+    help_all: FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Train the low level that drives a robot to target states.
 
     Args:
-        config: That of the task.
+        parts: Their names, which are in the configuration already.
+        config: That of the task and the parts.
+        resume: Folder of a run to go on with, from its last checkpoint.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
-        out: Folder to write to; empty: a new one under runs/.
-        evaluation_episodes: Fresh episodes that each seed is measured on at the end.
-        command: What is written into the file as the command that made it.
+        out: Folder of the run; empty: a new one under runs/.
+        help_all: Show all flags, of each part and the hyperparameters too.
 
     Returns:
-        0 when it finished, 130 when it was stopped by Ctrl-C (with what was learned until then).
+        As `train`. When it finished, the folder has the policy of the seed that reached most target states.
     """
-    from infogoal_jax.low_level import pretraining
-    from infogoal_jax.runner.compilation import use_compilation_cache
+    out = out or resume or str(new_folder(config.task.removesuffix(TARGETS), "low-level"))
+    status = train(parts, config, resume, seeds, first_seed, out)
+    if status:
+        return status
+    from infogoal_jax.report.export import export
+    from infogoal_jax.report.runs import diverged_seeds, load_run, table_of
+    from infogoal_jax.runs.low_level import NAME
 
-    numbers = seeds_from(first_seed, seeds)
-    use_compilation_cache()
-    folder = Path(out) if out else new_folder(config.task, "low-level")
-    result = pretraining.pretrain(config, numbers, folder, evaluation_episodes, command)
-    pretraining.print_result(result)
-    return 130 if result.stopped else 0
+    table = table_of(Path(out), "evaluations", diverged_seeds(Path(out)))
+    require(bool(table.seeds), "seeds", seeds, "every one diverged, and none is kept; give others")
+    best = int(table.last()["train_goal/success_rate"].argmax())
+    export(load_run(out), Path(out) / NAME, table.seeds[best])
+    print(f"low level   {Path(out) / NAME}, seed {table.seeds[best]}")
+    return 0
 
 
 def pretraining_tasks(arguments: list[str]) -> TaskCommands:
-    """`pretrain` for each task that has a low level, with its configuration as the defaults."""
-    from infogoal_jax.low_level.pretraining import TASKS, preset
+    """`pretrain` for each task that has target states: `train` on these, without a goal representation where nothing
+    else is asked for."""
+    from infogoal_jax import presets
 
-    task = first_word(arguments)
-    if task:
-        preset(task)  # Refuses a name that is none.
-    written = " ".join(["infogoal pretrain", *arguments])
-    commands = {
-        task: named(
-            pretrain, f"The low level of {task} (docs/reference/low_level.md).", config=preset(task), command=written
-        )
-        for task in TASKS
-    }
-    help = "The low level of object manipulation (docs/reference/object_manipulation.md)."
-    commands[JOINTS] = named(pretrain, help, config=preset(JOINTS), command=written, seeds=1, evaluation_episodes=4000)
-    group = Group("Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one.", commands)
-    return TaskCommands(group, arguments, configuration_flags(brief=False))
+    known = {name.removesuffix(TARGETS): preset for name, preset in presets.registry.items() if name.endswith(TARGETS)}
+    task, *flags = arguments or [""]
+    if task not in known:
+        help = "Train the low level of a task. `infogoal pretrain TASK --help` shows the flags of one."
+        commands = {name: named(pretrain, preset.description) for name, preset in known.items()}
+        return TaskCommands(Group(help, commands), arguments)
+    chosen = any(flag.partition("=")[0] in ("--method", "--resume") for flag in flags)
+    return tasks([task + TARGETS, *([] if chosen else ["--method", "none"]), *flags], pretrain)

@@ -4,10 +4,10 @@
 from functools import partial
 from typing import Any
 
-from infogoal_jax.envs import embodied_qa, object_manipulation, object_search, plane
+from infogoal_jax.envs import embodied_qa, joint_targets, object_manipulation, object_search, plane
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
-from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.fetch.tasks import FetchConfig, TargetsConfig
 from infogoal_jax.errors import require
 from infogoal_jax.field_types import checked
 from infogoal_jax.registry import Entry, Registry
@@ -30,6 +30,18 @@ def fetch_traits(config: FetchConfig) -> Traits:
     )
 
 
+def make_fetch_targets(name: str, config: TargetsConfig):
+    """Make the target states of a Fetch task, without MuJoCo until then."""
+    from infogoal_jax.envs.fetch import targets
+
+    return targets.make(name, config)
+
+
+def target_traits(config: TargetsConfig) -> Traits:
+    """What the target states of a Fetch task can be combined with follows from these."""
+    return Traits(finite_goals=False, moves=False)
+
+
 registry = Registry(
     "task",
     {
@@ -46,6 +58,15 @@ registry = Registry(
             f"{name}_positions": Entry(FetchConfig, partial(make_fetch, name), traits=fetch_traits)
             for name in FETCH_TASKS
         },
+        # What the low levels of HRAC are trained on. The goals of fetch_slide lie where the gripper cannot follow.
+        **{
+            f"{name}_targets": Entry(TargetsConfig, partial(make_fetch_targets, name), traits=target_traits)
+            for name in FETCH_TASKS
+            if name != "fetch_slide"
+        },
+        "object_manipulation_targets": Entry(
+            joint_targets.JointTargetsConfig, joint_targets.make, traits=joint_targets.traits
+        ),
     },
 )
 

@@ -95,9 +95,13 @@ class GoalTask(Environment):
         """A new episode for this goal [D]: the first of several starts at which it is not reached."""
         worlds = jax.vmap(self.begin)(jax.random.split(key, STARTS))
         away = ~self.reached(jax.vmap(self.achieved_goal)(worlds), goal)
+        return self.episode(jax.tree.map(lambda leaf: leaf[away.argmax()], worlds), goal)
+
+    def episode(self, world: Any, goal: jax.Array) -> Episode:
+        """A new episode that starts in this world."""
         false = jnp.zeros((), bool)
         return Episode(
-            world=jax.tree.map(lambda leaf: leaf[away.argmax()], worlds),
+            world=world,
             goal=jnp.asarray(goal, jnp.float32),
             time=jnp.zeros((), jnp.int32),
             terminated=false,

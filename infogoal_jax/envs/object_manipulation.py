@@ -228,16 +228,21 @@ def traits(config: ObjectManipulationConfig) -> Traits:
     return Traits(image_goals=images, target_states=True, goals_are_observations=images)
 
 
+def load_frames(dataset: str, generator_seed: int, physical_limits: bool) -> frames.FrameDataset:
+    """The image dataset in this file, or the one that is generated where none is named. Raises `UserError` for a file
+    that cannot be used."""
+    if dataset:
+        return frames.load(dataset)
+    from infogoal_jax.stand_ins import cube
+
+    name = f"cube-{generator_seed}{'-limits' if physical_limits else ''}-{cube.GENERATOR_VERSION}"
+    return frames.cached(name, lambda: cube.build(generator_seed, physical_limits))
+
+
 def make(config: ObjectManipulationConfig) -> ObjectManipulation:
     """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
     config.check(None)
-    if config.dataset:
-        data = frames.load(config.dataset)
-    else:
-        from infogoal_jax.stand_ins import cube
-
-        name = f"cube-{config.generator_seed}{'-limits' if config.physical_limits else ''}-{cube.GENERATOR_VERSION}"
-        data = frames.cached(name, lambda: cube.build(config.generator_seed, config.physical_limits))
+    data = load_frames(config.dataset, config.generator_seed, config.physical_limits)
     return lay_out(data, None if config.privileged else backgrounds.load(config.backgrounds), config)
 
 

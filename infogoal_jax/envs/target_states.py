@@ -74,6 +74,8 @@ class JointSpace:
     """Target states of J = `size` joints, in radians."""
 
     size: int
+    name = "object_manipulation"
+    """Of the task, by which a low level is known."""
     components = 1
 
     def of(self, observation) -> jax.Array:

@@ -31,6 +31,8 @@ registry = Presets(
         "embodied_qa": embodied_qa.PRESET,
         **fetch.POSITION_PRESETS,
         **plane.PRESETS,
+        **fetch.TARGET_PRESETS,
+        "object_manipulation_targets": object_manipulation.TARGET_PRESET,
     }
 )
 TASKS, FETCH_TASKS = tuple(registry), tuple(fetch.PRESETS)

@@ -170,3 +170,56 @@ POSITION_PRESETS = {
         {"num_epochs": 80},
     ),
 }
+
+
+def preset_of_targets(description: str, training: dict, hidden: tuple[int, ...]) -> Preset:
+    """The preset of target states, on which a low level of HRAC is trained by TD3 with hindsight. Rewards are those of
+    HER's own code plus 1: 1 for each step at the target."""
+    return Preset(
+        description=description,
+        agent="td3",
+        relabelling="her",
+        agents={"td3": {"hidden": hidden, "huber": False}},
+        state_encoder={"features": 256},
+        training={
+            "num_envs": 1024,
+            "rollout_steps": 50,
+            "updates_per_epoch": 1000,
+            "batch_size": 2048,
+            "buffer_steps": 1_024_000,
+            "num_epochs": 60,
+            "epochs_per_evaluation": 5,
+            "evaluation_starts": 16,
+        }
+        | training,
+        hyper={
+            "learning_rate": 1e-3,
+            "discount": 0.95,
+            "target_rate": 0.05,
+            "epsilon": 0.3,
+            "noise": 0.2,
+            "intrinsic_weight": 0.0,
+            "agent.target_noise": 0.1,
+            "agent.action_cost": 1.0,
+        },
+        methods={},
+    )
+
+
+TARGET_PRESETS = {
+    "fetch_reach_targets": preset_of_targets(
+        "The low level of HRAC for fetch_reach: a robot arm moves its gripper to target states.",
+        {"num_envs": 128, "updates_per_epoch": 200, "batch_size": 256, "buffer_steps": 128_000, "num_epochs": 20},
+        (128, 128),
+    ),
+    "fetch_push_targets": preset_of_targets(
+        "The low level of HRAC for fetch_push: a robot arm brings gripper and cube to target states.",
+        {},
+        (256, 256, 256),
+    ),
+    "fetch_pick_and_place_targets": preset_of_targets(
+        "The low level of HRAC for fetch_pick_and_place: a robot arm brings gripper and cube to target states.",
+        {},
+        (256, 256, 256),
+    ),
+}

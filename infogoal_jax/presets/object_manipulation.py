@@ -57,3 +57,23 @@ PRESET = Preset(
         "dgrl+her": Changes(hyper=FAST_TARGETS),  # [T]
     },
 )
+
+TARGET_PRESET = Preset(
+    description="The low level of HRAC for object_manipulation: an arm turns its joints to target states.",
+    agent="dqn",
+    relabelling="her",
+    agents={"dqn": {"hidden": (128, 128), "num_steps": 1, "huber": False}},
+    state_encoder={"features": 128},
+    training={
+        "num_envs": 128,
+        "rollout_steps": 20,
+        "updates_per_epoch": 500,
+        "batch_size": 512,
+        "buffer_steps": 400_000,
+        "num_epochs": 30,
+        "epochs_per_evaluation": 5,
+        "evaluation_starts": 32,
+    },
+    hyper={"learning_rate": 1e-3, "discount": 0.9, "target_rate": 0.02, "epsilon": 0.5, "intrinsic_weight": 0.0},
+    methods={},
+)

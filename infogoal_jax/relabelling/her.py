@@ -17,7 +17,6 @@ import jax.numpy as jnp
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
 from infogoal_jax.goals import axes_of, is_goal, no_goals_like, select
-from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Trajectories
 
@@ -80,21 +79,6 @@ class Prefixes:
     """int32 [R, T], as in `Achievements`."""
     known: pairs.KnownGoals
     """As in `Achievements`."""
-
-
-def future_record(key: jax.Array, buffer: Trajectories, steps_left: jax.Array, row: jax.Array, step: jax.Array):
-    """The records [B, ...] of a step drawn uniformly among those after `step` in the same episode.
-
-    steps_left: int32 [R, T] of `replay.steps_left`. row, step: int32 [B], valid transitions.
-    """
-    ahead = jax.random.randint(key, row.shape, 1, jnp.maximum(steps_left[row, step], 1) + 1, jnp.int32)
-    return jax.tree.map(lambda leaf: leaf[row, step + ahead], buffer.record)
-
-
-def relabel(key: jax.Array, goal: jax.Array, achieved_later: jax.Array, share: float) -> jax.Array:
-    """Replace a share of the goals [B, ...] by those achieved later [B, ...]."""
-    chosen = draw_chance(key, share, goal.shape[:1]).reshape(-1, *[1] * (goal.ndim - 1))
-    return jnp.where(chosen, achieved_later, goal)
 
 
 def any_of(key: jax.Array, before: jax.Array, until: jax.Array) -> jax.Array:

@@ -40,13 +40,12 @@ RUN = (
     *(name for table in tables.TABLES for name in tables.file_names(table)),
     "evaluation.json",
     "figures",
+    "low_level.npz",
 )
-"""What `infogoal train`, and what looks at its run, writes."""
+"""What `infogoal train` and `pretrain`, and what looks at its run, writes."""
 SEARCH = ("config.json", "checkpoint", "trials.jsonl", "best.json")
 """What `infogoal tune` and `infogoal final` write."""
-LOW_LEVEL = ("low_level", *tables.file_names("curve"))
-"""What `infogoal pretrain` writes."""
-APPENDED = {LOCK, *(name for table in (*tables.TABLES, "curve") for name in tables.file_names(table))}
+APPENDED = {LOCK, *(name for table in tables.TABLES for name in tables.file_names(table))}
 """What is changed in place, so that a second name of such a file would show the change too."""
 
 
@@ -117,7 +116,7 @@ def only_writer(folder: Path, new: Sequence[str] = ()) -> Iterator[None]:
     of these files. The lock goes with the process, so that a killed one leaves none behind.
     """
     make_folder(folder)
-    check_own(folder, {LOCK, *RUN, *SEARCH, *LOW_LEVEL})
+    check_own(folder, {LOCK, *RUN, *SEARCH})
     with locked(folder / LOCK, folder):
         check_new(folder, new)
         remove_abandoned(folder)

@@ -9,18 +9,13 @@ import subprocess
 import sys
 
 import hand_made
-import hand_made_frames
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from infogoal_jax import compiled, make_train, presets, use_compilation_cache
-from infogoal_jax.agents.hrac import LowLevelConfig
-from infogoal_jax.envs import object_manipulation
 from infogoal_jax.errors import UserError
-from infogoal_jax.low_level import pretraining
-from infogoal_jax.low_level.pretraining import preset
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.runner import compilation, distributed, memory, search
 from infogoal_jax.runner.compilation import OPTIONS, chunk_of, compiler_options, compiling_quickly, operations
@@ -196,33 +191,6 @@ def no_compiling(monkeypatch):
         raise AssertionError("something was compiled")
 
     monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
-
-
-@pytest.mark.parametrize(
-    ("changes", "seeds", "message"),
-    [
-        ({"num_envs": 2 * 10**9}, [0], "num_envs = 2000000000: .*GiB.*such as 1000"),
-        ({"batch_size": 2 * 10**9}, [0], "batch_size = 2000000000"),
-        ({"updates_per_epoch": 2 * 10**9, "num_epochs": 1}, [0], "updates_per_epoch = 2000000000"),
-        ({"network": LowLevelConfig((10**6, 10**6))}, range(2), r"network.hidden = \(1000000, 1000000\)"),
-        ({}, range(10**9), "seeds = 1000000000: .*give at most"),
-    ],
-)
-def test_sizes_of_a_low_level_are_refused(changes, seeds, message, tmp_path, monkeypatch, no_compiling):
-    env = hand_made_frames.manipulation()
-    monkeypatch.setattr(object_manipulation, "make", lambda config: env)
-    with pytest.raises(UserError, match=message):
-        pretraining.pretrain(preset("object_manipulation", **changes), seeds, tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-def test_more_transitions_or_updates_than_can_be_numbered_are_refused():
-    with pytest.raises(
-        UserError, match=r"num_envs \* buffer_epochs \* episode_length = 12800000000.*at most 2147483647"
-    ):
-        preset("fetch_reach", num_envs=128, buffer_epochs=2 * 10**6)
-    with pytest.raises(UserError, match=r"num_epochs \* updates_per_epoch = 2000000000000: .*at most 2147483647"):
-        preset("object_manipulation", num_epochs=10**6, updates_per_epoch=2 * 10**6)
 
 
 @pytest.mark.parametrize(("trials", "seeds"), [(10**20, [1000]), (2, range(1000, 4 * 10**9))])

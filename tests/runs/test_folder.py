@@ -28,7 +28,7 @@ from infogoal_jax.report import runs
 from infogoal_jax.runner.training import describe
 from infogoal_jax.runs import checkpoint, configuration, disk, folder
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.folder import LOW_LEVEL, RUN, SEARCH, check_new, newest_run, only_writer
+from infogoal_jax.runs.folder import RUN, SEARCH, check_new, newest_run, only_writer
 from infogoal_jax.runs.tables import read_table
 
 
@@ -94,7 +94,7 @@ def test_a_file_system_without_locks_is_said_and_used(tmp_path, monkeypatch, cap
     assert "without locks" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("names", [RUN, SEARCH, LOW_LEVEL])
+@pytest.mark.parametrize("names", [RUN, SEARCH])
 def test_a_new_run_starts_where_none_of_its_files_is(names, tmp_path):
     check_new(tmp_path, names)
     (tmp_path / "notes.txt").write_text("somebody's own")
@@ -116,7 +116,7 @@ def test_files_of_others_stay_as_they_are(command, tmp_path, capsys, monkeypatch
     """In a folder with the files of a search, of a run or of a person: refused, and every byte is as before."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", os.environ["XDG_CACHE_HOME"])
-    for name in ("config.json", "epochs.csv", "evaluations.csv", "evaluations.jsonl", "timing.json", "curve.csv"):
+    for name in ("config.json", "epochs.csv", "evaluations.csv", "evaluations.jsonl", "timing.json"):
         (tmp_path / name).write_text(f"my own {name}")
     before = contents(tmp_path)
     assert main([*command.split(), "--out", "."]) == 2

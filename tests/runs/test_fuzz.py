@@ -21,7 +21,6 @@ from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
-from infogoal_jax.low_level import pretraining as low_level
 from infogoal_jax.report import figures, runs, summary, tuning
 from infogoal_jax.runner import search as searching
 from infogoal_jax.runner import training
@@ -136,13 +135,7 @@ def no_work(monkeypatch):
     def accept(*arguments, **named):
         raise WorkBegins
 
-    work = [
-        (training, "run"),
-        (searching, "tune"),
-        (searching, "final"),
-        (low_level, "pretrain"),
-        (summary, "make_train"),
-    ]
+    work = [(training, "run"), (searching, "tune"), (searching, "final"), (summary, "make_train")]
     work += [(figures, "make_train"), (runs, "make_train"), (cube, "build"), (shelf, "build")]
     work += [(goal_rendering, "build"), (backgrounds, "download_cifar10")]
     work += [(sentence_encoder, "embed_file"), (fly, "ask_to_take_off"), (fly, "depart")]

@@ -17,10 +17,10 @@ from infogoal_jax.report import figures
 from infogoal_jax.runner import executors
 from infogoal_jax.runs import configuration, disk, tables
 from infogoal_jax.runs.configuration import Description
-from infogoal_jax.runs.folder import APPENDED, LOCK, LOW_LEVEL, RUN, SEARCH, only_writer, remove_abandoned
+from infogoal_jax.runs.folder import APPENDED, LOCK, RUN, SEARCH, only_writer, remove_abandoned
 from infogoal_paper import progress
 
-NAMES = sorted({LOCK, *RUN, *SEARCH, *LOW_LEVEL})
+NAMES = sorted({LOCK, *RUN, *SEARCH})
 
 
 def link(path: Path, outside: Path) -> None:

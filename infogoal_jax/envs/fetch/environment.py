@@ -80,8 +80,8 @@ class Seen:
     task: Task
 
     def __call__(self, goals: jax.Array) -> jax.Array:
-        """Goals [..., 3] in m, relative to the start of the grip, in units of 10 cm."""
-        grip = jnp.asarray(self.task.start_grip, jnp.float32)
+        """Goals of one position or two, [..., 3 or 6] in m, relative to the start of the grip, in units of 10 cm."""
+        grip = jnp.tile(jnp.asarray(self.task.start_grip, jnp.float32), goals.shape[-1] // 3)
         return (goals - with_rank(grip, goals.ndim)) / POSITION_SCALE
 
 

@@ -1,4 +1,5 @@
-"""Target states, which the high level of HRAC chooses and the low level reaches (paper, Sec. V-C: "a target state").
+"""Target states, which the high level of HRAC chooses and the low level reaches (paper, Sec. V-C: "a target state"),
+and the tasks that a low level is trained on, whose goals they are.
 
 fetch_reach: the grip [3]. With an object: grip and object [6]; the grip has to be near the object's target, the object
 has to be there.
@@ -11,22 +12,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch import environment
-from infogoal_jax.envs.fetch.tasks import Task
+from infogoal_jax.envs.fetch.tasks import FetchConfig, TargetsConfig, Task
 from infogoal_jax.envs.target_states import Cells
+from infogoal_jax.goals import GoalBox
 from infogoal_jax.keys import draw_chance
-from infogoal_jax.shapes import with_rank
+from infogoal_jax.shapes import aligned, with_rank
 
-REACHED = environment.DISTANCE_THRESHOLD
-"""Distance, in m, of grip (fetch_reach) or object below which a target state is reached: that of goals."""
+PRECISE = 0.03
+"""Distance, in m, of grip (fetch_reach) or object below which a target state is reached. Below the 5 cm of a goal, to
+which the low level's error should add little."""
 BESIDE = 0.1
 """Distance, in m, of the grip from its target in tasks with an object: a pushing finger touches the cube up to 7 cm
 from its centre."""
-PRECISE = 0.03
-"""Distance, in m, below which the low level is rewarded. Below `REACHED`, so that its error adds little to a goal's 5
-cm."""
 FARTHEST, HELD = 0.15, 5
 """Largest distance of a moving target from grip or object along each axis, in m, and steps between two targets."""
+RANDOM_SHARE = 0.5
+"""Share of moving targets that are drawn at random; the others lead to the task's goal."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +37,11 @@ class TargetSpace:
     """Target states of one task, in m."""
 
     task: Task
+
+    @property
+    def name(self) -> str:
+        """Of the task, by which a low level is known."""
+        return self.task.name
 
     @property
     def size(self) -> int:
@@ -49,17 +57,14 @@ class TargetSpace:
         """The state [..., S] in the space of targets, from an observation [..., 10 or 25]."""
         return observation[..., : self.size]
 
-    def reached(self, state: jax.Array, target: jax.Array, precision: float = REACHED) -> jax.Array:
-        """Whether the state [..., S] is at the target, bool [...]: `precision` for grip or object, `BESIDE` for a grip
-        that has an object."""
-        distance = jnp.linalg.norm((state - target).reshape(*state.shape[:-1], self.components, 3), axis=-1)
-        tolerance = jnp.array([precision] if self.components == 1 else [BESIDE, precision], jnp.float32)
+    def reached(self, state: jax.Array, target: jax.Array) -> jax.Array:
+        """Whether states [..., S] are at targets [..., S], bool [...]: within `PRECISE` for grip or object, `BESIDE`
+        for a grip that has an object."""
+        state, target = aligned(state, target)
+        apart = state - target
+        distance = jnp.linalg.norm(apart.reshape(*apart.shape[:-1], self.components, 3), axis=-1)
+        tolerance = jnp.array([PRECISE] if self.components == 1 else [BESIDE, PRECISE], jnp.float32)
         return (distance < with_rank(tolerance, distance.ndim)).all(-1)
-
-    def reward(self, state: jax.Array, target: jax.Array) -> jax.Array:
-        """The low level's reward [...] for the state [..., S] that a step led to: 0 within `PRECISE` of the target, -1
-        elsewhere."""
-        return self.reached(state, target, PRECISE) - 1.0
 
     def at_goal(self, goal: jax.Array) -> jax.Array:
         """The target state [..., S] that solves the task for a goal [..., 3]: grip, or grip and object, at the goal."""
@@ -105,55 +110,72 @@ class TargetSpace:
         return jnp.concatenate([moved + 0.5 * BESIDE * subgoal[..., :3], moved], axis=-1)
 
 
+@dataclasses.dataclass(frozen=True)
+class FinishedTasks:
+    """Draws the target states at which a task is solved, for goals as the reference draws them."""
+
+    space: TargetSpace
+
+    def __call__(self, key: jax.Array) -> jax.Array:
+        """A target state [S] in m."""
+        return self.space.at_goal(environment.GoalsOf(self.space.task)(key))
+
+
 @flax.struct.dataclass
 class TargetState:
-    """An episode of reaching target states: the robot's state, and the target [S], which is the goal here.
-
-    moving: bool, whether the target changes; key: that changes are drawn from.
-    """
+    """An episode of reaching target states."""
 
     robot: environment.FetchState
+    """State of the robot, whose goal [3] is that of the task."""
     goal: jax.Array
+    """float32 [S] in m, the target state."""
     moving: jax.Array
+    """bool, whether the target changes."""
     key: jax.Array
+    """Key that changes are drawn from."""
+
+    time = property(lambda self: self.robot.time)
+    truncated = property(lambda self: self.robot.truncated)
+    diverged = property(lambda self: self.robot.diverged)
 
     @property
     def terminated(self) -> jax.Array:
         """False: the robot has to stay at its target."""
         return jnp.zeros_like(self.robot.terminated)
 
-    @property
-    def truncated(self) -> jax.Array:
-        """Whether time is up, or the simulation diverged."""
-        return self.robot.truncated
-
-    @property
-    def diverged(self) -> jax.Array:
-        """Whether the last step was undone."""
-        return self.robot.diverged
-
 
 @flax.struct.dataclass
-class TargetReaching:
+class TargetReaching(Environment):
     """The task that the low level is trained on: full episodes under target states.
 
-    An episode keeps the target state that is the finished task, or its target moves as a high level would have it:
-    every `HELD` steps a subgoal, drawn at random or leading straight to the task's goal.
+    The target is the finished task. In a share of the training episodes it moves as a high level would have it: every
+    `HELD` steps a subgoal, drawn at random or leading straight to the task's goal.
     """
 
     robot: environment.Fetch
+    goals: GoalBox
+    """Target states in m."""
     space: TargetSpace = flax.struct.field(pytree_node=False)
-    moving_share: jax.Array | float = 0.0
-    """Share of episodes with a moving target."""
-    random_share: jax.Array | float = 0.5
-    """Share of subgoals that are drawn at random; the others lead to the task's goal."""
+    moving_share: float = flax.struct.field(pytree_node=False)
+    """Share of training episodes with a moving target."""
+
+    discrete = False
+    ends_at_goal = False
+    action_size = property(lambda self: self.robot.action_size)
+    episode_length = property(lambda self: self.robot.episode_length)
+    source = property(lambda self: self.robot.source)
 
     def reset(self, key: jax.Array) -> TargetState:
-        """A new episode."""
+        """A new episode; its target may move."""
         start_key, choose_key, key = jax.random.split(key, 3)
         robot = self.robot.reset(start_key)
         state = TargetState(robot, self.space.at_goal(robot.goal), draw_chance(choose_key, self.moving_share), key)
         return self._aim(state)
+
+    def reset_to(self, key: jax.Array, goal: jax.Array) -> TargetState:
+        """A new episode for this target state [S], which stays."""
+        goal = jnp.asarray(goal, jnp.float32)
+        return TargetState(self.robot.begin_anew(key, goal[-3:]), goal, jnp.zeros((), bool), key)
 
     def step(self, state: TargetState, action: jax.Array) -> TargetState:
         """40 ms under an action [4] in [-1, 1]."""
@@ -163,24 +185,39 @@ class TargetReaching:
         """The state with its next target, where a moving target changes in this step."""
         choose_key, draw_key = jax.random.split(jax.random.fold_in(state.key, state.robot.time))
         here = self.achieved(state)
-        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(
-            0.0
-        ) / FARTHEST  # The grip's share stays beside the object.
+        # The grip's share stays beside the object.
+        ahead = (self.space.at_goal(state.robot.goal) - here).at[:-3].set(0.0) / FARTHEST
         drawn = jax.random.uniform(draw_key, here.shape, minval=-1.0, dtype=jnp.float32)
-        subgoal = jnp.where(draw_chance(choose_key, self.random_share), drawn, ahead)
+        subgoal = jnp.where(draw_chance(choose_key, RANDOM_SHARE), drawn, ahead)
         due = state.moving & (state.robot.time % HELD == 0)
         return state.replace(
             goal=jnp.where(due, self.space.from_subgoal(state.robot.observation, subgoal, FARTHEST), state.goal)
         )
 
-    def decides(self, state: TargetState) -> jax.Array:
-        """Whether the agent chooses the next action: always."""
-        return jnp.ones_like(state.moving)
-
     def observe(self, state: TargetState) -> jax.Array:
         """The robot's observation, float32 [..., 10 or 25]."""
         return state.robot.observation
 
+    def render(self, observation: jax.Array) -> jax.Array:
+        """The input of the network, as the robot has it."""
+        return self.robot.render(observation)
+
     def achieved(self, state: TargetState) -> jax.Array:
         """The state in the space of targets, float32 [..., S]."""
         return self.space.of(state.robot.observation)
+
+    def reached(self, record: jax.Array, goal: jax.Array) -> jax.Array:
+        """Whether states [..., S] are at target states [..., S], bool [...]."""
+        return self.space.reached(record, goal)
+
+
+def make(name: str, config: TargetsConfig) -> TargetReaching:
+    """The target states of a Fetch task."""
+    config.check(None)
+    robot = environment.make(
+        name, FetchConfig(faithful=config.faithful, episode_length=config.episode_length, ends_at_goal=False)
+    )
+    space = TargetSpace(robot.task)
+    low, high = np.tile(robot.workspace, space.components)
+    goals = GoalBox.of(low, high, sampler=FinishedTasks(space), seen=environment.Seen(robot.task))
+    return TargetReaching(robot, goals, space, config.moving_share)

@@ -231,3 +231,20 @@ class FetchConfig:
         require(
             self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class TargetsConfig:
+    """The target states of a Fetch task, on which a low level of HRAC is trained."""
+
+    faithful: bool = False
+    """Simulate as finely as the reference does (docs/reference/fetch.md)."""
+    episode_length: int = 50
+    """Steps of 40 ms in an episode, always run to its end."""
+    moving_share: float = 0.5
+    """Share of the training episodes with a moving target, as the high level will give it [M]."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        require(0 <= self.moving_share <= 1, "env.moving_share", self.moving_share, "give a share from 0 to 1")

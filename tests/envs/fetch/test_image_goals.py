@@ -24,7 +24,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
 from infogoal_jax.learners.learner import GoalCode, GoalEncoding, encode_all
-from infogoal_jax.low_level.trainer import shipped
+from infogoal_jax.runs.low_level import shipped
 from infogoal_jax.train.parts import Setup, training_view
 
 GRIDS = {}
