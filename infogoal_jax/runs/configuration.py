@@ -17,9 +17,10 @@ from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
 from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
-from infogoal_jax.learners.infogoal import InfoGoalHyperparameters
+from infogoal_jax.learners.infogoal import InfoGoalConfig, InfoGoalHyperparameters
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
+from infogoal_jax.relabelling.her import HERConfig
 from infogoal_jax.runs import disk
 from infogoal_jax.runs.disk import Place, Record, built, decode, decode_value, parse, read_bytes
 
@@ -43,6 +44,8 @@ ADDED: dict[type, dict[str, Any]] = {
     ObjectManipulationConfig: {"privileged": False},
     EmbodiedQAConfig: {"gathered": False},
     FetchConfig: {"held_out": "nothing"},
+    InfoGoalConfig: {"dissimilar_by": "trajectory"},
+    HERConfig: {"skip_reached": False},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
