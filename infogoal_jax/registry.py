@@ -1,6 +1,7 @@
 """What stands in the registries of tasks, learners, agents, relabellings and explorers."""
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -8,6 +9,9 @@ from typing import Any, NamedTuple
 from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.errors import UserError, a, nearest, shown
 from infogoal_jax.hyperparameters import NoHyperparameters, check_declared
+
+NAME = r"\w[\w.-]*"
+"""Of a part: it is a word of the command line and of a run's folder."""
 
 
 class Entry(NamedTuple):
@@ -43,8 +47,8 @@ class Registry(CheckedDict):
     def check(self, name: str, entry: Entry) -> None:
         """Raise `UserError` for what is no `Entry`, and for the configuration of another part: which part is meant
         follows from it. Tasks may share one, as a `TrainConfig` names its task."""
-        if not isinstance(name, str) or not name:
-            raise UserError(f"{self.kind} = {name!r}: give a name")
+        if not isinstance(name, str) or not re.fullmatch(NAME, name):
+            raise UserError(f"{self.kind} = {name!r}: give a name of letters, digits, _, - and .")
         if not isinstance(entry, Entry):
             raise UserError(f"{self.kind} = {name!r}: give an Entry(Config, make, ...), not {type(entry).__name__}")
         self.check_entry(name, entry)

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import inspect
 import json
+import os
 import typing
 from collections.abc import Iterator
 from datetime import timedelta
@@ -18,7 +19,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from tyro.conf import Positional
 
-from infogoal_jax import presets
+from infogoal_jax import agents, presets
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK
 from infogoal_jax.cli.main import commands as all_commands
@@ -59,6 +60,9 @@ WORDS = (
     )
 )
 
+IMPORTS = ("--import", "--import=", "--import not_there.py", "--import a_file", "--import a_run", "--import task.py")
+IMPORTS += ("--import pipe.py", "--import ends.py", "--import fails.py", "--import=task.py --import task.py")
+
 
 def examples_of(count: int, short: int) -> settings:
     """Settings of hypothesis for so many inputs, each within half a minute; as many as `short` are the same each
@@ -97,11 +101,12 @@ def values_of(hint: Any) -> st.SearchStrategy:
 
 @st.composite
 def configurations(draw) -> tuple[Any, list[tuple[tuple[str, ...], Any]]]:
-    """The preset of a task and a method, and up to three changes of its fields: values of their type, and of others."""
+    """The preset of a task, a method and an agent, and up to three changes of its fields: values of their type, and of
+    others."""
     config = presets.load(draw(st.sampled_from(presets.TASKS)), "none")
-    method = draw(st.sampled_from(list(presets.METHODS)))
+    method, agent = draw(st.sampled_from(list(presets.METHODS))), draw(st.none() | st.sampled_from([*agents.registry]))
     with contextlib.suppress(UserError):  # Methods that do not go with the task keep the bare agent.
-        config = presets.load(config.task, method)
+        config = presets.load(config.task, method, agent=agent)
     known = list(places(config))
     changes = []
     for _ in range(draw(st.integers(1, 3))):
@@ -158,6 +163,9 @@ def flags_of(command: Any) -> tuple[list[str], int]:
     flags, positional = [], 0
     for name, parameter in inspect.signature(command).parameters.items():
         metadata = getattr(parameter.annotation, "__metadata__", ())
+        if dataclasses.is_dataclass(parameter.default):  # Its fields are flags of their own.
+            flags += [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(parameter.default)]
+            continue
         if any(marker in metadata for marker in getattr(Positional[str], "__metadata__", ())):
             positional += 1
         elif name not in ("parts", "config", "command"):
@@ -177,6 +185,9 @@ def command_lines(draw) -> list[str]:
         config = presets.load(task)
         flags += ["--" + ".".join(path).replace("_", "-") for path, _ in places(config) if path != ("task",)]
         flags += [f"--{kind}" for kind in ("method", *presets.REGISTRIES)]
+    if draw(st.integers(0, 9)) == 0:
+        given = draw(st.sampled_from(IMPORTS)).split()
+        line = [*given, *line] if draw(st.booleans()) else [*line, *given]
     line += [draw(WORDS) for _ in range(draw(st.integers(0, positional + 1)))]
     for _ in range(draw(st.integers(0, 3)) if flags else 0):
         line += [draw(st.sampled_from(flags)), *draw(st.lists(WORDS, max_size=2))]
@@ -185,6 +196,13 @@ def command_lines(draw) -> list[str]:
 
 TREE = {"weight": np.arange(4.0)}
 """What the checkpoints of `write_run` hold."""
+
+
+def write_imports(folder: Path) -> None:
+    """The files that `IMPORTS` names and that are there."""
+    for name, content in {"task.py": "", "ends.py": "raise SystemExit(0)", "fails.py": "1 / 0"}.items():
+        (folder / name).write_text(content)
+    os.mkfifo(folder / "pipe.py")
 
 
 def write_run(folder: Path) -> None:

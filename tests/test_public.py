@@ -3,6 +3,7 @@ wrong. Nothing is coerced, no error of Python or JAX comes through, and nothing 
 
 import dataclasses
 import os
+import re
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
@@ -30,7 +31,8 @@ from infogoal_jax import (
     use_compilation_cache,
 )
 from infogoal_jax.bridges import brax, gymnasium
-from infogoal_jax.goals import GoalSet
+from infogoal_jax.envs.plane import PlaneConfig
+from infogoal_jax.goals import GoalBox, GoalSet
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.registry import Entry, Registry
 from infogoal_jax.report.comparison_figures import draw_comparison
@@ -40,6 +42,13 @@ from infogoal_jax.report.video import write_video
 from infogoal_jax.runner.training import run
 
 SHORT, LONG = 150, 5000
+
+
+def zero(*arguments):
+    """0, whatever it is given."""
+    return 0
+
+
 ENV, KEY = hand_made.environment(), jax.random.key(0)
 CONFIG = hand_made.config()
 GOALS = np.array([0, 2, 5])
@@ -58,7 +67,7 @@ SCALARS += [
     np.int64(1),
     np.str_("x"),
 ]
-SCALARS += [np.datetime64(0, "s"), object(), int, len, lambda: 0, lambda *a: 0, Path("x"), Path(), range(2), Ellipsis]
+SCALARS += [np.datetime64(0, "s"), object(), int, len, lambda: 0, zero, Path("x"), Path(), range(2), Ellipsis]
 ARRAYS = [
     [],
     [0],
@@ -178,6 +187,30 @@ def a_name(value) -> bool:
     return isinstance(value, str) and value in learners.registry
 
 
+def still(observation, goal, key):
+    """No movement, for every episode."""
+    return jnp.zeros((*observation.shape[:1], 2), jnp.float32)
+
+
+def registered(name, register):
+    """What a task's registration returns; afterwards nobody knows the task."""
+    try:
+        return register()
+    finally:
+        for registry in (envs.registry, presets.registry):
+            if isinstance(name, str) and name not in KNOWN:
+                registry.pop(name, None)
+
+
+def texts(value) -> bool:
+    """A dict by names."""
+    return isinstance(value, dict) and all(isinstance(name, str) for name in value)
+
+
+MAZE = envs.load("point_maze", PlaneConfig(held_out=False))
+KNOWN = {*envs.registry}
+SQUARES = np.zeros((2, 2), np.uint8)
+"""Two goals of the maze, as one of `ARRAYS` has them."""
 ROOMS = gymnasium.TaskGymnasium(ENV)
 FIELDS = {"inputs": np.zeros((3, 4), np.float32), "regions": [0, 0, 0], "uses": [0, 0, 2], "names": ("a", "b", "c")}
 CALLS = {
@@ -287,6 +320,67 @@ CALLS = {
         {"task": "fetch_reach", "reward": "sparse", "config": None},
         {"task": never, "reward": never, "config": none},
     ),
+    "GoalBox.of": Call(
+        GoalBox.of,
+        {"low": [0, 0], "high": [1, 1], "sampler": None, "use_of": None, "seen": None, "num_evaluated": 2, "seed": 0},
+        {
+            "low": never,
+            "high": never,
+            "sampler": none,
+            "use_of": lambda value: none(value) or value is zero,
+            "seen": none,
+            "num_evaluated": lambda value: whole(value, 1, 4096),
+            "seed": lambda value: whole(value, 0, 2**32 - 1),
+        },
+    ),
+    "GoalBox.checked": Call(
+        MAZE.goals.checked,
+        {"goals": [[0.5, 0.5]], "field": "goals", "axes": 1},
+        {"goals": lambda value: str(value) in ("[[0, 2]]", str(SQUARES)) and not isinstance(value, str)},
+    ),
+    "rollout of vectors": Call(
+        shapes_of(rollout),
+        {"env": MAZE, "policy": still, "goal": [0.5, 0.5], "key": KEY},
+        {
+            "env": lambda value: value is MAZE,
+            "policy": never,
+            "goal": lambda value: value == range(2) if isinstance(value, range) else False,
+            "key": lambda value: value is KEY,
+        },
+    ),
+    "evaluate vectors": Call(
+        shapes_of(evaluate),
+        {"policy": still, "env": MAZE, "goals": [[0.5, 0.5]], "starts": 1, "seed": 0},
+        {
+            "policy": never,
+            "env": lambda value: value is MAZE,
+            "goals": lambda value: str(value) in ("[[0, 2]]", str(SQUARES)) and not isinstance(value, str),
+            "starts": lambda value: whole(value, 1, 2**20),
+            "seed": lambda value: whole(value, 0, 2**32 - 1),
+        },
+    ),
+    "presets.register": Call(
+        lambda name, env, preset: registered(name, lambda: presets.register(name, env, preset)),
+        {"name": "mine", "env": MAZE, "preset": None},
+        {
+            "name": lambda value: isinstance(value, str) and bool(re.fullmatch(r"\w[\w.-]*", value)),
+            "env": lambda value: value is MAZE,
+            "preset": none,
+        },
+    ),
+    "Preset": Call(
+        lambda **fields: registered("mine", lambda: presets.registry.update(mine=presets.Preset(**fields))),
+        {"agent": "td3", "training": {}, "hyper": {}, "methods": {}, "env": {}, "agents": {}, "description": ""},
+        {
+            "agent": lambda value: isinstance(value, str) and "\ud800" not in value,
+            "training": texts,
+            "hyper": texts,
+            "methods": lambda value: value == {} and isinstance(value, dict),
+            "env": texts,
+            "agents": lambda value: value == {} and isinstance(value, dict),
+            "description": lambda value: isinstance(value, str) and "\ud800" not in value,
+        },
+    ),
     "Entry": Call(
         lambda **fields: Registry("learner", {}).__setitem__("own", Entry(**fields)),
         {"config": type(CONFIG.learner), "make": stay, "hyper": NoHyperparameters, "traits": None},
@@ -333,7 +427,13 @@ def test_an_argument_is_right_or_is_refused(count, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry"]
+    "name",
+    [
+        *"rollout evaluate GoalSet.of presets.load envs.load mean_interval Entry GoalBox.of GoalBox.checked Preset".split(),
+        "rollout of vectors",
+        "evaluate vectors",
+        "presets.register",
+    ],
 )
 def test_right_arguments_are_taken(name):
     """Else everything would be refused."""

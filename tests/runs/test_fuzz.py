@@ -5,17 +5,28 @@ import contextlib
 import dataclasses
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import hand_made
 import numpy as np
 import pytest
-from fuzzing import TREE, command_lines, configurations, damaged, digest, examples_of, replaced, write_run
+from fuzzing import (
+    TREE,
+    command_lines,
+    configurations,
+    damaged,
+    digest,
+    examples_of,
+    replaced,
+    write_imports,
+    write_run,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infogoal_drone import cli as fly
-from infogoal_jax import presets
+from infogoal_jax import imports, presets
 from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
 from infogoal_jax.envs.fetch import goal_rendering
@@ -146,6 +157,7 @@ def no_work(monkeypatch):
         monkeypatch.setitem(command.ENGINES, engine, accept)
     monkeypatch.setattr("infogoal_jax.stand_ins.house.build_house", accept)
     monkeypatch.setattr("infogoal_jax.report.video.episode_video", accept)
+    monkeypatch.setattr("infogoal_jax.report.video.drawn_video", accept)
 
 
 @each_count
@@ -155,6 +167,7 @@ def test_a_command_line_is_accepted_or_refused_and_nothing_is_changed(
     monkeypatch.chdir(tmp_path)
     shutil.copytree(run, tmp_path / "a_run")
     (tmp_path / "a_file").write_text("kept")
+    write_imports(tmp_path)
     before = digest(tmp_path)
 
     @examples("command lines", count)
@@ -162,6 +175,8 @@ def test_a_command_line_is_accepted_or_refused_and_nothing_is_changed(
     def check(line):
         with contextlib.suppress(WorkBegins, SystemExit):
             assert command_line.main(line) in (0, 1, 2)
+        imports.imported.clear()
+        sys.modules.pop("task", None)
         capsys.readouterr()
         assert digest(tmp_path) == before
 
