@@ -389,6 +389,11 @@ CALLS = {
 }
 
 
+SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry", "GoalBox.of"]
+SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
+"""Functions that work as they are called here."""
+
+
 def is_path(value) -> bool:
     """A path that is not empty."""
     return isinstance(value, str | Path) and str(value) != "" and "\0" not in str(value)
@@ -426,15 +431,7 @@ def test_an_argument_is_right_or_is_refused(count, tmp_path, monkeypatch):
     check()
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *"rollout evaluate GoalSet.of presets.load envs.load mean_interval Entry GoalBox.of GoalBox.checked Preset".split(),
-        "rollout of vectors",
-        "evaluate vectors",
-        "presets.register",
-    ],
-)
+@pytest.mark.parametrize("name", SURE)
 def test_right_arguments_are_taken(name):
     """Else everything would be refused."""
     function, arguments, _ = CALLS[name]
