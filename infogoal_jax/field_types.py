@@ -33,6 +33,8 @@ def converted(value: Any, hint: Any) -> Any:
         raise WrongTypeError(in_words(error, hint)) from error
     except UnicodeEncodeError as error:
         raise WrongTypeError("is text with a half of a character; give whole ones") from error
+    except AttributeError as error:  # What has items as a dict does, but no keys: an array.
+        raise WrongTypeError(f"expected dict, got {type(value).__name__}") from error
     except TypeError:  # A type of a user's own record that cannot be checked.
         return value
 

@@ -74,7 +74,7 @@ class PointMaze(GoalTask):
             there = place.at[axis].add(0.1 * action[axis])
             across = place[1 - axis]
             row = jnp.clip(jnp.floor(across).astype(jnp.int32), 0, ROOMS - 1)
-            at_door = jnp.abs(across - row - 0.5) < DOOR
+            at_door = jnp.abs(across - row.astype(jnp.float32) - 0.5) < DOOR
             number = jnp.floor(jnp.maximum(place[axis], there[axis])).astype(jnp.int32)  # Of the wall on the way.
             crosses = jnp.floor(place[axis]) != jnp.floor(there[axis])
             inner = (number > 0) & (number < ROOMS)

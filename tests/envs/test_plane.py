@@ -5,8 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from infogoal_jax import envs
+from infogoal_jax import checks, envs
 
+MODES = {
+    "64 bits": lambda: jax.enable_x64(True),
+    "ranks": lambda: jax.numpy_rank_promotion("raise"),
+    "types": lambda: jax.numpy_dtype_promotion("strict"),
+}
 KEYS = jax.random.split(jax.random.key(0), 2)
 
 
@@ -27,6 +32,25 @@ def test_nobody_walks_through_the_walls_of_the_maze():
             reached.add(there)
             frontier.append(there)
     assert len(reached) == 9 and ((0, 1), (1, 1)) not in through and ((2, 1), (2, 2)) in through
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("task", ["point_maze", "reacher"])
+def test_an_episode_has_its_types_whatever_jax_is_set_to(task, mode):
+    env = envs.load(task)
+
+    def stepped():
+        def step(key, action):
+            state = env.step(env.reset(key), action)
+            record = env.achieved(state)
+            return state, env.observe(state), env.cell_of(record), env.goals.inputs_of(record), env.goals.use(record)
+
+        key = jax.eval_shape(lambda: jax.random.key(0))
+        return checks.shapes(jax.eval_shape(step, key, jax.ShapeDtypeStruct((2,), "float32")))
+
+    with MODES[mode]():
+        found = stepped()
+    assert found == stepped()
 
 
 @pytest.mark.parametrize("task", ["point_maze", "reacher"])
