@@ -6,11 +6,14 @@ import sys
 import jax
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.stats import binomtest
 
-from benchmarks.fidelity import fetch_transfer
 from infogoal_jax import envs, make_train, presets
 from infogoal_jax.report import export
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "fidelity"))
+import fetch_transfer
 
 
 @pytest.mark.parametrize(("successes", "episodes"), [(0, 10), (7, 10), (200, 200), (183, 200)])
