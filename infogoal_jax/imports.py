@@ -4,9 +4,12 @@ A file runs only because whoever types the command names it. A run remembers the
 made with; that alone never runs anything.
 """
 
+import atexit
 import hashlib
 import importlib.util
+import shutil
 import sys
+import tempfile
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -104,6 +107,33 @@ def take_imports(arguments: list[str]) -> list[str]:
 def import_flags() -> list[str]:
     """The words that make another process import the same files."""
     return [word for file in imported.values() for word in (FLAG, str(file.path))]
+
+
+def contents() -> dict[str, bytes]:
+    """What a process on another machine needs to import the same files: {name: content}. Raises `UserError` for a file
+    that was changed or deleted since it ran here."""
+    found = {}
+    for name, file in imported.items():
+        try:
+            found[name] = read_bytes(file.path)
+        except OSError as error:
+            raise UserError(f"import = {str(file.path)!r}: {error.strerror or error}; put the file back") from error
+        changed = hashlib.sha256(found[name]).hexdigest() != file.checksum
+        require(not changed, "import", str(file.path), "was changed since it was imported; start again")
+    return found
+
+
+def import_contents(files: dict[str, bytes]) -> None:
+    """Import files that another process sent, {name: content}. They stay on the disk until this process ends, so that
+    errors show their lines. Raises `UserError` as `import_file` does."""
+    if not files:
+        return
+    folder = Path(tempfile.mkdtemp(prefix="infogoal-import-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for name, content in files.items():
+        path = folder / Path(name).name
+        path.write_bytes(content)
+        import_file(path)
 
 
 def checksums() -> dict[str, str]:

@@ -1,59 +1,139 @@
-"""A newcomer's first quarter of an hour: the first commands of the README, one after the other in an empty home, and
-how long each of them takes.
+"""A newcomer's hour: what the README, `docs/start/first_run.md` and the guides tell a newcomer to type, one after the
+other in an empty home, with the seconds until each thing that a newcomer wants to see.
 
-    python benchmarks/speed/first_steps.py [--tasks object_search fetch_reach] [--seeds 16]
+    python benchmarks/speed/first_steps.py [--seeds 2] [--checkout FOLDER] [--only own]
 
-Installation is not part of it. Nothing comes from a cache but what an earlier command of the list left there. What the
-commands print goes to stderr. Exit status 1 if one of them failed.
+Milestones are the first result, the first picture, the first own run, the first own task, the first comparison and the
+first policy that runs elsewhere. Installation is not part of it. Nothing comes from a cache but what an earlier step
+left there. CPU seconds are those of all processes of a step, and hardly change when the machine is busy. --checkout
+plays the hour with the code and the pages of another checkout; a step that its commands cannot do yet is left out.
+What the commands print goes to stderr. Exit status 1 if a step failed.
 """
 
 import argparse
 import os
+import re
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
-from infogoal_jax import presets
 from infogoal_jax.report.statistics import describe_machine
 
+ROOT = Path(__file__).resolve().parents[2]
+GUIDES = ("docs/guides/own_task.md", "docs/own_task.md")
+"""The page with a task of one's own, here and in older checkouts."""
+TRAINS = re.compile(r"^train = make_train\(", re.MULTILINE)
+"""Where the guide's script begins to train: what stands above it is the file that `--import` takes."""
+ELSEWHERE = """
+import sys
+import numpy as np
+from policy_file import ExportedPolicy
+policy = ExportedPolicy("policy.npz")
+mask = np.ones(policy.about["action_size"], bool)
+print(policy.about["actions"][policy.act(np.zeros((32, 32, 1), np.uint8), policy.goals[0], action_mask=mask)])
+assert "jax" not in sys.modules and "infogoal_jax" not in sys.modules
+"""
+"""Acts by an exported policy of object search beside a copy of policy_file.py, with NumPy alone."""
 
-def commands_of(tasks: list[str], seeds: int) -> list[str]:
-    """What is typed after `infogoal`, in this order."""
-    found = ["--help", "methods"]
-    for task in tasks:
-        train = f"train {task} --seeds {seeds}"
-        found += [
-            f"evaluate shipped/{task}",
-            f"{train} --out {task}",
-            f"{train} --out {task}_again",
-            f"{train} --method her --out {task}_her",
-            f"compare {task} {task}_her --out {task}.pdf",
-            f"export {task} --out {task}.npz",
-        ]
-        if task in presets.FETCH_TASKS:
-            found.append(f"video {task} --out {task}.mp4")
-    return found
+
+class Step(NamedTuple):
+    """What is typed. milestone: what the newcomer then has, or nothing; shown: the line; words: the command; needs: a
+    file of the checkout without which the command cannot do it yet."""
+
+    milestone: str
+    shown: str
+    words: list[str]
+    needs: str = ""
+
+
+def infogoal(line: str, milestone: str = "", needs: str = "") -> Step:
+    """A step of the command line."""
+    return Step(milestone, f"infogoal {line}", [sys.executable, "-m", "infogoal_jax", *line.split()], needs)
+
+
+def python(script: str, shown: str, milestone: str = "") -> Step:
+    """A step that runs a script."""
+    return Step(milestone, shown, [sys.executable, script])
+
+
+def steps_of(seeds: int, own_task: str) -> list[Step]:
+    """What is typed, in this order. own_task: its name in the registry."""
+    train = f"train object_search --seeds {seeds}"
+    return [
+        Step("", 'python -c "import infogoal_jax"', [sys.executable, "-c", "import infogoal_jax"]),
+        infogoal("--help"),
+        infogoal("evaluate shipped/object_search", "first result"),
+        infogoal("report shipped/object_search", "first picture"),
+        infogoal(f"{train} --out infogoal", "first own run"),
+        python("own_task.py", "python own_task.py  # the script of the guide", "first own task"),
+        infogoal(
+            f"train {own_task} --import my_task.py --seeds {seeds} --out mine", "its figures", "infogoal_jax/imports.py"
+        ),
+        infogoal(f"{train} --method her --out her"),
+        infogoal("compare infogoal her --out success.pdf", "first comparison"),
+        infogoal("export infogoal --out elsewhere/policy.npz"),
+        python("elsewhere/run.py", "python run.py  # NumPy alone", "first policy elsewhere"),
+        infogoal(f"{train} --out again", "the same run, from the cache"),
+    ]
+
+
+def write_files(home: Path, checkout: Path) -> str:
+    """Write what the newcomer copies from the pages; the name of the task of one's own."""
+    page = next(path for path in (checkout / name for name in GUIDES) if path.exists())
+    (script, *_) = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    (home / "own_task.py").write_text(script)
+    (home / "my_task.py").write_text(TRAINS.split(script)[0])
+    (home / "elsewhere").mkdir()
+    (home / "elsewhere" / "run.py").write_text(ELSEWHERE)
+    shutil.copy(checkout / "infogoal_jax" / "policy_file.py", home / "elsewhere")
+    return re.search(r'registry\["(\w+)"\]', script)[1]
+
+
+def cpu_seconds() -> float:
+    """Of all processes that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def play(steps: list[Step], home: Path, checkout: Path) -> Iterator[tuple[Step, float, float, int]]:
+    """Each step with its seconds, its CPU seconds and its exit status."""
+    environment = {name: value for name, value in os.environ.items() if name not in ("XDG_CACHE_HOME", "XLA_FLAGS")}
+    environment |= {"HOME": str(home), "PYTHONPATH": str(checkout)}
+    for step in steps:
+        if not (checkout / step.needs).exists():
+            continue
+        folder = home / "elsewhere" if step.words[-1].startswith("elsewhere/") else home
+        words = [word.removeprefix("elsewhere/") for word in step.words] if folder != home else step.words
+        before, used = time.perf_counter(), cpu_seconds()
+        done = subprocess.run(words, cwd=folder, env=environment, stdout=sys.stderr)
+        yield step, time.perf_counter() - before, cpu_seconds() - used, done.returncode
 
 
 def main():
-    """Play the commands and print the table."""
+    """Play the hour and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=["object_search", "fetch_reach"])
-    parser.add_argument("--seeds", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--checkout", type=Path, default=ROOT, metavar="FOLDER", help="whose code and pages are played")
+    parser.add_argument("--only", default="", metavar="WORD", help="the steps alone whose line holds this, for a try")
     arguments = parser.parse_args()
-    print("| command | seconds |\n|---|---|", flush=True)
-    started, failed = time.perf_counter(), False
-    with tempfile.TemporaryDirectory() as home:
-        environment = {name: value for name, value in os.environ.items() if name != "XDG_CACHE_HOME"} | {"HOME": home}
-        for command in commands_of(arguments.tasks, arguments.seeds):
-            words, before = [sys.executable, "-m", "infogoal_jax", *command.split()], time.perf_counter()
-            done = subprocess.run(words, cwd=home, env=environment, stdout=sys.stderr)
-            failed |= done.returncode != 0
-            note = f" (failed, exit status {done.returncode})" if done.returncode else ""
-            print(f"| `infogoal {command}` | {time.perf_counter() - before:.1f}{note} |", flush=True)
-    minutes = (time.perf_counter() - started) / 60
-    print(f"\nall of it {minutes:.1f} minutes; {describe_machine()}")  # Only now: it takes the memory of a GPU.
+    checkout = arguments.checkout.resolve()
+    print("| typed | seconds | CPU seconds | since the beginning | |\n|---|---|---|---|---|", flush=True)
+    elapsed, failed = 0.0, False
+    with tempfile.TemporaryDirectory() as folder:
+        steps = steps_of(arguments.seeds, write_files(Path(folder), checkout))
+        chosen = [step for step in steps if arguments.only in step.shown]
+        for step, seconds, used, status in play(chosen, Path(folder), checkout):
+            elapsed, failed = elapsed + seconds, failed or status != 0
+            note = f"failed, exit status {status}" if status else step.milestone
+            print(f"| `{step.shown}` | {seconds:.1f} | {used:.1f} | {elapsed:.0f} | {note} |", flush=True)
+    load = os.getloadavg()[2]
+    print(f"\n{describe_machine()}, load {load:.1f}")  # Only now: it takes the memory of a GPU.
     sys.exit(1 if failed else 0)
 
 

@@ -64,7 +64,7 @@ def train(
         out: Folder of the run; empty: a new one under runs/.
         figures: Draw the figures at the end.
         tensorboard: Write the metrics for TensorBoard too, into the folder of the run.
-        wandb: Project of Weights & Biases to log to (needs `pip install wandb`).
+        wandb: Project of Weights & Biases to log to, a run for each seed, in a group (needs `pip install wandb`).
         sweep: Values of floats, such as learning_rate=1e-4,3e-4 discount=0.9,0.99: a run for each combination.
         vmap_size: Seeds that one program trains side by side at most; 0: all.
         synonyms: Flags of other libraries.

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol, Self
 import infogoal_jax
 from infogoal_jax.errors import UserError
 from infogoal_jax.files import read_bytes
-from infogoal_jax.imports import import_flags
+from infogoal_jax.imports import contents, import_contents, import_flags
 from infogoal_jax.runner.compilation import use_compilation_cache
 from infogoal_jax.runs import disk
 from infogoal_jax.stopping import StopRequest, stop_on_signal
@@ -292,19 +292,36 @@ class Mailbox:
         self.stopping = True
 
 
-def train_remotely(job: Job, version: str, seconds: float, files: dict[str, bytes], mailbox: Any) -> None:
-    """What a worker does with a job: train it in a folder of its own, and send what it says and writes.
+class Parcel(NamedTuple):
+    """What a worker is sent.
 
-    version: of the package where the folder is kept; seconds: that it has; files: {path in the folder: content}, what
-    there is of it, unless the mailbox has later ones.
+    job: pickled, since what it holds may be of a file that a worker imports first.
+    imports: files that `--import` named, {name: content}.
+    version: of the package where the folder is kept.
+    seconds: that it has.
+    files: {path in the folder: content}, what there is of it, unless the mailbox has later ones.
     """
+
+    job: bytes
+    imports: dict[str, bytes]
+    version: str
+    seconds: float
+    files: dict[str, bytes]
+
+
+def train_remotely(parcel: Parcel, mailbox: Any) -> None:
+    """What a worker does with a job: train it in a folder of its own, and send what it says and writes."""
     import ray
+
+    version, seconds, files = parcel.version, parcel.seconds, parcel.files
 
     if version != infogoal_jax.__version__:
         raise UserError(
             f"a worker has infogoal-jax {infogoal_jax.__version__}, the folder's machine {version}; install the same "
             "everywhere"
         )
+    import_contents(parcel.imports)
+    job: Job = ray.cloudpickle.loads(parcel.job)
     use_compilation_cache()
     with tempfile.TemporaryDirectory(prefix="infogoal-") as name:
         folder, said = Path(name), []
@@ -451,7 +468,9 @@ class Cluster:
         folder = self.place.folder
         files = {path.relative_to(folder).as_posix(): content for path in mine.files(folder) if (content := read(path))}
         train = self.ray.remote(train_remotely).options(**needs)
-        task = train.remote(mine, infogoal_jax.__version__, self.place.left(), files, self.mailbox)
+        pickled = self.ray.cloudpickle.dumps(mine)
+        parcel = Parcel(pickled, contents(), infogoal_jax.__version__, self.place.left(), files)
+        task = train.remote(parcel, self.mailbox)
         self.under_way[task] = UnderWay(mine, claims)
         self.place.say(f"{mine.name}: {len(mine.members)} runs")
 

@@ -102,20 +102,31 @@ def make_listeners(
         except ImportError as error:
             raise UserError(f"wandb = {wandb!r}: needs `pip install wandb`") from error
         log_in(weights_and_biases, wandb)
-        sessions = []
+        sessions = {}
 
         def log(progress: training.Progress):
-            if not sessions:
-                sessions.append(weights_and_biases.init(project=wandb, dir=str(folder.parent), name=folder.name))
-                closing.append(sessions[0].finish)
-            sessions[0].log(
-                seed_means(progress.epochs[-num_seeds:]) | seed_means(progress.evaluations), step=progress.epoch
-            )
+            evaluated = {row["seed"]: row for row in progress.evaluations}
+            for row in progress.epochs[-num_seeds:]:
+                seed = row["seed"]
+                if seed not in sessions:
+                    sessions[seed] = weights_and_biases.init(
+                        project=wandb,
+                        group=folder.name,
+                        name=f"{folder.name}-seed-{seed}",
+                        config={"task": config.task, "method": presets.name_of(config), "seed": seed},
+                        dir=str(folder.parent),
+                        reinit="create_new",  # A run for each seed, all at the same time.
+                    )
+                    closing.append(sessions[seed].finish)
+                sessions[seed].log(seed_means([row | evaluated.get(seed, {})]), step=progress.epoch)
 
         def upload(paths: Sequence[Path]):
+            """Of all seeds: they stand with the first."""
             if sessions and paths:
                 kinds = {".gif": weights_and_biases.Video, ".png": weights_and_biases.Image}
-                sessions[0].log({f"figures/{path.stem}": kinds[path.suffix](str(path)) for path in paths})
+                next(iter(sessions.values())).log(
+                    {f"figures/{path.stem}": kinds[path.suffix](str(path)) for path in paths}
+                )
 
         listeners.append(log)
         showing.append(upload)

@@ -123,7 +123,8 @@ class ProgressLine:
         if self.name in ("training", ""):
             now = time.monotonic()
             left = [] if self.left is None else [f"{clock(self.left - (now - self.told))} left"]
-            needed = [count, *(left if self.epoch < self.total else []), *filter(None, [self.numbers])]
+            needed = [count, *(left if self.epoch < self.total else []), self.numbers or self.name]
+            needed = [words for words in needed if words]
             rest = [self.elapsed(), *filter(None, [self.rates])]
         else:
             needed = [count, f"{self.name} {clock(time.monotonic() - self.since)}"]

@@ -181,3 +181,25 @@ def test_commands_of_packages_that_fail_are_one_line(monkeypatch, capsys):
     point = SimpleNamespace(group="infogoal.commands", name="mine", value="my_package:mine", load=lambda: 1 / 0)
     monkeypatch.setattr(command, "entry_points", lambda group: [point] if group == point.group else [])
     assert "infogoal.commands: mine = 'my_package:mine': ZeroDivisionError" in refused(["mine"], capsys)
+
+
+def test_another_process_imports_what_it_is_sent(my_task, monkeypatch):
+    """As a worker of Ray does, on a machine without the file."""
+    imports.import_file(my_task)
+    checksums, sent = imports.checksums(), imports.contents()
+    assert sent == {"my_task.py": my_task.read_bytes()}
+    forget()
+    my_task.unlink()
+    imports.import_contents(sent)
+    assert imports.checksums() == checksums and "my_rooms" in presets.registry
+    imports.import_contents(sent)  # A worker gets several jobs.
+
+
+def test_a_file_that_was_changed_is_sent_to_nobody(my_task):
+    imports.import_file(my_task)
+    my_task.write_text(TASK + "# More.\n")
+    with pytest.raises(UserError, match="import = .*was changed since it was imported; start again"):
+        imports.contents()
+    my_task.unlink()
+    with pytest.raises(UserError, match="import = .*put the file back"):
+        imports.contents()

@@ -243,12 +243,15 @@ def pictures(tmp_path):
     return [folder / "curves.png", folder / "episode.gif"]
 
 
-def tell(listeners, pictures):
-    """What a run of one seed tells its listeners: two chunks, and pictures at the end."""
+def tell(listeners, pictures, seeds=(0,)):
+    """What a run tells its listeners: two chunks, and pictures at the end."""
     for epoch in (2, 4):
-        row = {"seed": 0, "epoch": epoch, "train_goal/success_rate": epoch / 4, "first_reached": [[1]]}
+        rows = [
+            {"seed": seed, "epoch": epoch, "train_goal/success_rate": epoch / 4, "first_reached": [[1]]}
+            for seed in seeds
+        ]
         for listen in listeners.progress:
-            listen(Progress(epoch, 4, 1.0, 1.0, 1000.0, 7.0, [row], [row]))
+            listen(Progress(epoch, 4, 1.0, 1.0, 1000.0, 7.0, rows, rows))
     listeners.end_progress()
     listeners.pictures(pictures)
 
@@ -276,16 +279,19 @@ def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures
     for name, value in {"WANDB_MODE": "offline", "WANDB_SILENT": "true", "HOME": str(tmp_path)}.items():
         monkeypatch.setenv(name, value)
     (tmp_path / "runs").mkdir()
-    with make_listeners(tmp_path / "runs" / "mine", hand_made.config(), 1, wandb="project") as listeners:
-        tell(listeners, pictures)
-    (folder,) = (tmp_path / "runs" / "wandb").glob("offline-run-*")
-    (log,) = folder.glob("*.wandb")
+    with make_listeners(tmp_path / "runs" / "mine", hand_made.config(), 2, wandb="project") as listeners:
+        tell(listeners, pictures, seeds=(3, 4))
+    folders = sorted((tmp_path / "runs" / "wandb").glob("offline-run-*"))
+    logs = [log for folder in folders for log in folder.glob("*.wandb")]
+    assert len(logs) == 2  # A run for each seed, in the group of the folder.
     for _ in range(300):  # Its service writes the last of it when the run is over.
-        if b"episode" in log.read_bytes():
+        if any(b"episode" in log.read_bytes() for log in logs):
             break
         time.sleep(0.1)
-    assert b"train_goal/success_rate" in log.read_bytes()
-    kept = {path.suffix: path.read_bytes() for path in (folder / "files" / "media").rglob("*.*")}
+    for seed in (3, 4):
+        (own,) = (log.read_bytes() for log in logs if f"mine-seed-{seed}".encode() in log.read_bytes())
+        assert b"train_goal/success_rate" in own and own.count(b"mine") > own.count(b"mine-seed-")
+    kept = {path.suffix: path.read_bytes() for folder in folders for path in (folder / "files").glob("media/**/*.*")}
     assert kept == {picture.suffix: picture.read_bytes() for picture in pictures}
 
 
