@@ -19,6 +19,7 @@ from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalConfig, InfoGoalHyperparameters
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
+from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig
 from infogoal_jax.runs import disk
@@ -36,9 +37,12 @@ OF_HEADS = {"bounded": False, "layer_norm": False}
 ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
+    InfoGoalConfig: {"dissimilar_by": "trajectory"},
     InfoGoalHyperparameters: {"beta_margin": 0.005},
     GCBConfig: {"grounded": False},
     InfoBotConfig: {"reward": "rarity"},
+    HERConfig: {"skip_reached": False},
+    CHERConfig: {"skip_reached": False},
     GHRLConfig: {"choice": "best"},
     AllGoalsConfig: {"desired_share": 0.0},
     ObjectManipulationConfig: {"privileged": False},
