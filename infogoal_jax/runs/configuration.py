@@ -48,8 +48,6 @@ ADDED: dict[type, dict[str, Any]] = {
     ObjectManipulationConfig: {"privileged": False},
     EmbodiedQAConfig: {"gathered": False},
     FetchConfig: {"held_out": "nothing"},
-    InfoGoalConfig: {"dissimilar_by": "trajectory"},
-    HERConfig: {"skip_reached": False},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""
