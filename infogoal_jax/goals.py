@@ -265,7 +265,7 @@ class GoalBox:
         checks.returned(goal, "sampler", checks.Spec((len(low),), "float32"))
         checked_use(use_of, goal)
         checked_seen(space, goal)
-        drawn, uses = (np.asarray(each) for each in jax.jit(jax.vmap(space.draw_with_use))(keys))
+        drawn, uses = (np.asarray(each) for each in draw_several(space, keys))
         broken = ~np.isfinite(drawn).all(1)
         require(not broken.any(), "sampler", drawn[broken][:1].tolist(), "draw finite goals")
         outside = (drawn < low - 1e-6).any(1) | (drawn > high + 1e-6).any(1)
@@ -394,6 +394,12 @@ class GoalBox:
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low.tolist(), high.tolist(), strict=True))
             raise UserError(f"{field} = {np.round(first.astype(float), 4).tolist()}: lies outside; give {spans}")
         return values
+
+
+@jax.jit
+def draw_several(space: GoalBox, keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Goals float32 [M, D] and their uses; compiled once for all spaces of one sampler."""
+    return jax.vmap(space.draw_with_use)(keys)
 
 
 GoalSpace = GoalSet | GoalBox

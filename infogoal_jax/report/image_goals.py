@@ -17,7 +17,7 @@ from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.envs.target_states import SubgoalState
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import corrupt, draw_backgrounds
-from infogoal_jax.report.canvas import Subject, empty_figure, figure_style, new_figure, save, share_limits
+from infogoal_jax.report.canvas import Subject, empty_figure, new_figure, share_limits
 from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, principal_components
 from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 from infogoal_jax.report.video import LAST_PICTURE, write_video
@@ -192,14 +192,7 @@ def draw_image_goals(subject: Subject) -> dict[str, Figure | None]:
     return figures
 
 
-def save_goal_images(env: Any, path: Path) -> None:
-    """Draw examples of an environment's goal images without a run: `save_goal_images(envs.load("fetch_push",
-    FetchConfig(goals="images")), path)`."""
-    with figure_style():
-        save(goal_images(env), path)
-
-
-def goal_images(env: Any, task: str = "") -> Figure:
+def goal_images(env: Any, task: str) -> Figure:
     """Goal images clean and corrupted, a row a goal (paper, Fig. 6): training goals while training and in the test,
     then test goals.
 
@@ -221,7 +214,7 @@ def goal_images(env: Any, task: str = "") -> Figure:
     ):
         chosen = np.flatnonzero(np.asarray(mask))[:EXAMPLES]
         rows += [(title, images) for images in np.asarray(examples(goals, chosen, backgrounds, len(rows)))]
-    title = f"{task.replace('_', ' ')}: " * bool(task) + "goal images and the weight of their background"
+    title = f"{task.replace('_', ' ')}: goal images and the weight of their background"
     below = (f"the first goals of each kind; backgrounds drawn from seed {EXAMPLE_SEED}", f"data: {env.source}")
     figure = empty_figure(title, below, (9.6, 1.56 * len(rows) + 0.9))
     for (title, images), line in zip(rows, figure.subplots(len(rows), len(columns), squeeze=False), strict=True):

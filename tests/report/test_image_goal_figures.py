@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib.image import imread
 from places import EVERY_TASKS_FIGURES, assert_drawn, printed
 from rich.console import Console
 
@@ -166,12 +165,6 @@ def test_images_that_are_shown_are_those_that_the_policy_sees(points, points_sub
     parts = points.train.parts._replace(learner=learner._replace(encode=encode))
     corrupted_view(Setup(parts, None, env), points_subject.params, jnp.asarray(some), 1, 0.4, 9)
     np.testing.assert_array_equal(seen[-1], image_goals.seen_images(env, some, 0.4, 9))
-
-
-@pytest.mark.long
-def test_goal_images_can_be_drawn_without_a_run(reach_run, tmp_path):
-    image_goals.save_goal_images(reach_run.train.env.env, tmp_path / "goals.png")
-    assert imread(tmp_path / "goals.png").std() > 0.1
 
 
 SIZE = (96, 128)

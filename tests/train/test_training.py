@@ -213,7 +213,7 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
 
 
 def test_a_callback_hears_of_each_evaluation_and_leaves_nothing_in_a_program_without_it():
-    heard, config, env = [], hand_made.config(num_epochs=4), hand_made.environment()
+    heard, config, env = [], hand_made.config("none", num_epochs=4), hand_made.environment()
     train = make_train(config, env, lambda epoch, metrics: heard.append((int(epoch), metrics)))
     result = jax.jit(train)(jax.random.key(0))
     jax.effects_barrier()
