@@ -1,0 +1,379 @@
+"""Our TD3, SAC and contrastive RL beside JaxGCRL's own programs, on JaxGCRL's environments and on one device: success
+against seconds and steps, steps and updates a second.
+
+    pip install --no-deps jaxgcrl
+    python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
+        [--steps 2000000] [--sides ours theirs] [--budget 540]
+    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json
+
+What is in RESULTS.json already is not run again, so that several calls fill one table; a program is not begun once the
+budget, in seconds, is spent. `--toy` is a size for a CPU, which checks that everything runs.
+
+The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
+steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
+and SAC. Our seeds run side by side in one program; theirs one after the other, as their program is made. Success is the
+fraction of episodes in which the goal is reached. For our TD3 and SAC, whose values lie between 0 and 1, an episode
+ends there; it goes on for contrastive RL, as for all of theirs.
+
+Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
+counted as long as the median of the others.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import sys
+import time
+import types
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import envs, make_train, presets
+from infogoal_jax.bridges.brax import brax_training
+from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl
+from infogoal_jax.errors import UserError
+from infogoal_jax.report.statistics import describe_machine, mean_interval
+
+SUCCESS = 0.5
+"""The success that seconds are counted to."""
+STEPS_PER_UPDATE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizes:
+    """How much is trained."""
+
+    steps: int
+    """Environment steps of a seed, at least."""
+    evaluations: int = 10
+    num_envs: int = 256
+    """Environments of JaxGCRL; ours has fewer and longer rows, of as many steps in all, within which hindsight looks
+    ahead."""
+    unroll: int = 62
+    """Steps of each before an update, in JaxGCRL's program."""
+    episode_length: int = 1001
+    batch_size: int = 256
+    replay: int = 10_000
+    """Steps that JaxGCRL keeps of each environment."""
+    prefill: int = 1_000
+    """Steps of each before the first update, in JaxGCRL's program."""
+    num_eval: int = 128
+    """Episodes of an evaluation."""
+    our_envs: int = 64
+    our_steps: int = 250
+    """Environments of ours, and steps of each between updates."""
+
+
+TOY = Sizes(
+    steps=6_000,
+    evaluations=3,
+    num_envs=8,
+    unroll=20,
+    episode_length=101,
+    batch_size=32,
+    replay=400,
+    prefill=120,
+    num_eval=8,
+    our_envs=8,
+    our_steps=50,
+)
+
+
+@dataclasses.dataclass
+class Outcome:
+    """What a side did: a curve for each seed, [seeds][evaluations]."""
+
+    task: str
+    agent: str
+    side: str
+    machine: str
+    steps: list[float]
+    """Environment steps of a seed at each evaluation."""
+    seconds: list[float]
+    """Seconds of training of the seeds that ran side by side, at each evaluation."""
+    success: list[list[float]]
+    """Of each seed at each evaluation."""
+    side_by_side: int
+    """Seeds that shared the seconds."""
+    updates: int
+    """Of a seed, in all."""
+    compiling: float
+    """Seconds to trace and compile; NaN where they are not known apart."""
+
+    def steps_per_second(self) -> float:
+        """Environment steps of all seeds a second of training, updates included."""
+        return self.side_by_side * self.steps[-1] / self.seconds[-1]
+
+    def updates_per_second(self) -> float:
+        """Updates of all seeds a second of training, environment steps included."""
+        return self.side_by_side * self.updates / self.seconds[-1]
+
+    def seconds_to_success(self) -> float:
+        """Seconds a seed to the first evaluation with a mean success of `SUCCESS`; NaN if there is none."""
+        enough = np.flatnonzero(np.mean(self.success, 0) >= SUCCESS)
+        return self.seconds[enough[0]] / self.side_by_side if enough.size else float("nan")
+
+
+def ours(task: str, agent: str, sizes: Sizes, seeds: int) -> Outcome:
+    """Train so many seeds of one of our agents side by side."""
+    num_goals = sizes.num_eval // 2
+    task_env = envs.from_jaxgcrl(
+        task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
+    )
+    name = f"jaxgcrl_{task}"
+    envs.register(name, lambda length: task_env)
+    presets.registry[name] = presets.continuous()
+    collected = sizes.our_envs * sizes.our_steps
+    per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
+    config = presets.load(
+        name,
+        "none",
+        agent=agent,
+        num_epochs=sizes.evaluations * per_evaluation,
+        epochs_per_evaluation=per_evaluation,
+        num_envs=sizes.our_envs,
+        rollout_steps=sizes.our_steps,
+        updates_per_epoch=collected // STEPS_PER_UPDATE,
+        batch_size=sizes.batch_size,
+        buffer_steps=max(sizes.replay * sizes.num_envs, collected),
+        evaluation_starts=2,
+    )
+    hyper = config.hyper.replace(learning_rate=3e-4, discount=0.99, target_rate=0.005)
+    hyper = hyper.replace(epsilon=0.1) if agent == "td3" else hyper.replace(epsilon=0.0)
+    config = dataclasses.replace(
+        config, env=dataclasses.replace(config.env, episode_length=sizes.episode_length), hyper=hyper
+    )
+    train = make_train(config, task_env)
+    keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
+
+    started = time.perf_counter()
+    state = jax.jit(jax.vmap(train.initial, (0, None, None)))(keys, config.hyper, train.env)
+    numbers = jnp.arange(config.num_epochs, dtype=jnp.int32).reshape(-1, per_evaluation)
+    advance = jax.jit(jax.vmap(train.epochs, (0, None, None, None)), donate_argnums=0)
+    advance = advance.lower(state, numbers[0], config.hyper, train.env).compile()
+    evaluate = jax.jit(jax.vmap(train.evaluation, (0, None, None)))
+    evaluate = evaluate.lower(state, config.hyper, train.env).compile()
+    jax.block_until_ready(state)
+    compiling = time.perf_counter() - started
+
+    seconds, steps, success = [0.0], [], []
+    for chunk in numbers:
+        started = time.perf_counter()
+        state, _ = jax.block_until_ready(advance(state, chunk, config.hyper, train.env))
+        seconds.append(seconds[-1] + time.perf_counter() - started)
+        metrics = jax.device_get(evaluate(state, config.hyper, train.env))
+        steps.append(float(np.mean(metrics["env_steps"])))
+        success.append((metrics["first_reached"] <= sizes.episode_length).mean((1, 2)).tolist())
+        report("ours", task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
+    updates = config.num_epochs * config.updates_per_epoch
+    curves = np.transpose(success).tolist()
+    return Outcome(task, agent, "ours", describe_machine(), steps, seconds[1:], curves, seeds, updates, compiling)
+
+
+@contextlib.contextmanager
+def changed_for_today(env_class: type) -> Iterator[None]:
+    """Let JaxGCRL's programs run with today's brax and jax inside this block, on environments of any class of its own.
+
+    brax calls a function that jax has no longer (`brax_training`). The evaluation of its contrastive RL reads measures
+    that not every environment has; these are 0 here. Places of the goal are static arguments, which today's jax takes
+    of NumPy alone.
+    """
+    measures = ("success_easy", "distance_from_origin", "dist")
+    own_reset, own_init = env_class.reset, env_class.__init__
+
+    def reset(self, rng):
+        state = own_reset(self, rng)
+        return state.replace(metrics=dict.fromkeys(measures, jnp.zeros(())) | state.metrics)
+
+    def init(self, *arguments, **named):
+        own_init(self, *arguments, **named)
+        self.goal_indices = np.asarray(self.goal_indices)
+
+    env_class.reset, env_class.__init__ = reset, init
+    try:
+        with brax_training(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        env_class.reset, env_class.__init__ = own_reset, own_init
+
+
+def theirs(task: str, agent: str, sizes: Sizes, seed: int) -> Outcome:
+    """Train one seed of one of JaxGCRL's agents by its own program."""
+    agents = import_jaxgcrl("jaxgcrl.agents")
+    module, kind, given = JAXGCRL[task]
+    env_class = getattr(import_jaxgcrl(f"jaxgcrl.envs.{module}"), kind)
+    more = {"crl": {"min_replay_size": sizes.prefill}, "td3": {"use_her": True}, "sac": {"use_her": True}}[agent]
+    made = getattr(agents, agent.upper())(
+        batch_size=sizes.batch_size,
+        discounting=0.99,
+        unroll_length=sizes.unroll,
+        max_replay_size=sizes.replay,
+        **({"min_replay_size": sizes.prefill} | more),
+    )
+    per_round = sizes.num_envs * sizes.unroll
+    # Its prefill is counted in steps of each environment, and in whole rounds.
+    rounds = -(-sizes.steps // (sizes.evaluations * per_round))
+    settings = types.SimpleNamespace(
+        env=task,
+        total_env_steps=sizes.prefill * sizes.num_envs + sizes.evaluations * rounds * per_round,
+        episode_length=sizes.episode_length,
+        num_envs=sizes.num_envs,
+        num_eval_envs=sizes.num_eval,
+        action_repeat=1,
+        num_evals=sizes.evaluations + (agent != "crl"),  # The others evaluate before they train, too.
+        seed=seed,
+        visualization_interval=sizes.evaluations + 1,
+        checkpoint_logdir=None,
+        max_devices_per_host=1,
+    )
+    steps, walls, success = [], [], []
+
+    def heard(num_steps, metrics, *rest, **more):
+        if num_steps == 0:
+            return
+        steps.append(float(num_steps))
+        walls.append(float(metrics["training/walltime"]))
+        success.append(float(metrics["eval/episode_success_any"]))
+        report("theirs", task, agent, steps[-1], walls[-1], success[-1])
+
+    started = time.perf_counter()
+    with changed_for_today(env_class):
+        try:
+            made.train_fn(settings, env_class(**given), env_class(**given), progress_fn=heard)
+        except AssertionError:  # Its own count of steps at the end differs from the one that it plans by.
+            if len(steps) < sizes.evaluations:
+                raise
+    whole = time.perf_counter() - started
+    rounds_seconds = np.diff(walls)
+    seconds = np.median(rounds_seconds) * np.arange(1, len(walls) + 1)
+    # Every round has as many updates as make an epoch of its replayed episodes.
+    updates = sizes.evaluations * rounds * (sizes.num_envs * (sizes.episode_length - 1) // sizes.batch_size)
+    return Outcome(
+        task,
+        agent,
+        "theirs",
+        describe_machine(),
+        steps,
+        seconds.tolist(),
+        [success],
+        1,
+        updates,
+        whole - float(seconds[-1]),
+    )
+
+
+def report(side: str, task: str, agent: str, steps: float, seconds: float, success: float) -> None:
+    """Say how far a side is."""
+    print(
+        f"{side} {task} {agent}: {steps:,.0f} steps, {seconds:.1f} s, success {success:.2f}",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def joined(outcomes: list[Outcome]) -> Outcome:
+    """Seeds that ran one after the other as one outcome: seconds are the mean of a seed."""
+    first = outcomes[0]
+    return dataclasses.replace(
+        first,
+        seconds=np.mean([each.seconds for each in outcomes], 0).tolist(),
+        success=[curve for each in outcomes for curve in each.success],
+        compiling=float(np.mean([each.compiling for each in outcomes])),
+    )
+
+
+def read(path: Path) -> list[Outcome]:
+    """The outcomes that a file holds; none where there is no file."""
+    return [Outcome(**each) for each in json.loads(path.read_text())] if path.exists() else []
+
+
+def print_table(outcomes: list[Outcome]) -> None:
+    """Print a row for each side, and what ours does for theirs as ratios."""
+    print(
+        "| task | agent | program | seeds | success at the end | steps/s | updates/s | "
+        f"s to {SUCCESS} (a seed) | compiling (s) |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    sides: dict[tuple[str, str], dict[str, Outcome]] = {}
+    for each in outcomes:
+        grouped = sides.setdefault((each.task, each.agent), {})
+        grouped[each.side] = joined([grouped[each.side], each]) if each.side in grouped else each
+    for (task, agent), both in sides.items():
+        measured = {}
+        for side, outcome in both.items():
+            measured[side] = (
+                outcome.steps_per_second(),
+                outcome.updates_per_second(),
+                1 / outcome.seconds_to_success(),
+            )
+            final = mean_interval(np.array(outcome.success)[:, -1]).show()
+            speed, updates, inverse = measured[side]
+            print(
+                f"| {task} | {agent} | {side} | {len(outcome.success)} | {final} | {speed:,.0f} | {updates:,.0f} | "
+                f"{1 / inverse:.1f} | {outcome.compiling:.0f} |"
+            )
+        if len(measured) == 2:
+            ratios = [
+                f"{mine / other:.1f}x"
+                for mine, other in zip(*(measured[side] for side in ("ours", "theirs")), strict=True)
+            ]
+            print(f"| {task} | {agent} | ours / theirs | | | {ratios[0]} | {ratios[1]} | {ratios[2]} | |")
+
+
+def main() -> None:
+    """Run what is asked for and is not there yet, then print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--tasks", nargs="+", default=["reacher", "ant"], choices=list(JAXGCRL))
+    parser.add_argument("--agents", nargs="+", default=["crl", "sac", "td3"], choices=["crl", "sac", "td3"])
+    parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=2_000_000)
+    parser.add_argument("--budget", type=float, default=float("inf"))
+    parser.add_argument("--toy", action="store_true")
+    words = parser.parse_args()
+    if words.table is not None:
+        print_table(read(words.table))
+        return
+    if words.out is None:
+        parser.error("--out: give the file of the results")
+    sizes, started = TOY if words.toy else Sizes(words.steps), time.perf_counter()
+    outcomes = read(words.out)
+
+    def runs() -> Iterator[tuple[str, str, str, int]]:
+        """Ours first, then a seed of each of theirs, so that what the budget leaves out are seeds."""
+        for task in words.tasks:
+            for agent in words.agents:
+                if "ours" in words.sides:
+                    yield task, agent, "ours", 0
+        for seed in range(words.seeds if "theirs" in words.sides else 0):
+            for task in words.tasks:
+                for agent in words.agents:
+                    yield task, agent, "theirs", seed
+
+    for task, agent, side, seed in runs():
+        done = sum((each.task, each.agent, each.side) == (task, agent, side) for each in outcomes)
+        if done > seed:
+            continue
+        if time.perf_counter() - started > words.budget:
+            print("the budget is spent; the same command goes on", file=sys.stderr)
+            break
+        try:
+            found = ours(task, agent, sizes, words.seeds) if side == "ours" else theirs(task, agent, sizes, seed)
+        except UserError as error:
+            parser.error(str(error))
+        outcomes.append(found)
+        words.out.write_text(json.dumps([dataclasses.asdict(each) for each in outcomes]))
+    print_table(outcomes)
+
+
+if __name__ == "__main__":
+    main()
