@@ -41,6 +41,8 @@ class TD3Config:
     """Normalise what each ReLU of the critics gets."""
     bounded: bool = False
     """Keep targets between 0 and 1, and values of `product` by a sigmoid. Not for rewards other than 1 at the goal."""
+    behaviour: bool = False
+    """Keep the actor near the actions of the data, for recorded episodes (TD3+BC, Fujimoto & Gu 2021)."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -56,6 +58,9 @@ class TD3Hyperparameters:
     action_cost: Annotated[float, Number("[0, inf)", Search(0.001, 1.0, "log", always=False))] = 0.02
     """Weight of the mean squared action in the actor's loss. HER's own code has 1 beside returns of -1 a step, which
     with its discount of 0.98 are 50 times as large as values between 0 and 1."""
+    behaviour_alpha: Annotated[float, Number("(0, inf)", Search(0.25, 25.0, "log", always=False))] = 2.5
+    """With `behaviour`: the weight of values, in units of their mean size, beside the squared distance from the data's
+    actions; TD3+BC's own."""
 
 
 class Actor(nn.Module):
@@ -208,13 +213,14 @@ class Losses(NamedTuple):
     """critic: the loss of both critics; actor: minus the value of the actor's own actions [B, A], which may cost
     something beside it.
 
-    metrics: mean temporal-difference error and value, scalars.
+    metrics: mean temporal-difference error and value, scalars; values: of those actions, float32 [B].
     """
 
     critic: jax.Array
     actor: jax.Array
     actions: jax.Array
     metrics: dict[str, jax.Array]
+    values: jax.Array
 
 
 def losses(
@@ -234,9 +240,17 @@ def losses(
     values = critic.apply(params["critic"], inputs, action)
     inputs = jax.lax.stop_gradient(inputs)
     own = actor.apply(params["actor"], inputs)
-    expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0].mean()
+    expected = critic.apply(jax.lax.stop_gradient(params["critic"]), inputs, own)[0]
     metrics = error_metrics(values, target)
-    return Losses(critic_loss(values, target, huber), -expected, own, metrics)
+    return Losses(critic_loss(values, target, huber), -expected.mean(), own, metrics, expected)
+
+
+def near_behaviour(losses: Losses, action: jax.Array, alpha: jax.Array) -> Losses:
+    """The losses with an actor that stays near the actions [B, A] of the data: -lambda Q + mean (pi - a)^2, lambda =
+    alpha / mean |Q| (Eqs. 3 and 4 of TD3+BC)."""
+    size = jnp.abs(jax.lax.stop_gradient(losses.values)).mean()
+    weight = alpha / jnp.maximum(size, 1e-6)
+    return losses._replace(actor=weight * losses.actor + jnp.square(losses.actions - action).mean())
 
 
 def learn(
@@ -322,6 +336,8 @@ def make(config: TD3Config, env) -> Agent:
         learned = learn(
             actor, critic, params, target_params, batch, hyper.target_noise, key, config.huber, config.bounded
         )
+        if config.behaviour:
+            learned = near_behaviour(learned, batch.action, hyper.behaviour_alpha)
         cost = jnp.square(learned.actions).mean()
         metrics = learned.metrics | {"action_size": jnp.abs(learned.actions).mean()}
         return learned.critic + learned.actor + hyper.action_cost * cost, metrics
