@@ -32,6 +32,8 @@ class Trajectories:
     """bool [R, T], whether the time ran out with the transition."""
     decided: jax.Array
     """bool [R, T], whether the agent chose the action at t. A subgoal holds for several steps."""
+    failed: jax.Array | None = None
+    """bool [R, T], whether the episode failed with the transition; None where none can."""
 
     def episode(self) -> jax.Array:
         """Number of the episode that each observation belongs to, int32 [R, T + 1], counted from 0 in each row."""
@@ -55,7 +57,7 @@ class Transitions:
     mask: jax.Array
     """float32 [B, n], 1 for a step that was taken."""
     terminated: jax.Array
-    """bool [B], whether the last step reached the goal."""
+    """bool [B], whether the last step reached the goal, or failed: nothing follows."""
 
 
 def empty(example: Trajectories, buffer_epochs: int) -> Trajectories:
@@ -117,6 +119,8 @@ def transitions_at(
         earlier = jnp.cumsum(hit, axis=1, dtype=jnp.int32) - hit.astype(jnp.int32)
         mask = mask * (earlier == 0).astype(jnp.int32)  # Nothing counts after the first hit.
         last, terminated = first + mask.sum(1, dtype=jnp.int32) - 1, hit.any(1)
+    if buffer.failed is not None:
+        terminated = terminated | buffer.failed[row, last]
     return Transitions(
         observation=jax.tree.map(lambda leaf: leaf[row, first], buffer.observation),
         next_observation=jax.tree.map(lambda leaf: leaf[row, last + 1], buffer.observation),

@@ -127,8 +127,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int) -> Outcome:
         task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
     )
     name = f"jaxgcrl_{task}"
-    envs.register(name, lambda length: task_env)
-    presets.registry[name] = presets.continuous()
+    presets.register(name, task_env)
     collected = sizes.our_envs * sizes.our_steps
     per_evaluation = -(-sizes.steps // (sizes.evaluations * collected))
     config = presets.load(
@@ -146,9 +145,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int) -> Outcome:
     )
     hyper = config.hyper.replace(learning_rate=3e-4, discount=0.99, target_rate=0.005)
     hyper = hyper.replace(epsilon=0.1) if agent == "td3" else hyper.replace(epsilon=0.0)
-    config = dataclasses.replace(
-        config, env=dataclasses.replace(config.env, episode_length=sizes.episode_length), hyper=hyper
-    )
+    config = dataclasses.replace(config, hyper=hyper)
     train = make_train(config, task_env)
     keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
 

@@ -12,13 +12,16 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.data.archives import new_folder
+from infogoal_jax.data.episodes import Episodes
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.goals import MOST_CHANNELS
 
 POSES = ("rotation", "joints", "position", "detected")
 EPISODES_AT_ONCE = 256
@@ -153,6 +156,54 @@ def check_note(metadata: dict, path: str | os.PathLike) -> None:
         )
     if NOTE not in metadata:
         raise UserError(f"path = {str(path)!r}: its metadata has no {NOTE!r}; give a folder that to_minari wrote")
+
+
+def episodes_of(dataset: Any) -> Episodes:
+    """The episodes of a Minari dataset whose actions are vectors, for learning offline (data/episodes.py).
+
+    dataset: of `minari.load_dataset`. Observations are vectors, images uint8 with channels last or first, or
+    dictionaries: of a `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys.
+    Raises `UserError` for what cannot be read so.
+    """
+    recorded = [(one.observations, np.asarray(one.actions)) for one in dataset.iterate_episodes()]
+    require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
+    for observations, actions in recorded:
+        is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
+        if is_goal_env:
+            for name in ("achieved_goal", "desired_goal"):
+                columns.setdefault(f"{name}s", []).append(np.asarray(observations[name], np.float32))
+            observations = observations["observation"]
+        seen = as_array(observations)
+        require(
+            actions.ndim == 2 and len(seen) == len(actions) + 1,
+            "actions",
+            list(actions.shape),
+            f"give a vector for each of the {len(seen) - 1} steps of an episode",
+        )
+        columns["observations"].append(seen)
+        columns["actions"].append(np.pad(actions.astype(np.float32), ((0, 1), (0, 0))))
+        columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
+    different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
+    require(True not in different, "observations", "episodes of different shapes", "give one shape")
+    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    with_goals = {name: values for name, values in whole.items() if len(values) == len(whole["last"])}
+    return Episodes(**with_goals)
+
+
+def as_array(observations: Any) -> np.ndarray:
+    """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C]."""
+    if isinstance(observations, dict):
+        parts = [as_array(observations[name]) for name in sorted(observations)]
+        vectors = all(part.ndim == 2 for part in parts)
+        require(vectors, "observations", sorted(observations), "give vectors, or images alone, under their keys")
+        return np.concatenate(parts, 1)
+    found = np.asarray(observations)
+    if found.dtype == np.uint8 and found.ndim == 4:
+        channels_first = found.shape[1] <= MOST_CHANNELS < found.shape[3]
+        return np.moveaxis(found, 1, -1) if channels_first else found
+    require(found.dtype.kind in "fiub", "observations", str(found.dtype), "give numbers")
+    return found.reshape(len(found), -1).astype(np.float32)
 
 
 def from_minari(path: str | os.PathLike) -> FrameDataset:

@@ -154,13 +154,19 @@ def check(path: Positional[str]) -> int:
     """List everything that is wrong with a dataset.
 
     Args:
-        path: Folder of scenes of the Active Vision Dataset, or npz of an image dataset (docs/reference/datasets.md).
+        path: Folder of scenes of the Active Vision Dataset, or npz of an image dataset or of recorded episodes
+            (docs/reference/datasets.md).
 
     Returns:
         1 if anything is an error.
     """
+    from infogoal_jax.data import episodes
+
     is_file = Path(path).is_file() or Path(path).suffix == ".npz"
-    if is_file:
+    of_episodes = is_file and episodes.is_one(path)
+    if of_episodes:
+        find = episodes.check_episodes
+    elif is_file:
         from infogoal_jax.data.frames_check import check_frames as find
     else:
         from infogoal_jax.data.check import check_active_vision as find
@@ -170,7 +176,9 @@ def check(path: Positional[str]) -> int:
         print(f"{finding.severity:8s} {finding.where}: {finding.problem}")
     errors = sum(finding.severity == "error" for finding in findings)
     print(f"{path}: {counted(errors, 'error')}, {counted(len(findings) - errors, 'warning')}")
-    if is_file and not errors:
+    if of_episodes and not errors:
+        print(f"{path}: {episodes.describe(episodes.load(path))}")
+    elif is_file and not errors:
         from infogoal_jax.data import frames
 
         print_size(path, frames.load(path))

@@ -5,6 +5,9 @@ from functools import partial
 from typing import Any
 
 from infogoal_jax.envs import embodied_qa, joint_targets, object_manipulation, object_search, plane
+from infogoal_jax.envs.adapters import from_brax as from_brax
+from infogoal_jax.envs.adapters import from_jaxgcrl as from_jaxgcrl
+from infogoal_jax.envs.adapters import from_playground as from_playground
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig, TargetsConfig

@@ -40,6 +40,8 @@ def check_contract(env: Environment) -> None:
         checks.traced("env.step", env.step, state, action.struct), state, "the state of env.step", "that of env.reset"
     )
     check_flag(checks.traced("env.decides", env.decides, state), "env.decides")
+    if env.can_fail:
+        check_flag(checks.traced("env.failed", env.failed, state), "env.failed")
     if env.has_shortest_path:
         checks.returned(
             checks.traced("env.shortest_path", env.shortest_path, state), "env.shortest_path", Spec((), "int32")
@@ -67,7 +69,14 @@ def check_members(env: Environment) -> None:
         checks.whole(checks.called(f"env.{name}", getattr, env, name), f"env.{name}", 1, LARGEST_WHOLE)
     if env.num_observations is not None:
         checks.whole(env.num_observations, "env.num_observations", 1)
-    for name in ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path", "ends_at_goal"):
+    for name in (
+        "discrete",
+        "has_target_states",
+        "goals_are_observations",
+        "has_shortest_path",
+        "ends_at_goal",
+        "can_fail",
+    ):
         checks.flag(getattr(env, name), f"env.{name}")
     checks.text(env.source, "env.source", "say in words what the data is")
     recorded = type(env.recorded).__name__

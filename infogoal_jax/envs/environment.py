@@ -78,6 +78,8 @@ class Environment:
     ends_at_goal: bool = True
     """Whether reaching the goal ends the episode, which then is worth 1 once. False: an episode goes on to its length,
     every step at the goal is worth 1, and success is to be there at the end."""
+    can_fail = False
+    """Whether an episode may end in failure, such as a fall; then `failed` says which did."""
     num_cells: int = 1
     """Number of cells that what can be achieved is divided into, for learners that count visits."""
     has_target_states = False
@@ -133,6 +135,11 @@ class Environment:
         one = jax.eval_shape(lambda key: self.observe(self.reset(key)), jax.random.key(0))
         leaf, of_one = jax.tree.leaves(observation)[0], jax.tree.leaves(one)[0]
         return jnp.ones((*leaf.shape[: leaf.ndim - of_one.ndim], self.action_size), bool)
+
+    def failed(self, state: Any) -> jax.Array:
+        """Whether the episode has failed, bool; where `can_fail`. Nothing is worth anything after it. Its state is
+        `truncated`, since the goal was not reached."""
+        raise NotImplementedError
 
     def decides(self, state: Any) -> jax.Array:
         """Whether the next step follows a new decision of the agent, bool."""

@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.errors import require
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import GoalBox
+from infogoal_jax.replay import Trajectories
 from infogoal_jax.shapes import aligned
 
 STARTS = 8
@@ -28,6 +29,8 @@ class GoalTaskConfig:
     """Distance below which a goal is reached, in the units of goals."""
     ends_at_goal: bool = True
     """Whether reaching the goal ends the episode."""
+    dataset: str = ""
+    """File of recorded episodes to learn from offline (docs/reference/datasets.md); empty: the agent acts."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
@@ -48,7 +51,7 @@ class Episode:
     terminated: jax.Array
     """bool, the goal is reached, where that ends the episode."""
     truncated: jax.Array
-    """bool, the time is up, or the last step diverged."""
+    """bool, the time is up, the last step diverged, or the episode failed."""
     diverged: jax.Array
     """bool, the last step led to numbers that are not finite, and was taken back."""
 
@@ -66,9 +69,13 @@ class GoalTask(Environment):
     """Steps of an episode."""
     ends_at_goal: bool = flax.struct.field(pytree_node=False, default=True)
     """Whether reaching the goal ends the episode."""
+    recorded: Trajectories | None = flax.struct.field(default=None, kw_only=True)
+    """Recorded episodes to learn from, see recordings.py; None: the agent acts."""
 
     discrete = False
     source = "simulated"
+    starts = STARTS
+    """Starts that are drawn to find one at which the goal is not reached yet."""
 
     def begin(self, key: jax.Array) -> Any:
         """A world at the start of an episode."""
@@ -86,6 +93,26 @@ class GoalTask(Environment):
         """The goal that is achieved, float32 [D]."""
         raise NotImplementedError("achieved_goal")
 
+    def achieved_in(self, observation: jax.Array) -> jax.Array:
+        """The goal that is achieved where a recording saw this, float32 [D]; for recordings that do not tell it."""
+        remedy = "give the member achieved_goals, or write achieved_in"
+        raise UserError(
+            f"achieved_goals: is missing, and {type(self).__name__} cannot tell it from observations; {remedy}"
+        )
+
+    def recorded_observation(self, observations: Any) -> Any:
+        """What the agent sees of observations [N, ...] of a recording: the same."""
+        return observations
+
+    def fails(self, world: Any) -> jax.Array:
+        """Whether the episode has failed in this world, bool; where `can_fail`."""
+        raise NotImplementedError
+
+    def is_finite(self, world: Any) -> jax.Array:
+        """Whether all numbers of a world are finite, bool."""
+        floats = [leaf for leaf in jax.tree.leaves(world) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+        return jnp.stack([jnp.isfinite(leaf).all() for leaf in floats]).all() if floats else jnp.ones((), bool)
+
     def reset(self, key: jax.Array) -> Episode:
         """A new episode for a training goal."""
         goal_key, start_key = jax.random.split(key)
@@ -93,7 +120,7 @@ class GoalTask(Environment):
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> Episode:
         """A new episode for this goal [D]: the first of several starts at which it is not reached."""
-        worlds = jax.vmap(self.begin)(jax.random.split(key, STARTS))
+        worlds = jax.vmap(self.begin)(jax.random.split(key, self.starts))
         away = ~self.reached(jax.vmap(self.achieved_goal)(worlds), goal)
         return self.episode(jax.tree.map(lambda leaf: leaf[away.argmax()], worlds), goal)
 
@@ -113,15 +140,20 @@ class GoalTask(Environment):
         """One step. One that leads to numbers that are not finite is undone, and ends the episode."""
         action = action if self.discrete else jnp.clip(action, -1.0, 1.0)
         moved = self.move(state.world, action)
-        finite = [
-            jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(moved) if jnp.issubdtype(leaf.dtype, jnp.floating)
-        ]
-        diverged = ~jnp.stack(finite).all() if finite else jnp.zeros((), bool)
+        diverged = ~self.is_finite(moved)
         world = jax.tree.map(lambda old, new: jax.lax.select(diverged, old, new), state.world, moved)
         time = state.time + 1
         terminated = self.ends_at_goal & ~diverged & self.reached(self.achieved_goal(world), state.goal)
-        truncated = ((time >= self.episode_length) | diverged) & ~terminated
+        over = (time >= self.episode_length) | diverged
+        over = over | self.fails(world) if self.can_fail else over
+        truncated = over & ~terminated
         return state.replace(world=world, time=time, terminated=terminated, truncated=truncated, diverged=diverged)
+
+    def failed(self, state: Episode) -> jax.Array:
+        """Whether an episode, or each of episodes [E], has failed; one that reached its goal in the same step has
+        not."""
+        fails = jax.vmap(self.fails) if state.time.ndim else self.fails
+        return fails(state.world) & ~state.terminated
 
     def observe(self, state: Episode) -> jax.Array:
         """The stored observation; of one state, or of states [E]."""

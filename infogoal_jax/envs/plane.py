@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
+from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalBox
 
@@ -42,7 +43,8 @@ class PlaneConfig(GoalTaskConfig):
 
 def traits(config: PlaneConfig) -> Traits:
     """What a task in the plane can be combined with follows from these."""
-    return Traits(finite_goals=False, moves=False, ends_at_goal=config.ends_at_goal)
+    recorded = bool(config.dataset)
+    return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
 
 def use_of_place(goal: jax.Array) -> jax.Array:
@@ -60,7 +62,8 @@ class PointMaze(GoalTask):
     """A point moves up to 0.1 a step along each axis through rooms with walls and doors. Its world is its place [2]."""
 
     action_size = 2
-    source = "a maze of 3 x 3 rooms, simulated"
+    source: str = flax.struct.field(pytree_node=False, default="a maze of 3 x 3 rooms, simulated", kw_only=True)
+    """What is simulated, in words."""
 
     def begin(self, key: jax.Array) -> jax.Array:
         """Anywhere, but away from the walls."""
@@ -86,6 +89,10 @@ class PointMaze(GoalTask):
         """The place, from -1 to 1."""
         return place / (ROOMS / 2) - 1.0
 
+    def achieved_in(self, observation: jax.Array) -> jax.Array:
+        """The place."""
+        return (observation + 1.0) * (ROOMS / 2)
+
     def achieved_goal(self, place: jax.Array) -> jax.Array:
         """The place."""
         return place
@@ -110,7 +117,8 @@ class Reacher(GoalTask):
     angles."""
 
     action_size = 2
-    source = "an arm of two joints, simulated"
+    source: str = flax.struct.field(pytree_node=False, default="an arm of two joints, simulated", kw_only=True)
+    """What is simulated, in words."""
 
     def begin(self, key: jax.Array) -> jax.Array:
         """Any angles."""
@@ -124,6 +132,10 @@ class Reacher(GoalTask):
         """Sines and cosines of the angles, and the tip."""
         return jnp.concatenate([jnp.sin(angles), jnp.cos(angles), self.achieved_goal(angles) / 2])
 
+    def achieved_in(self, observation: jax.Array) -> jax.Array:
+        """The place of the tip."""
+        return 2 * observation[4:]
+
     def achieved_goal(self, angles: jax.Array) -> jax.Array:
         """The place of the tip, [2]."""
         first, second = angles[0], angles[0] + angles[1]
@@ -134,11 +146,11 @@ def make_maze(config: PlaneConfig) -> PointMaze:
     """The maze."""
     use_of = use_of_place if config.held_out else None
     goals = GoalBox.of([0.0, 0.0], [float(ROOMS)] * 2, use_of=use_of)
-    return PointMaze(goals, config.radius, config.episode_length, config.ends_at_goal)
+    return recorded_in(PointMaze(goals, config.radius, config.episode_length, config.ends_at_goal), config.dataset)
 
 
 def make_reacher(config: PlaneConfig) -> Reacher:
     """The task of the arm."""
     use_of = use_of_quarter if config.held_out else None
     goals = GoalBox.of([-2.0, -2.0], [2.0, 2.0], sampler=draw_in_reach, use_of=use_of)
-    return Reacher(goals, config.radius, config.episode_length, config.ends_at_goal)
+    return recorded_in(Reacher(goals, config.radius, config.episode_length, config.ends_at_goal), config.dataset)

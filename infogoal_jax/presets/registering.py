@@ -6,6 +6,7 @@ from infogoal_jax import checks, envs
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
+from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import require
 from infogoal_jax.presets import plane, registry
 from infogoal_jax.presets.preset import Preset
@@ -26,7 +27,11 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     require(isinstance(env, GoalTask), "env", type(env).__name__, "give a GoalTask; see docs/guides/own_task.md")
     checked = preset is None or isinstance(preset, Preset)
     require(checked, "preset", preset, "give a presets.Preset, or None")
-    fields = {field.name: (field.type, getattr(env, field.name)) for field in dataclasses.fields(GoalTaskConfig)}
+    fields = {
+        field.name: (field.type, getattr(env, field.name))
+        for field in dataclasses.fields(GoalTaskConfig)
+        if field.name != "dataset"
+    }
     config = dataclasses.make_dataclass(
         f"{type(env).__name__}Config",
         [(name, *of_field) for name, of_field in fields.items()],
@@ -38,10 +43,11 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     check_contract(env)
 
     def make(config: GoalTaskConfig) -> GoalTask:
-        return env.replace(**{field: getattr(config, field) for field in fields})
+        return recorded_in(env.replace(**{field: getattr(config, field) for field in fields}), config.dataset)
 
     def traits(config: GoalTaskConfig) -> Traits:
-        return Traits(finite_goals=False, moves=env.discrete, ends_at_goal=config.ends_at_goal)
+        recorded = bool(config.dataset) or env.recorded is not None
+        return Traits(finite_goals=False, moves=env.discrete, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
     envs.registry[name] = Entry(config, make, traits=traits)
     registry[name] = default_preset(env) if preset is None else preset

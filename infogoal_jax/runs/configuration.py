@@ -9,9 +9,11 @@ from typing import Any
 from infogoal_jax import imports, presets
 from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.agents.hrac import HRACConfig
+from infogoal_jax.agents.td3 import TD3Config, TD3Hyperparameters
 from infogoal_jax.config import Hyperparameters, TrainConfig
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig
 from infogoal_jax.envs.fetch.tasks import FetchConfig
+from infogoal_jax.envs.goal_task import GoalTaskConfig
 from infogoal_jax.envs.object_manipulation import ObjectManipulationConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.field_types import hints_of
@@ -48,6 +50,9 @@ ADDED: dict[type, dict[str, Any]] = {
     ObjectManipulationConfig: {"privileged": False},
     EmbodiedQAConfig: {"gathered": False},
     FetchConfig: {"held_out": "nothing"},
+    GoalTaskConfig: {"dataset": ""},
+    TD3Config: {"behaviour": False},
+    TD3Hyperparameters: {"behaviour_alpha": 2.5},
 }
 """Fields that a record of this format did not have from the beginning, each with the value that says what was done
 before. It stays when a default changes. Any other field that a file lacks is refused."""

@@ -87,6 +87,8 @@ def collect(env, env_states, policy: Policy, key: jax.Array, num_steps: int):
             "truncated": ~finished & stepped.truncated,
             "decided": env.decides(states),
         }
+        if env.can_fail:
+            outcome["failed"] = ~finished & env.failed(stepped)
         return following, outcome
 
     env_states, outcomes = jax.lax.scan(step, env_states, jax.random.split(key, num_steps))
@@ -111,6 +113,8 @@ def rows_shape(env, env_states, policy: Policy, num_steps: int) -> Trajectories:
             "truncated": flag,
             "decided": flag,
         }
+        if env.can_fail:
+            steps["failed"] = flag
         ends = {"observation": env.observe(states), "record": env.achieved(states)}
         steps = jax.tree.map(lambda leaf: repeated(leaf, num_steps), steps)
         ends = jax.tree.map(lambda leaf: repeated(leaf, num_steps + 1), ends)

@@ -1,0 +1,410 @@
+"""Environments of brax, of MuJoCo Playground and of JaxGCRL as tasks with continuous goals: `from_brax`,
+`from_playground`, `from_jaxgcrl`. docs/guides/bridges.md trains on one.
+
+Such an environment shows its goal among its observations. Here the goal is apart: the agent is told which goal is
+desired, hindsight changes it, and the observation is what is left. Rewards are 1 at the goal. Their own training
+wrappers reset an episode to the first state that they ever drew, goal included; here every episode begins with a reset
+of its own.
+"""
+
+import dataclasses
+import importlib
+import importlib.util
+import sys
+import types
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from infogoal_jax import checks
+from infogoal_jax.envs.goal_task import Episode, GoalTask
+from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.goals import EVALUATED_GOALS, GoalBox
+from infogoal_jax.keys import from_seed
+
+Places = int | slice | Sequence[int] | str
+"""Places of the flattened observation, or the key of an observation that is a dictionary."""
+Reading = Places | Callable[[Any], jax.Array]
+"""Where numbers are read: places of the observation, or a function of the environment's state."""
+GOALS_DRAWN = 4096
+"""Goals that are drawn of an environment's own, to find how far they spread."""
+MARGIN = 0.05
+"""How far the goal space goes beyond those, as a fraction of their spread."""
+WRAPPED = ("first_obs", "first_pipeline_state", "AutoResetWrapper_first_obs", "steps", "truncation")
+"""Entries of `info` that the training wrappers of brax and Playground make."""
+
+
+@flax.struct.dataclass
+class AdaptedTask(GoalTask):
+    """An environment of another library as a task. Its world is the environment's own state."""
+
+    env: Any = flax.struct.field(pytree_node=False, default=None)
+    """The environment: `reset(rng) -> state` and `step(state, action) -> state`, with `obs` and `done` in the state."""
+    read_goal: Callable[[Any], jax.Array] = flax.struct.field(pytree_node=False, default=None)
+    """(the environment's state) -> the goal that it has drawn, float32 [D]."""
+    read_achieved: Callable[[Any], jax.Array] = flax.struct.field(pytree_node=False, default=None)
+    """(the environment's state) -> the goal that it achieves, float32 [D]."""
+    read_recorded: Callable[[Any], jax.Array] | None = flax.struct.field(pytree_node=False, default=None)
+    """(flattened observation) -> the goal that it achieves, float32 [D]; None: `achieved` is no places of it."""
+    shown: tuple[int, ...] = flax.struct.field(pytree_node=False, default=())
+    """Places of the flattened observation that the agent sees."""
+    own_goals: bool = flax.struct.field(pytree_node=False, default=True)
+    """Whether training goals are those that the environment draws with each start, of one reset."""
+    starts: int = flax.struct.field(pytree_node=False, default=1)
+    """Starts that are drawn to find one at which the goal is not reached; each costs a reset of the environment."""
+    action_size: int = flax.struct.field(pytree_node=False, default=1)
+    """Size of an action, each number from -1 to 1."""
+    source: str = flax.struct.field(pytree_node=False, default="simulated")
+    """What is simulated, in words."""
+
+    can_fail = True
+
+    def reset(self, key: jax.Array) -> Episode:
+        """A new episode for a training goal: with one reset of the environment, where its own goals are desired."""
+        if not self.own_goals:
+            return super().reset(key)
+        world = self.begin(key)
+        return self.started(world, self.read_goal(world))
+
+    def begin(self, key: jax.Array) -> Any:
+        """A state of the environment, with numbers of fixed types."""
+        return with_types(self.env.reset(raw(key)))
+
+    def move(self, world: Any, action: jax.Array) -> Any:
+        """The state after an action. The environment is given dictionaries of its own, since it may write into
+        them."""
+        moved = self.env.step(jax.tree.map(lambda leaf: leaf, world), action)
+        return jax.tree.map(lambda old, new: jnp.asarray(new, old.dtype), world, moved)
+
+    def observation(self, world: Any) -> jax.Array:
+        """The flattened observation, without what tells of the goal."""
+        return flat(world.obs)[np.array(self.shown, np.int32)]
+
+    def achieved_goal(self, world: Any) -> jax.Array:
+        """The goal that is achieved."""
+        return self.read_achieved(world)
+
+    def achieved_in(self, observation: jax.Array) -> jax.Array:
+        """The goal that is achieved where this was seen, the whole flattened observation."""
+        return super().achieved_in(observation) if self.read_recorded is None else self.read_recorded(observation)
+
+    def recorded_observation(self, observations: np.ndarray) -> np.ndarray:
+        """What the agent sees of whole observations [N, F] of a recording, or of those that show just that."""
+        whole = observations.shape[-1] > len(self.shown)
+        return observations[..., np.array(self.shown, np.int32)] if whole else observations
+
+    def fails(self, world: Any) -> jax.Array:
+        """Whether the environment has set `done`."""
+        return world.done > 0
+
+    def is_finite(self, world: Any) -> jax.Array:
+        """Whether what is seen and achieved is finite: other numbers of a simulator may be infinite by design."""
+        return jnp.isfinite(self.observation(world)).all() & jnp.isfinite(self.achieved_goal(world)).all()
+
+
+def from_brax(
+    env: Any,
+    *,
+    goal: Reading,
+    achieved: Reading,
+    radius: float,
+    hidden: Places = (),
+    episode_length: int = 1000,
+    ends_at_goal: bool = True,
+    low: Any = None,
+    high: Any = None,
+    held_out: Callable[[jax.Array], jax.Array] | None = None,
+    num_evaluated: int = EVALUATED_GOALS,
+    starts: int = 1,
+    source: str = "",
+) -> AdaptedTask:
+    """An environment of brax, without training wrappers, as a task.
+
+    goal: where the goal [D] stands that the environment draws: places of the observation, which the agent then does not
+        see, or a function of its state. achieved: where the goal stands that a state achieves.
+    radius: distance below which a goal is reached. hidden: further places that tell of the goal, such as the way to it.
+    episode_length: steps of an episode. ends_at_goal: whether reaching the goal ends it. Where the environment sets
+        `done` and the goal is not reached, the episode has failed: nothing is worth anything after it.
+    low, high: corners [D] between which training goals are drawn uniformly; None: the environment's own goals.
+    held_out: (goal [D]) -> whether no training goal lies there, see `GoalBox.of`; own goals then come from 4,096 that
+        were drawn once. num_evaluated: goals of each use that an evaluation asks for.
+    starts: starts that are drawn to find one at which the goal is not reached.
+
+    Observations that are pytrees are flattened in the order of `jax.tree.leaves`, which sorts the keys of dictionaries.
+    Raises `UserError`, naming the argument, for what the environment does not have.
+    """
+    for name in ("reset", "step", "action_size"):
+        require(hasattr(env, name), "env", type(env).__name__, f"has no {name}: give an environment of brax")
+    checks.number(radius, "radius", 0.0)
+    require(radius > 0, "radius", radius, "give a distance greater than 0")
+    checks.whole(episode_length, "episode_length", 1)
+    checks.whole(starts, "starts", 1)
+    checks.flag(ends_at_goal, "ends_at_goal")
+    require((low is None) == (high is None), "high", high, "give both low and high, or neither")
+    state = checked_state(env)
+    layout = Layout.of(state.obs)
+    read_goal, told = layout.reader(goal, "goal")
+    read_achieved, of_achieved = layout.reader(achieved, "achieved")
+    goal_size, achieved_size = (
+        sizes_of(read, state, name) for read, name in ((read_goal, "goal"), (read_achieved, "achieved"))
+    )
+    require(goal_size == achieved_size, "achieved", achieved_size, f"give as many numbers as goal has, {goal_size}")
+    told = {*told, *layout.places(hidden, "hidden")}
+    shown = tuple(place for place in range(layout.size) if place not in told)
+    require(len(shown) > 0, "hidden", sorted(told), "leave something of the observation to see")
+    task = AdaptedTask(
+        goals=None,
+        radius=float(radius),
+        episode_length=episode_length,
+        ends_at_goal=ends_at_goal,
+        env=env,
+        read_goal=read_goal,
+        read_achieved=read_achieved,
+        read_recorded=partial(taken, of_achieved) if of_achieved else None,
+        shown=shown,
+        own_goals=low is None and held_out is None,
+        starts=starts,
+        action_size=int(env.action_size),
+        source=source or f"{type(getattr(env, 'unwrapped', env)).__name__}, simulated",
+    )
+    sampler = None
+    if low is None:
+        drawn = drawn_goals(task)
+        spread = np.maximum(MARGIN * np.ptp(drawn, 0), radius)
+        low, high = drawn.min(0) - spread, drawn.max(0) + spread
+        sampler = partial(one_of, drawn)
+    goals = GoalBox.of(low, high, sampler=sampler, use_of=held_out, num_evaluated=num_evaluated)
+    require(goals.shape == (goal_size,), "low", np.shape(low), f"give as many numbers as goal has, {goal_size}")
+    return task.replace(goals=goals)
+
+
+def from_playground(env: Any, *, config_overrides: dict[str, Any] | None = None, **arguments: Any) -> AdaptedTask:
+    """An environment of MuJoCo Playground as a task: the environment, or its name there, such as "ReacherEasy". It is
+    then simulated by MJX in JAX, not by Warp, unless `config_overrides` says otherwise. arguments: of `from_brax`.
+
+    Raises `UserError` as `from_brax`, where Playground is not installed, and for a name that it does not have.
+    """
+    if isinstance(env, str):
+        registry = imported("mujoco_playground", 'pip install "infogoal-jax[playground]"').registry
+        known = [*registry.ALL_ENVS]
+        require(env in known, "env", env, f"Playground has no such environment.{nearest(env, known)}")
+        name, overrides = env, {"impl": "jax"} | (config_overrides or {})
+        env = checks.called("env", lambda: registry.load(name, config_overrides=overrides))
+        arguments = {"source": f"{name} of MuJoCo Playground, simulated"} | arguments
+    else:
+        require(config_overrides is None, "config_overrides", config_overrides, "give env by its name, or leave it out")
+    return from_brax(env, **arguments)
+
+
+JAXGCRL = {
+    "reacher": ("reacher", "Reacher", {"backend": "generalized"}),
+    "ant": ("ant", "Ant", {"backend": "spring"}),
+    "ant_ball": ("ant_ball", "AntBall", {"backend": "spring"}),
+    "ant_push": ("ant_push", "AntPush", {"backend": "mjx"}),
+    "humanoid": ("humanoid", "Humanoid", {"backend": "spring"}),
+    "cheetah": ("half_cheetah", "Halfcheetah", {}),
+    "pusher_easy": ("pusher", "Pusher", {"backend": "generalized", "kind": "easy"}),
+    "pusher_hard": ("pusher", "Pusher", {"backend": "generalized", "kind": "hard"}),
+    "pusher_reacher": ("pusher", "PusherReacher", {"backend": "generalized"}),
+    **{
+        f"arm_{name}": (f"manipulation.arm_{name}", f"Arm{name.title().replace('_', '')}", {"backend": "mjx"})
+        for name in ("reach", "grasp", "push_easy", "push_hard", "binpick_easy", "binpick_hard")
+    },
+    **{
+        f"{body}_{maze}": (module, kind, {"backend": "spring", "maze_layout_name": maze})
+        for body, module, kind in (
+            ("ant", "ant_maze", "AntMaze"),
+            ("humanoid", "humanoid_maze", "HumanoidMaze"),
+            ("simple", "simple_maze", "SimpleMaze"),
+        )
+        for maze in ("u_maze", "big_maze", "hardest_maze")
+    },
+}
+"""The environments of JaxGCRL by its own names: module, class and arguments, as its `create_env` has them. Left out are
+`ant_random_start`, which starts beside its own goal, where an evaluation asks for others, and `pusher2`, which has a
+radius for each of two things."""
+RADII = {"pusher_reacher": 0.1, "humanoid_u_maze": 0.5, "humanoid_big_maze": 0.5, "humanoid_hardest_maze": 0.5}
+"""Of those that have no `goal_reach_thresh`: what their `success` is computed with."""
+
+
+def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
+    """An environment of JaxGCRL as a task, by its name there. Goals, what achieves them, the radius and the length of
+    an episode, 1,001 steps that go on at the goal, are its own; arguments: of `from_brax`, to change them.
+
+    `pip install --no-deps jaxgcrl`: its package asks for an old jax and NumPy, and works with today's, see
+    `import_jaxgcrl`.
+    Raises `UserError` as `from_brax`, where JaxGCRL is not installed, and for a name that it does not have.
+    """
+    require(isinstance(name, str) and name in JAXGCRL, "name", name, f"{nearest(str(name), [*JAXGCRL])} Known: {KNOWN}")
+    module, kind, given = JAXGCRL[name]
+    package = import_jaxgcrl(f"jaxgcrl.envs.{module}")
+    made = getattr(package, kind)
+    if name.startswith("arm_"):  # It looks for its models from the folder that one is in.
+        own_path, folder = made._get_xml_path, Path(sys.modules["jaxgcrl"].__file__).parent
+        made = type(kind, (made,), {"_get_xml_path": lambda self: str(folder / own_path(self))})
+    env = checks.called("name", lambda: made(**given))
+    # Its observation is the state and then the goal; `goal_indices` are places of the state.
+    own = {
+        "goal": slice(int(env.state_dim), None),
+        "achieved": [int(place) for place in np.asarray(env.goal_indices)],
+        "radius": float(getattr(env, "goal_reach_thresh", RADII.get(name))),
+        "episode_length": 1001,
+        "ends_at_goal": False,
+        "source": f"{name} of JaxGCRL, simulated",
+    }
+    return from_brax(env, **(own | arguments))
+
+
+KNOWN = ", ".join(JAXGCRL)
+
+
+def import_jaxgcrl(module: str) -> Any:
+    """A module of JaxGCRL 0.2.8. While it is imported, stand-ins take the place of what its package imports and is not
+    there: `brax.v1`, which brax 0.14 has no longer and which only types are taken from, and the loggers of Weights &
+    Biases. Raises `UserError` where JaxGCRL is not installed."""
+    brax_envs = imported("brax.envs", "pip install brax")
+    stand_ins = {
+        "brax.v1": {"envs": brax_envs},
+        "wandb": {},
+        "wandb_osh": {},
+        "wandb_osh.hooks": {"TriggerWandbSyncHook": object},
+    }
+    missing = [name for name in stand_ins if not is_there(name)]
+    for name in missing:
+        sys.modules[name] = types.ModuleType(name)
+        vars(sys.modules[name]).update(stand_ins[name])
+    try:
+        return imported(module, "pip install --no-deps jaxgcrl")
+    finally:
+        for name in missing:
+            del sys.modules[name]
+
+
+def is_there(module: str) -> bool:
+    """Whether a module can be imported."""
+    try:
+        return module in sys.modules or importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # Of what it is part of.
+        return False
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """How an observation is flattened. size: its numbers; keys: the places of each key of a dictionary."""
+
+    size: int
+    keys: dict[str, tuple[int, ...]]
+
+    @classmethod
+    def of(cls, observation: Any) -> "Layout":
+        """The layout of an observation of these shapes."""
+        sizes = [int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(observation)]
+        require(sum(sizes) > 0, "env", "an observation of no numbers", "give an environment with observations")
+        numbers = np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1])
+        named = jax.tree.unflatten(jax.tree.structure(observation), numbers)
+        keys = named if isinstance(observation, dict) else {}
+        return cls(sum(sizes), {key: tuple(np.concatenate(jax.tree.leaves(part))) for key, part in keys.items()})
+
+    def places(self, given: Places, field: str) -> tuple[int, ...]:
+        """The places that are meant, each from 0 to below `size`."""
+        if isinstance(given, str):
+            require(given in self.keys, field, given, f"the observation has the keys {', '.join(self.keys) or 'none'}")
+            return self.keys[given]
+        if isinstance(given, slice):
+            return tuple(range(self.size)[given])
+        remedy = f"give places of the observation, which has {self.size} numbers, or the key of a dictionary"
+        try:
+            several = np.atleast_1d(np.asarray(given if np.ndim(given) == 0 else list(given)))
+        except (TypeError, ValueError) as error:
+            raise UserError(f"{field} = {given!r}: {remedy}") from error
+        if not several.size:
+            return ()
+        require(several.dtype.kind in "iu" and several.ndim == 1, field, given, remedy)
+        require(((several >= -self.size) & (several < self.size)).all(), field, given, remedy)
+        return tuple(int(place) % self.size for place in several)
+
+    def reader(self, given: Reading, field: str) -> tuple[Callable[[Any], jax.Array], tuple[int, ...]]:
+        """What reads the numbers of a state, and the places of the observation that it reads."""
+        if callable(given):
+            function = checks.function(given, field, 1, "give a function of the environment's state")
+            return lambda state: jnp.ravel(jnp.asarray(function(state), jnp.float32)), ()
+        places = self.places(given, field)
+        require(len(places) > 0, field, given, "give at least one place of the observation")
+        return lambda state: flat(state.obs)[np.array(places, np.int32)], places
+
+
+def flat(observation: Any) -> jax.Array:
+    """The numbers of an observation, float32 [F], in the order of `jax.tree.leaves`."""
+    return jnp.concatenate([jnp.ravel(jnp.asarray(leaf, jnp.float32)) for leaf in jax.tree.leaves(observation)])
+
+
+def taken(places: tuple[int, ...], observation: jax.Array) -> jax.Array:
+    """The numbers at these places of a flattened observation."""
+    return observation[np.array(places, np.int32)]
+
+
+def raw(key: jax.Array) -> jax.Array:
+    """The words of a key, which these environments draw from."""
+    return jax.random.key_data(key) if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else key
+
+
+def with_types(state: Any) -> Any:
+    """The state with arrays in the place of Python's numbers, whose types would change with the first step."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), state)
+
+
+def checked_state(env: Any) -> Any:
+    """The shapes of a state of the environment. Raises `UserError` for an environment that cannot be stepped over and
+    over, and for one with training wrappers around it."""
+    state = checks.traced("env.reset", lambda key: with_types(env.reset(key)), checks.Spec((2,), "uint32").struct)
+    for name in ("obs", "done"):
+        require(hasattr(state, name), "env.reset", type(state).__name__, f"returns a state without {name}")
+    wrappers = [name for name in WRAPPED if name in (getattr(state, "info", None) or {})]
+    remedy = "has training wrappers, which reset to one cached start; give the environment itself"
+    require(not wrappers, "env", type(env).__name__, remedy)
+    action = checks.Spec((int(env.action_size),), "float32").struct
+    again = checks.traced("env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action)
+    checks.same_shapes(without_types(again), without_types(state), "the state of env.step", "that of env.reset")
+    return state
+
+
+def copied(state: Any) -> Any:
+    """The same state with dictionaries of its own."""
+    return jax.tree.map(lambda leaf: leaf, state)
+
+
+def without_types(state: Any) -> Any:
+    """The shapes of a state alone: types are those of the first."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, jnp.float32), state)
+
+
+def sizes_of(read: Callable[[Any], jax.Array], state: Any, field: str) -> int:
+    """How many numbers are read of a state."""
+    return checks.traced(field, read, state).shape[0]
+
+
+def drawn_goals(task: AdaptedTask) -> np.ndarray:
+    """Goals that the environment draws, float32 [M, D]."""
+    keys = jax.random.split(from_seed(np.uint32(0)), GOALS_DRAWN)
+    drawn = np.asarray(jax.jit(jax.vmap(lambda key: task.read_goal(task.begin(key))))(keys))
+    require(np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset")
+    return drawn
+
+
+def one_of(goals: np.ndarray, key: jax.Array) -> jax.Array:
+    """One of these goals [M, D], each equally likely."""
+    return jnp.asarray(goals)[jax.random.randint(key, (), 0, len(goals), jnp.int32)]
+
+
+def imported(module: str, remedy: str) -> Any:
+    """An optional module. Raises `UserError` with the remedy where it, or what it needs, cannot be imported."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise UserError(f"{module}: cannot be imported ({error}); {remedy}") from error

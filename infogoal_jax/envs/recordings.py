@@ -1,0 +1,123 @@
+"""Recorded episodes (data/episodes.py) as what an agent learns from: `with_recordings` makes of a task with continuous
+goals the same task to be learned offline. It is simulated in evaluations alone."""
+
+import dataclasses
+
+import jax
+import numpy as np
+
+from infogoal_jax.data.archives import content_of
+from infogoal_jax.data.episodes import Episodes, load
+from infogoal_jax.envs.goal_task import GoalTask
+from infogoal_jax.errors import UserError, require
+from infogoal_jax.replay import Trajectories
+
+
+def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTask:
+    """The task with recordings to learn from. seed: of desired goals, where the recordings tell none: each episode then
+    has a training goal of the task.
+
+    What was achieved is read from the file, or else from its observations by `GoalTask.achieved_in`. Raises `UserError`
+    for recordings of another task.
+    """
+    require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
+    require(isinstance(task, GoalTask), "task", type(task).__name__, "give a GoalTask")
+    seen, size = jax.eval_shape(lambda key: task.observe(task.reset(key)), jax.random.key(0)), task.goals.shape[0]
+    observations = task.recorded_observation(episodes.observations)
+    require(
+        observations.shape[1:] == seen.shape and observations.dtype == seen.dtype,
+        "observations",
+        f"{observations.dtype} {list(observations.shape[1:])}",
+        f"the task has {seen.dtype} {list(seen.shape)}",
+    )
+    require(
+        not task.discrete and episodes.actions.shape[1] == task.action_size,
+        "actions",
+        episodes.actions.shape[1],
+        f"the task has {task.action_size} {'moves' if task.discrete else 'numbers in an action'}",
+    )
+    achieved = episodes.achieved_goals
+    if achieved is None:
+        achieved = np.asarray(jax.jit(jax.vmap(task.achieved_in))(episodes.observations))
+    for name, goals in (("achieved_goals", achieved), ("desired_goals", episodes.desired_goals)):
+        fits = goals is None or goals.shape[1:] == (size,)
+        require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
+    rows = rows_of(task, observations, achieved, episodes, seed)
+    # Of a task whose source is settled by its class, nothing says which recordings it had.
+    told = "source" in {field.name for field in dataclasses.fields(task)}
+    content = content_of(episodes.observations, episodes.actions)
+    said = {"source": f"{task.source}; learned from recordings {content}"} if told else {}
+    return task.replace(recorded=jax.tree.map(jax.device_put, rows), **said)
+
+
+def recorded_in(task: GoalTask, path: str) -> GoalTask:
+    """The task, with the recordings of this file to learn from; empty: as it is. Raises `UserError`, naming the file,
+    for what cannot be used."""
+    if not path:
+        return task
+    try:
+        return with_recordings(task, load(path))
+    except UserError as error:
+        raise UserError(f"env.dataset = {path!r}: {error}") from error
+
+
+def rows_of(
+    task: GoalTask, observations: np.ndarray, achieved: np.ndarray, episodes: Episodes, seed: int
+) -> Trajectories:
+    """The episodes as rows as long as the longest of them, each with as many whole episodes as follow each other in
+    it."""
+    lengths = episodes.lengths + 1
+    width = int(lengths.max())
+    row, column, place, filled = np.zeros(len(lengths), int), np.zeros(len(lengths), int), 0, 0
+    for number, length in enumerate(lengths):
+        if filled + length > width:
+            place, filled = place + 1, 0
+        row[number], column[number] = place, filled
+        filled += length
+    steps = np.concatenate([np.arange(length) for length in lengths])
+    rows, columns = np.repeat(row, lengths), np.repeat(column, lengths) + steps
+    shape = (place + 1, width)
+
+    def laid_out(values: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """The values [N, ...] at their places, [R, T, ...]."""
+        found = np.zeros((*shape, *values.shape[1:]), values.dtype)
+        inside = columns < shape[1]
+        found[rows[inside], columns[inside]] = values[inside]
+        return found
+
+    desired = episodes.desired_goals
+    if desired is None:
+        keys = jax.random.split(jax.random.key(seed), len(lengths))
+        desired = np.repeat(np.asarray(jax.jit(jax.vmap(task.goals.draw))(keys)), lengths, 0)
+    last = episodes.last
+    before_last = np.append(last[1:], False) & ~last
+    within = (shape[0], shape[1] - 1)
+    none = np.zeros(within, bool)
+    valid = laid_out(~last, within)
+    return Trajectories(
+        observation=laid_out(observations, shape),
+        record=laid_out(achieved, shape),
+        action=laid_out(np.clip(episodes.actions, -1.0, 1.0), within),
+        goal=laid_out(desired, within),
+        valid=valid,
+        terminated=none,
+        truncated=laid_out(before_last, within),
+        decided=valid,
+    )
+
+
+def episodes_of(rows: Trajectories) -> Episodes:
+    """The episodes of rows that a task with continuous goals was collected in, to be saved: those of at least one
+    step."""
+    rows = jax.device_get(rows)
+    follows = rows.valid  # [R, T], whether an observation is followed by the next of its episode.
+    led_to = np.pad(follows, ((0, 0), (1, 0)))
+    goes_on = np.pad(follows, ((0, 0), (0, 1)))
+    kept = led_to | goes_on
+    action = np.pad(rows.action, ((0, 0), (0, 1), (0, 0)))
+    # The last observation of an episode has the goal of the transition that led to it.
+    goal = np.where(
+        goes_on[..., None], np.pad(rows.goal, ((0, 0), (0, 1), (0, 0))), np.pad(rows.goal, ((0, 0), (1, 0), (0, 0)))
+    )
+    require(bool(kept.any()), "rows", "no transitions", "give rows of at least one step")
+    return Episodes(rows.observation[kept], action[kept], ~goes_on[kept], rows.record[kept], goal[kept])

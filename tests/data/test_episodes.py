@@ -1,0 +1,220 @@
+"""Recorded episodes in OGBench's layouts: what is read is what was recorded, and everything wrong is said at once."""
+
+import io
+import zipfile
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from infogoal_jax import UserError, envs
+from infogoal_jax.__main__ import main
+from infogoal_jax.data import episodes
+from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
+from infogoal_jax.envs.recordings import episodes_of, with_recordings
+from infogoal_jax.replay import steps_left
+from infogoal_jax.train.rollout import collect
+
+LENGTHS = (3, 1, 5)
+"""Steps of the episodes."""
+ENDS = np.cumsum(np.array(LENGTHS) + 1) - 1
+
+
+def recorded(**changes) -> dict[str, np.ndarray]:
+    """Members of a file: an observation is 10 * episode + step, an action a tenth of that, as OGBench writes them."""
+    seen = np.concatenate([10 * number + np.arange(length + 1) for number, length in enumerate(LENGTHS)])
+    terminals = np.zeros(len(seen), np.float32)
+    terminals[ENDS] = 1
+    observations = np.stack([seen, -seen], 1).astype(np.float32)
+    return {"observations": observations, "actions": observations[:, :1] / 100, "terminals": terminals} | changes
+
+
+def in_memory(kind: str) -> dict[str, np.ndarray]:
+    """What `ogbench.load_dataset` makes of the file: its own lines, on these members."""
+    dataset = recorded()
+    following = np.concatenate([dataset["terminals"][1:], [1.0]])
+    if kind == "compact":
+        return dataset | {
+            "valids": 1.0 - dataset["terminals"],
+            "terminals": np.minimum(dataset["terminals"] + following, 1.0),
+        }
+    inside = (1.0 - dataset["terminals"]).astype(bool)
+    led_to = np.concatenate([[False], inside[:-1]])
+    return {
+        "next_observations": dataset["observations"][led_to],
+        "observations": dataset["observations"][inside],
+        "actions": dataset["actions"][inside],
+        "terminals": following[inside],
+    }
+
+
+def test_a_file_is_read_as_it_was_written(tmp_path):
+    made = of_arrays(recorded())
+    save(tmp_path / "walks.npz", made)
+    read = load(tmp_path / "walks.npz")
+    assert read.lengths.tolist() == list(LENGTHS)
+    for name, array in recorded().items():
+        assert np.array_equal(read.members()[name], array)
+    assert check_episodes(tmp_path / "walks.npz") == []
+
+
+@pytest.mark.parametrize("kind", ["compact", "regular"])
+def test_the_layouts_in_memory_are_the_same_episodes(kind):
+    found, expected = of_arrays(in_memory(kind)), of_arrays(recorded())
+    assert np.array_equal(found.observations, expected.observations) and np.array_equal(found.last, expected.last)
+    assert np.array_equal(found.actions[~found.last], expected.actions[~found.last])
+
+
+def test_images_stay_bytes():
+    images = np.arange(len(recorded()["actions"]) * 48, dtype=np.uint8).reshape(-1, 4, 4, 3)
+    made = Episodes(images, recorded()["actions"], recorded()["terminals"])
+    assert made.observations.dtype == np.uint8
+    assert made.nbytes == images.nbytes + 4 * len(images) + len(images)  # An action is 4 bytes, an end 1.
+    assert "4 x 4 x 3 uint8" in episodes.describe(made)
+
+
+SEEN = recorded()["observations"]
+HOLE = np.where(np.arange(len(SEEN))[:, None] == 4, np.nan, SEEN).astype(np.float32)
+FAULTS = {
+    "a member is missing": ({"actions": None}, ["actions: is missing"]),
+    "nan": ({"observations": HOLE}, ["observations[4]: is not finite as float32, as 1 of 12 rows"]),
+    "too large for float32": ({"observations": SEEN.astype(np.float64) * 1e300}, ["is not finite as float32"]),
+    "whole numbers": ({"observations": SEEN.astype(np.int64)}, ["observations: is int64 [12, 2]; give vectors"]),
+    "one axis": ({"observations": SEEN[:, 0]}, ["observations: is float32 [12]; give vectors"]),
+    "complex": ({"actions": SEEN + 1j}, ["actions: is complex128; give numbers"]),
+    "moves": ({"actions": np.zeros(12, np.int32)}, ["actions: is int32 [12]; give vectors float32 [N, A]"]),
+    "large actions": ({"actions": SEEN}, ["and 8 rows go beyond -1 to 1"]),
+    "lengths": ({"actions": np.zeros((11, 1))}, ["lengths: disagree: observations 12, actions 11, terminals 12"]),
+    "no end": ({"terminals": np.zeros(12)}, ["terminals: no episode ends"]),
+    "open end": ({"terminals": np.eye(12)[5]}, ["terminals[11]: is 0: the last 6 observations"]),
+    "other marks": ({"terminals": np.full(12, 2.0)}, ["terminals: is float64 [12]; give 0 or 1"]),
+    "nothing but ends": ({"terminals": np.ones(12)}, ["terminals: no episode has a step"]),
+    "nothing": ({"observations": np.zeros((0, 2)), "actions": np.zeros((0, 1)), "terminals": np.zeros(0)}, ["shape"]),
+    "goals": ({"achieved_goals": np.zeros(12)}, ["achieved_goals: is float64 [12]; give float32 [N, D]"]),
+    "all at once": (
+        {"observations": HOLE, "actions": np.full((11, 1), 3.0), "terminals": np.zeros(12)},
+        ["observations[4]", "actions[0]: is [3.0], and 11 rows", "lengths: disagree"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_everything_that_is_wrong_is_said_in_one_pass(name, tmp_path):
+    changes, said = FAULTS[name]
+    members = {member: array for member, array in recorded(**changes).items() if array is not None}
+    file = tmp_path / "walks.npz"
+    np.savez(file, **members)
+    found = [f"{finding.where.removeprefix(f'{file}: ')}: {finding.problem}" for finding in check_episodes(file)]
+    for words in said:
+        assert any(words in line for line in found), found
+    with pytest.raises(UserError) as refused:
+        load(file)
+    assert str(file) in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_pickled_arrays_are_refused_and_what_is_no_npz(tmp_path):
+    file = tmp_path / "walks.npz"
+    np.savez(file, **recorded(actions=np.array([{}] * 12, object)))
+    assert any("pickled" in finding.problem for finding in check_episodes(file))
+    with pytest.raises(UserError, match="pickled"):
+        load(file)
+    file.write_bytes(b"nothing")
+    assert "not an npz" in check_episodes(file)[0].problem
+    buffer = io.BytesIO()
+    np.savez(buffer, **recorded())
+    file.write_bytes(buffer.getvalue()[:200])
+    with pytest.raises(UserError, match=r"walks.npz.*npz"):
+        load(file)
+    assert not zipfile.is_zipfile(file)
+
+
+def test_what_may_surprise_is_a_warning(tmp_path):
+    file = tmp_path / "walks.npz"
+    np.savez(file, **recorded(observations=SEEN.astype(np.float64), terminals=np.eye(12)[11], qpos=SEEN, reward=SEEN))
+    found = {finding.problem.partition(";")[0] for finding in check_episodes(file)}
+    assert {finding.severity for finding in check_episodes(file)} == {"warning"}
+    assert found == {
+        "is float64, which is rounded to float32",
+        "one episode of 11 steps",
+        "no such member: it is not read.",
+    }
+
+
+def test_the_command_says_what_is_in_a_file_and_what_it_takes(tmp_path, capsys):
+    file = tmp_path / "walks.npz"
+    np.savez(file, **recorded())
+    assert main(["data", "check", str(file)]) == 0
+    assert "3 episodes of 1 to 5 steps, 9 in all; observations 2 float32, actions 1; 0.0 MB" in capsys.readouterr().out
+    np.savez(file, **recorded(actions=SEEN))
+    assert main(["data", "check", str(file)]) == 1
+    assert "error    " in capsys.readouterr().out
+
+
+MAZE = envs.load("point_maze")
+SIDE = np.random.default_rng(0).uniform(-1, 1, (12, 2)).astype(np.float32)
+
+
+def test_rows_hold_every_step_of_every_episode_once_and_none_across_two():
+    task = with_recordings(MAZE, of_arrays(recorded(observations=SIDE, actions=SIDE)))
+    rows = jax.device_get(task.recorded)
+    assert rows.valid.sum() == sum(LENGTHS) and rows.truncated.sum() == len(LENGTHS)
+    row, step = np.nonzero(rows.valid)
+    where = {tuple(seen): place for place, seen in enumerate(SIDE.tolist())}
+    before = [where[tuple(seen)] for seen in rows.observation[row, step].tolist()]
+    after = [where[tuple(seen)] for seen in rows.observation[row, step + 1].tolist()]
+    assert sorted(before) == sorted({*range(12)} - {*ENDS}) and np.array_equal(np.array(before) + 1, after)
+    assert np.array_equal(rows.action[row, step], SIDE[before])
+    assert np.allclose(rows.record, (rows.observation + 1) * 1.5)  # What a place in the maze achieves.
+    left = np.asarray(steps_left(task.recorded.valid))[row, step]
+    ends = np.array([ENDS[np.searchsorted(ENDS, place)] for place in before])
+    assert np.array_equal(left, ends - before)
+    goals = {tuple(goal) for goal in rows.goal[rows.valid].tolist()}
+    assert len(goals) == len(LENGTHS)  # One for each episode, where none is recorded.
+
+
+def test_goals_of_a_goal_env_are_taken_as_they_are():
+    goals = {"achieved_goals": SIDE, "desired_goals": SIDE + 1}
+    rows = with_recordings(MAZE, of_arrays(recorded(observations=SIDE, actions=SIDE, **goals))).recorded
+    assert np.array_equal(rows.record, rows.observation)
+    assert np.allclose(np.asarray(rows.goal)[rows.valid], np.asarray(rows.observation)[:, :-1][rows.valid] + 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"observations": np.zeros((12, 3), np.float32)}, "observations = 'float32 [3]': the task has float32 [2]"),
+        ({"actions": np.zeros((12, 3), np.float32)}, "actions = 3: the task has 2 numbers in an action"),
+        ({"achieved_goals": np.zeros((12, 1))}, "achieved_goals = [12, 1]: give goals float32 [N, 2]"),
+    ],
+)
+def test_recordings_of_another_task_are_refused(changes, said):
+    with pytest.raises(UserError) as refused:
+        with_recordings(MAZE, of_arrays(recorded(**({"observations": SIDE, "actions": SIDE} | changes))))
+    assert said in str(refused.value)
+
+
+def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
+    """To the same transitions, by the command line too."""
+
+    def wander(observation, goal, key):
+        return jax.random.uniform(key, (observation.shape[0], 2), jnp.float32, -1.0, 1.0)
+
+    states = jax.jit(jax.vmap(MAZE.reset))(jax.random.split(jax.random.key(0), 3))
+    rows = jax.jit(lambda states, key: collect(MAZE, states, wander, key, 150)[1])(states, jax.random.key(1))
+    made = episodes_of(rows)
+    save(tmp_path / "walks.npz", made)
+    task = envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "walks.npz")))
+    again = jax.device_get(task.recorded)
+
+    def steps(rows):
+        row, step = np.nonzero(np.asarray(rows.valid))
+        observation = np.asarray(rows.observation)
+        parts = (observation[row, step], rows.action[row, step], observation[row, step + 1], rows.goal[row, step])
+        found = np.concatenate(parts, 1)
+        return found[np.lexsort(found.T)]
+
+    assert np.array_equal(steps(rows), steps(again)) and made.lengths.sum() == rows.valid.sum()
+    assert "learned from recordings" in task.source
+    with pytest.raises(UserError, match=r"env.dataset = .*gone.npz.*no such file"):
+        envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "gone.npz")))

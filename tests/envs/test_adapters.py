@@ -1,0 +1,286 @@
+"""Environments of other libraries as tasks: every episode has a goal and a start of its own, what the agent sees does
+not tell the goal, and ends of an episode are told apart."""
+
+import dataclasses
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from brax.envs.base import Env, State
+from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, wrap
+
+from infogoal_jax import UserError, envs, make_train, presets, replay
+from infogoal_jax.envs.adapters import import_jaxgcrl
+from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.replay import Trajectories
+from infogoal_jax.train.rollout import collect
+
+EPISODE = 6
+EDGE = 3.0
+KEYS = jax.random.split(jax.random.key(0), 5)
+
+
+class Line(Env):
+    """A point on a line goes where it is pushed; beyond the edges it is lost. Its goal is among its observations, and
+    in `info`; as in many environments, types change with the first step, and what is given is written into."""
+
+    def reset(self, rng):
+        goal_key, place_key = jax.random.split(rng)
+        goal = jax.random.uniform(goal_key, (1,), minval=-2.0, maxval=2.0)
+        place = jax.random.uniform(place_key, (1,), minval=-0.5, maxval=0.5)
+        info = {"goal": goal, "pushes": 0}
+        return State(place, self.seen(place, goal), 0.0, jnp.zeros(()), {"push": 0.0}, info)
+
+    def step(self, state, action):
+        assert action.dtype == jnp.float32
+        place, goal = state.pipeline_state + action, state.info["goal"]
+        state.info["pushes"] += 1
+        state.metrics["push"] = jnp.abs(action).sum()
+        done = (jnp.abs(place) > EDGE).astype(jnp.float32).sum()
+        return state.replace(pipeline_state=place, obs=self.seen(place, goal), done=done)
+
+    def seen(self, place, goal):
+        return {"way": goal - place, "place": place, "goal": goal, "pair": jnp.stack([place, place**2])}
+
+    observation_size = 5
+    action_size = 1
+    backend = "none"
+
+
+ARGUMENTS = {"goal": "goal", "achieved": "place", "hidden": "way", "radius": 0.2, "episode_length": EPISODE}
+TASK = envs.from_brax(Line(), **ARGUMENTS)
+
+
+def walk(task, policy, steps: int, key=KEYS[0], num_envs: int = 4) -> Trajectories:
+    """Rows of episodes under a policy."""
+    states = jax.jit(jax.vmap(task.reset))(jax.random.split(key, num_envs))
+    return jax.jit(lambda states, key: collect(task, states, policy, key, steps)[1])(states, key)
+
+
+def stay(observation, goal, key):
+    """No push."""
+    return jnp.zeros((goal.shape[0], 1), jnp.float32)
+
+
+def test_it_keeps_the_contract():
+    check_contract(TASK)
+    assert not TASK.discrete and TASK.goals.shape == (1,) and TASK.can_fail
+
+
+def test_every_episode_has_a_goal_and_a_start_of_its_own_where_their_wrapper_caches_both():
+    rows = walk(TASK, stay, 4 * (EPISODE + 1))
+    first = np.asarray(jnp.arange(rows.valid.shape[1]) % (EPISODE + 1) == 0)
+    goals, places = np.asarray(rows.goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
+    assert np.unique(goals).size == goals.size == np.unique(places).size == 16
+    wrapped = wrap(Line(), episode_length=EPISODE)
+    states = [jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 4))]
+    for _ in range(4 * EPISODE):
+        states.append(jax.jit(wrapped.step)(states[-1], jnp.zeros((4, 1))))
+    begun = [states[0], *(state for state in states if state.done.all())]
+    assert len(begun) == 5 and all(np.array_equal(state.obs["goal"], begun[0].obs["goal"]) for state in begun)
+
+
+def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leaves():
+    state = TASK.reset(KEYS[1])
+    place = state.world.pipeline_state
+    seen = TASK.observe(state)  # Of goal, pair, place, way.
+    assert np.allclose(seen, [place[0], place[0] ** 2, place[0]]) and seen.dtype == jnp.float32
+    assert np.array_equal(state.goal, state.world.info["goal"])
+    told = [TASK.observe(TASK.reset_to(KEYS[1], jnp.array([goal]))) for goal in (-1.0, 1.0)]
+    assert np.array_equal(*told)
+
+
+@pytest.mark.parametrize(
+    "reading",
+    [
+        {"goal": [0], "hidden": [-1], "achieved": [3]},
+        {"goal": 0, "hidden": slice(-1, None), "achieved": lambda state: state.pipeline_state},
+        {"goal": lambda state: state.info["goal"][0], "hidden": [0, 4], "achieved": "place"},
+    ],
+)
+def test_places_keys_and_functions_read_the_same(reading):
+    task = envs.from_brax(Line(), **(ARGUMENTS | reading))
+    one, other = (each.reset(KEYS[2]) for each in (task, TASK))
+    assert np.array_equal(task.observe(one), TASK.observe(other)) and np.array_equal(one.goal, other.goal)
+    assert np.array_equal(task.achieved(one), TASK.achieved(other))
+
+
+def test_ends_of_an_episode_are_told_apart():
+    """At the goal it terminates; when time is up it is truncated; beyond the edge it has failed, which is truncated
+    too."""
+
+    def run(goal, push, steps):
+        state = TASK.reset_to(KEYS[3], jnp.array([goal]))
+        state = state.replace(world=state.world.replace(pipeline_state=jnp.zeros(1)))
+        for _ in range(steps):
+            state = TASK.step(state, jnp.array([push]))
+        return [bool(each) for each in (state.terminated, state.truncated, TASK.failed(state))]
+
+    assert run(1.0, 1.0, 1) == [True, False, False]
+    assert run(1.0, 0.0, EPISODE - 1) == [False, False, False]
+    assert run(1.0, 0.0, EPISODE) == [False, True, False]
+    assert run(-1.9, 5.0, 3) == [False, False, False]  # Pushes are at most 1.
+    assert run(-1.9, 5.0, 4) == [False, True, True]
+
+
+def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
+    """Under goals of hindsight too; after a truncation values go on."""
+    pushed = walk(TASK, lambda *given: jnp.ones((4, 1), jnp.float32), EPISODE)
+    waiting = walk(TASK, stay, EPISODE)
+    assert pushed.failed.any() and not waiting.failed.any() and waiting.truncated.any()
+    for rows in (pushed, waiting):
+        row, step = np.nonzero(np.asarray(rows.truncated))
+        for goal, reached in ((None, None), (jnp.full((len(row), 1), 9.0), TASK.reached)):
+            found = replay.transitions_at(rows, jnp.asarray(row), jnp.asarray(step), 1, goal, reached)
+            assert np.array_equal(found.terminated, rows.failed[row, step])
+
+
+def test_goals_are_the_environments_own_uniform_or_some_held_out():
+    own = np.asarray(TASK.goals.evaluated)
+    assert TASK.goals.groups == ("train",) and np.abs(own).max() < 2.0 < float(TASK.goals.high[0]) < 2.5
+    wide = envs.from_brax(Line(), low=[-3.0], high=[3.0], num_evaluated=200, **ARGUMENTS)
+    assert np.abs(np.asarray(wide.goals.evaluated)).max() > 2.5
+    apart = envs.from_brax(Line(), held_out=lambda goal: goal[0] > 0, **ARGUMENTS)
+    desired = np.asarray(jax.jit(jax.vmap(apart.reset))(jax.random.split(KEYS[4], 200)).goal)
+    assert apart.goals.groups == ("train", "test") and (desired <= 0).all() and np.unique(desired).size > 150
+
+
+def test_what_is_not_finite_is_taken_back():
+    class Breaking(Line):
+        def step(self, state, action):
+            state = super().step(state, action)
+            return state.replace(obs=jax.tree.map(lambda leaf: leaf / (action[0] != 0), state.obs))
+
+    task = envs.from_brax(Breaking(), **ARGUMENTS)
+    before = task.reset(KEYS[0])
+    after = task.step(before, jnp.zeros(1))
+    assert after.diverged and after.truncated and np.array_equal(task.observe(after), task.observe(before))
+    assert not task.step(before, jnp.ones(1)).diverged
+
+
+class Changing(Line):
+    """Its state has another shape after a step."""
+
+    def step(self, state, action):
+        state = super().step(state, action)
+        return state.replace(info=state.info | {"goal": jnp.zeros(2)})
+
+
+@pytest.mark.parametrize(
+    ("env", "arguments", "said"),
+    [
+        (None, {}, "env = 'NoneType': has no reset"),
+        (EpisodeWrapper(Line(), 5, 1), {}, "env = 'EpisodeWrapper': has training wrappers"),
+        (AutoResetWrapper(Line()), {}, "env = 'AutoResetWrapper': has training wrappers"),
+        (Changing(), {}, "env.step: leaf .info['goal'] is float32 [2]"),
+        (Line(), {"goal": "target"}, "goal = 'target': the observation has the keys goal, pair, place, way"),
+        (Line(), {"goal": [5]}, "goal = [5]: give places of the observation, which has 5 numbers"),
+        (Line(), {"goal": []}, "goal = []: give at least one place"),
+        (Line(), {"goal": 0.5}, "goal = 0.5: give places"),
+        (Line(), {"goal": [[0], [1, 2]]}, "goal = [[0], [1, 2]]: give places"),
+        (Line(), {"achieved": "pair"}, "achieved = 2: give as many numbers as goal has, 1"),
+        (Line(), {"achieved": lambda state: state.place}, "achieved: raised AttributeError"),
+        (Line(), {"hidden": ["way"]}, "hidden = ['way']: give places"),
+        (Line(), {"hidden": slice(None)}, "leave something of the observation to see"),
+        (Line(), {"radius": 0}, "radius = 0: give a distance greater than 0"),
+        (Line(), {"radius": "wide"}, "radius = 'wide': give a number"),
+        (Line(), {"episode_length": 0}, "episode_length = 0"),
+        (Line(), {"starts": 0}, "starts = 0"),
+        (Line(), {"ends_at_goal": "yes"}, "ends_at_goal = 'yes'"),
+        (Line(), {"low": [0.0]}, "high = None: give both"),
+        (Line(), {"low": [0.0, 0.0], "high": [1.0, 1.0]}, "low = (2,): give as many numbers as goal has, 1"),
+    ],
+)
+def test_what_the_environment_does_not_have_is_one_line(env, arguments, said):
+    with pytest.raises(UserError) as refused:
+        envs.from_brax(env, **(ARGUMENTS | arguments))
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+SIZES = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 2, "num_envs": 4, "rollout_steps": 20}
+
+
+@pytest.fixture
+def line():
+    """The name of the task, registered."""
+    presets.register("line", TASK)
+    yield "line"
+    for registry in (envs.registry, presets.registry):
+        del registry["line"]
+
+
+def test_a_registered_task_is_configured_by_its_name(line):
+    config = presets.load(line, "her")
+    assert config.env.episode_length == EPISODE and config.env.radius == TASK.radius
+    longer = envs.load(line, dataclasses.replace(config.env, episode_length=9))
+    assert longer.episode_length == 9 and longer.env is TASK.env
+    with pytest.raises(UserError, match="agent = 'dqn'"):
+        make_train(presets.load(line, "her", agent="dqn"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("agent", ["td3", "sac", "crl"])
+def test_every_agent_for_vectors_trains_on_it(line, agent):
+    train = make_train(presets.load(line, "her", agent=agent, **SIZES))
+    result = jax.jit(train)(jax.random.key(0), None, train.env)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((result.params, result.metrics)))
+    assert result.metrics["train_goal/success_rate"].shape == (1,)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: envs.from_jaxgcrl("ants", radius=1.0), "name = 'ants': Did you mean 'ant'? Known: reacher, ant"),
+        (lambda: envs.from_playground(Line(), config_overrides={"impl": "jax"}, **ARGUMENTS), "give env by its name"),
+    ],
+)
+def test_names_that_are_not_there_are_one_line(make, said):
+    with pytest.raises(UserError) as refused:
+        make()
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("module", "make", "remedy"),
+    [
+        ("jaxgcrl", lambda: envs.from_jaxgcrl("ant"), "pip install --no-deps jaxgcrl"),
+        ("mujoco_playground", lambda: envs.from_playground("ReacherEasy", **ARGUMENTS), "infogoal-jax[playground]"),
+    ],
+)
+def test_a_missing_package_is_named_with_its_remedy(module, make, remedy, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(UserError) as refused:
+        make()
+    assert remedy in str(refused.value) and not {"brax.v1", "wandb_osh.hooks"} & {*sys.modules}
+
+
+@pytest.mark.long
+def test_ant_of_jaxgcrl_is_itself():
+    """Goals 10 m away, of which it achieves those where it stands."""
+    pytest.importorskip("jaxgcrl.envs.ant") if "jaxgcrl" in sys.modules else skip_without("jaxgcrl")
+    task = envs.from_jaxgcrl("ant")
+    state = jax.jit(task.reset)(KEYS[0])
+    assert task.radius == 0.5 and task.episode_length == 1001 and len(task.shown) == 29 and task.action_size == 8
+    assert np.linalg.norm(state.goal) == pytest.approx(10.0, abs=1e-3)
+    assert np.array_equal(task.achieved(state), task.observe(state)[:2])
+
+
+@pytest.mark.long
+def test_playgrounds_reacher_is_itself():
+    skip_without("mujoco_playground")
+    task = envs.from_playground(
+        "ReacherEasy", goal=lambda state: state.data.mocap_pos[0, :2], achieved=[0, 1], hidden=[2, 3], radius=0.05
+    )
+    check_contract(task)
+
+
+def skip_without(package: str) -> None:
+    """Skip the test where an optional package is not installed."""
+    try:
+        import_jaxgcrl(package) if package == "jaxgcrl" else __import__(package)
+    except (UserError, ImportError) as error:
+        pytest.skip(str(error))
