@@ -186,9 +186,7 @@ def episodes_of(dataset: Any) -> Episodes:
         columns["last"].append(np.arange(len(seen)) == len(seen) - 1)
     different = {parts[0].shape[1:] != part.shape[1:] for parts in columns.values() for part in parts}
     require(True not in different, "observations", "episodes of different shapes", "give one shape")
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
-    with_goals = {name: values for name, values in whole.items() if len(values) == len(whole["last"])}
-    return Episodes(**with_goals)
+    return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
 def as_array(observations: Any) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 
 from infogoal_jax import UserError, envs
 from infogoal_jax.__main__ import main
+from infogoal_jax.bridges.minari import episodes_of as episodes_of_minari
 from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
 from infogoal_jax.envs.recordings import episodes_of, with_recordings
@@ -149,6 +151,56 @@ def test_the_command_says_what_is_in_a_file_and_what_it_takes(tmp_path, capsys):
     np.savez(file, **recorded(actions=SEEN))
     assert main(["data", "check", str(file)]) == 1
     assert "error    " in capsys.readouterr().out
+
+
+def of_minari(make_observations, actions=None) -> Episodes:
+    """What is read of a dataset of Minari with two episodes, of 2 and 4 steps. make_observations: (steps) -> those of
+    an episode."""
+    recorded = [
+        SimpleNamespace(
+            observations=make_observations(steps),
+            actions=np.full((steps, 2), 0.5) if actions is None else actions(steps),
+        )
+        for steps in (2, 4)
+    ]
+    return episodes_of_minari(SimpleNamespace(iterate_episodes=lambda: iter(recorded)))
+
+
+def numbers(steps: int, *shape: int) -> np.ndarray:
+    """Numbers [steps + 1, *shape] that tell their step."""
+    return np.arange(steps + 1.0).reshape(-1, *[1] * len(shape)) + np.zeros(shape)
+
+
+def test_minari_s_goal_envs_bring_their_goals():
+    names = {"observation": 3, "achieved_goal": 2, "desired_goal": 2}
+    found = of_minari(lambda steps: {name: numbers(steps, size) for name, size in names.items()})
+    assert found.lengths.tolist() == [2, 4] and found.observations.shape == (8, 3)
+    assert found.observations[:, 0].tolist() == [0, 1, 2, 0, 1, 2, 3, 4] == found.achieved_goals[:, 1].tolist()
+    assert np.array_equal(found.actions[:, 0], 0.5 * ~found.last)
+
+
+def test_minari_s_vectors_dictionaries_and_images_are_read():
+    assert of_minari(lambda steps: numbers(steps, 3)).observations.shape == (8, 3)
+    together = of_minari(lambda steps: {"b": numbers(steps, 1) + 10, "a": numbers(steps, 2)})
+    assert together.observations[1].tolist() == [1, 1, 11] and together.achieved_goals is None
+    for shape in ((8, 8, 3), (3, 8, 8)):
+        images = of_minari(lambda steps, shape=shape: numbers(steps, *shape).astype(np.uint8)).observations
+        assert images.dtype == np.uint8 and images.shape == (8, 8, 8, 3)
+
+
+@pytest.mark.parametrize(
+    ("make_observations", "actions", "said"),
+    [
+        (lambda steps: numbers(steps, 3), lambda steps: np.zeros(steps, int), "actions = [2]: give a vector for each"),
+        (lambda steps: numbers(steps, steps), None, "episodes of different shapes"),
+        (lambda steps: {"a": numbers(steps, 8, 8, 3).astype(np.uint8), "b": numbers(steps, 2)}, None, "give vectors"),
+        (lambda steps: np.array(["text"] * (steps + 1)), None, "observations = '<U4': give numbers"),
+    ],
+)
+def test_what_cannot_be_read_of_minari_is_one_line(make_observations, actions, said):
+    with pytest.raises(UserError) as refused:
+        of_minari(make_observations, actions)
+    assert said in str(refused.value)
 
 
 MAZE = envs.load("point_maze")
