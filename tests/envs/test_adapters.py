@@ -2,21 +2,22 @@
 not tell the goal, and ends of an episode are told apart."""
 
 import dataclasses
+import importlib
 import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from brax.envs.base import Env, State
-from brax.envs.wrappers.training import AutoResetWrapper, EpisodeWrapper, wrap
 
 from infogoal_jax import UserError, envs, make_train, presets, replay
+from infogoal_jax.bridges.brax import Env, State
 from infogoal_jax.envs.adapters import import_jaxgcrl
 from infogoal_jax.envs.contract import check_contract
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.rollout import collect
 
+wrappers = importlib.import_module("brax.envs.wrappers.training")  # After the bridge, which keeps brax's import quiet.
 EPISODE = 6
 EDGE = 3.0
 KEYS = jax.random.split(jax.random.key(0), 5)
@@ -74,7 +75,7 @@ def test_every_episode_has_a_goal_and_a_start_of_its_own_where_their_wrapper_cac
     first = np.asarray(jnp.arange(rows.valid.shape[1]) % (EPISODE + 1) == 0)
     goals, places = np.asarray(rows.goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
     assert np.unique(goals).size == goals.size == np.unique(places).size == 16
-    wrapped = wrap(Line(), episode_length=EPISODE)
+    wrapped = wrappers.wrap(Line(), episode_length=EPISODE)
     states = [jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 4))]
     for _ in range(4 * EPISODE):
         states.append(jax.jit(wrapped.step)(states[-1], jnp.zeros((4, 1))))
@@ -172,8 +173,8 @@ class Changing(Line):
     ("env", "arguments", "said"),
     [
         (None, {}, "env = 'NoneType': has no reset"),
-        (EpisodeWrapper(Line(), 5, 1), {}, "env = 'EpisodeWrapper': has training wrappers"),
-        (AutoResetWrapper(Line()), {}, "env = 'AutoResetWrapper': has training wrappers"),
+        (wrappers.EpisodeWrapper(Line(), 5, 1), {}, "env = 'EpisodeWrapper': has training wrappers"),
+        (wrappers.AutoResetWrapper(Line()), {}, "env = 'AutoResetWrapper': has training wrappers"),
         (Changing(), {}, "env.step: leaf .info['goal'] is float32 [2]"),
         (Line(), {"goal": "target"}, "goal = 'target': the observation has the keys goal, pair, place, way"),
         (Line(), {"goal": [5]}, "goal = [5]: give places of the observation, which has 5 numbers"),
