@@ -4,7 +4,7 @@ against seconds and steps, steps and updates a second.
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
         [--steps 2000000] [--sides ours theirs] [--budget 540]
-    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json
+    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json [MORE.json]
 
 What is in RESULTS.json already is not run again, so that several calls fill one table; a program is not begun once the
 budget, in seconds, is spent. `--toy` is a size for a CPU, which checks that everything runs.
@@ -16,7 +16,8 @@ fraction of episodes in which the goal is reached. For our TD3 and SAC, whose va
 ends there; it goes on for contrastive RL, as for all of theirs.
 
 Seconds are those of training: without compiling, and without evaluations. Of theirs the first round, which compiles, is
-counted as long as the median of the others.
+counted as long as the median of the others. Programs are kept in the user's cache, so that a later seed of theirs only
+reads what the first compiled.
 """
 
 import argparse
@@ -34,7 +35,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import envs, make_train, presets
+from infogoal_jax import envs, make_train, presets, use_compilation_cache
 from infogoal_jax.bridges.brax import brax_training
 from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl
 from infogoal_jax.errors import UserError
@@ -351,7 +352,7 @@ def main() -> None:
     """Run what is asked for and is not there yet, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--table", type=Path)
+    parser.add_argument("--table", type=Path, nargs="+")
     parser.add_argument("--tasks", nargs="+", default=["reacher", "ant"], choices=list(JAXGCRL))
     parser.add_argument("--agents", nargs="+", default=["crl", "sac", "td3"], choices=["crl", "sac", "td3"])
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
@@ -361,10 +362,11 @@ def main() -> None:
     parser.add_argument("--toy", action="store_true")
     words = parser.parse_args()
     if words.table is not None:
-        print_table(read(words.table))
+        print_table([outcome for path in words.table for outcome in read(path)])
         return
     if words.out is None:
         parser.error("--out: give the file of the results")
+    use_compilation_cache()
     sizes, started = TOY if words.toy else Sizes(words.steps), time.perf_counter()
     outcomes = read(words.out)
 

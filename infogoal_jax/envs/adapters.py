@@ -241,7 +241,8 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     `import_jaxgcrl`.
     Raises `UserError` as `from_brax`, where JaxGCRL is not installed, and for a name that it does not have.
     """
-    require(isinstance(name, str) and name in JAXGCRL, "name", name, f"{nearest(str(name), [*JAXGCRL])} Known: {KNOWN}")
+    known = isinstance(name, str) and name in JAXGCRL
+    require(known, "name", name, f"no such environment.{nearest(str(name), [*JAXGCRL])} Known: {', '.join(JAXGCRL)}")
     module, kind, given = JAXGCRL[name]
     package = import_jaxgcrl(f"jaxgcrl.envs.{module}")
     made = getattr(package, kind)
@@ -259,9 +260,6 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
         "source": f"{name} of JaxGCRL, simulated",
     }
     return from_brax(env, **(own | arguments))
-
-
-KNOWN = ", ".join(JAXGCRL)
 
 
 def import_jaxgcrl(module: str) -> Any:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, envs
-from infogoal_jax.__main__ import main
 from infogoal_jax.bridges.minari import episodes_of as episodes_of_minari
+from infogoal_jax.cli.main import main
 from infogoal_jax.data import episodes
 from infogoal_jax.data.episodes import Episodes, check_episodes, load, of_arrays, save
 from infogoal_jax.envs.recordings import episodes_of, with_recordings
@@ -86,7 +86,7 @@ FAULTS = {
     "one axis": ({"observations": SEEN[:, 0]}, ["observations: is float32 [12]; give vectors"]),
     "complex": ({"actions": SEEN + 1j}, ["actions: is complex128; give numbers"]),
     "moves": ({"actions": np.zeros(12, np.int32)}, ["actions: is int32 [12]; give vectors float32 [N, A]"]),
-    "large actions": ({"actions": SEEN}, ["and 8 rows go beyond -1 to 1"]),
+    "large actions": ({"actions": SEEN}, ["and 10 rows go beyond -1 to 1"]),
     "lengths": ({"actions": np.zeros((11, 1))}, ["lengths: disagree: observations 12, actions 11, terminals 12"]),
     "no end": ({"terminals": np.zeros(12)}, ["terminals: no episode ends"]),
     "open end": ({"terminals": np.eye(12)[5]}, ["terminals[11]: is 0: the last 6 observations"]),

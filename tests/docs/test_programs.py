@@ -19,6 +19,7 @@ import pytest
 from places import ROOT, block_of, in_hand_made_rooms, lines_of, run
 
 import infogoal_jax
+import infogoal_jax.bridges.brax  # Before brax, which then warns of nothing.
 from infogoal_jax import agents, envs, learners, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.cli.main import main
@@ -26,6 +27,7 @@ from infogoal_jax.envs.environment import Environment
 from infogoal_jax.train.evaluation import evaluate, random_policy
 
 LEARNER, AGENT, TASK = "guides/own_parts.md", "guides/own_agent.md", "guides/own_task.md"
+ROBOT = "guides/bridges.md#robots-of-brax,-playground-and-jaxgcrl"
 """The pages."""
 SMALL = {"evaluation_starts": 1}
 LEARNER_SIZES = SMALL | {"num_epochs": 3, "epochs_per_evaluation": 3, "updates_per_epoch": 40, "batch_size": 16}
@@ -38,6 +40,7 @@ LONG_SIZES = {
     "evaluation_starts": 20,
 }
 QUANTILES = 8
+TIP = "tip", envs.registry, presets.registry
 TWO_ROOMS = "two_rooms", envs.registry, presets.registry
 WALLED_SQUARE = "walled_square", envs.registry, presets.registry
 DRAWS = {
@@ -53,7 +56,7 @@ LARGEST = 600_000
 each_notebook = pytest.mark.parametrize("name", DRAWS)
 
 
-@pytest.mark.parametrize(("page", "lines"), [(LEARNER, 40), (AGENT, 80), (TASK, 60)])
+@pytest.mark.parametrize(("page", "lines"), [(LEARNER, 40), (AGENT, 80), (TASK, 60), (ROBOT, 10)])
 def test_a_page_needs_few_lines(page, lines):
     assert lines_of(block_of(page)) <= lines
 
@@ -242,6 +245,21 @@ def test_all_actions_can_be_taken_after_vectors_too(own_task):
         2,
         4,
     )
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:Brax System")  # brax recommends MJX.
+def test_the_arm_of_brax_is_trained_on():
+    """Its tip is at its goal where it says so, and what it sees does not tell the goal."""
+    sizes = SMALL | {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 5}
+    with run(block_of(ROBOT), *TIP) as names:
+        train = infogoal_jax.make_train(presets.load("tip", "none", **sizes))
+        result = jax.jit(train)(jax.random.key(0), train.config.hyper, train.env)
+        task = names["task"]
+        states = [jax.jit(task.reset_to)(jax.random.key(1), jnp.array(goal)) for goal in ([0.1, 0.1], [-0.1, 0.0])]
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((result.params, result.metrics)))
+    assert np.array_equal(*(task.observe(state) for state in states)) and len(task.shown) == 6
+    assert np.linalg.norm(task.achieved(states[0])) == pytest.approx(0.21, abs=0.01)  # It begins stretched out.
 
 
 def read(name: str):
