@@ -72,17 +72,17 @@ class Sizes:
 
 
 TOY = Sizes(
-    steps=6_000,
-    evaluations=3,
-    num_envs=8,
-    unroll=20,
-    episode_length=101,
-    batch_size=32,
-    replay=400,
-    prefill=120,
-    num_eval=8,
-    our_envs=8,
-    our_steps=50,
+    steps=400,
+    evaluations=2,
+    num_envs=4,
+    unroll=10,
+    episode_length=21,
+    batch_size=16,
+    replay=80,
+    prefill=40,
+    num_eval=4,
+    our_envs=4,
+    our_steps=20,
 )
 
 
