@@ -84,7 +84,7 @@ FAULTS = {
     "too large for float32": ({"observations": SEEN.astype(np.float64) * 1e300}, ["is not finite as float32"]),
     "whole numbers": ({"observations": SEEN.astype(np.int64)}, ["observations: is int64 [12, 2]; give vectors"]),
     "one axis": ({"observations": SEEN[:, 0]}, ["observations: is float32 [12]; give vectors"]),
-    "complex": ({"actions": SEEN + 1j}, ["actions: is complex128; give numbers"]),
+    "complex": ({"actions": SEEN + 1j}, ["actions: is complex64; give numbers"]),
     "moves": ({"actions": np.zeros(12, np.int32)}, ["actions: is int32 [12]; give vectors float32 [N, A]"]),
     "large actions": ({"actions": SEEN}, ["and 10 rows go beyond -1 to 1"]),
     "lengths": ({"actions": np.zeros((11, 1))}, ["lengths: disagree: observations 12, actions 11, terminals 12"]),

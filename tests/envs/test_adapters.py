@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import UserError, envs, make_train, presets, replay
+from infogoal_jax.agents.dqn import DQNConfig
 from infogoal_jax.bridges.brax import Env, State
 from infogoal_jax.envs.adapters import import_jaxgcrl
 from infogoal_jax.envs.contract import check_contract
@@ -218,7 +219,7 @@ def test_a_registered_task_is_configured_by_its_name(line):
     longer = envs.load(line, dataclasses.replace(config.env, episode_length=9))
     assert longer.episode_length == 9 and longer.env is TASK.env
     with pytest.raises(UserError, match="agent = 'dqn'"):
-        make_train(presets.load(line, "her", agent="dqn"))
+        make_train(presets.load(line, "her", agent=DQNConfig(num_steps=1)))
 
 
 @pytest.mark.long
