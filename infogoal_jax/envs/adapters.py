@@ -70,7 +70,7 @@ class AdaptedTask(GoalTask):
         if not self.own_goals:
             return super().reset(key)
         world = self.begin(key)
-        return self.started(world, self.read_goal(world))
+        return self.episode(world, self.read_goal(world))
 
     def begin(self, key: jax.Array) -> Any:
         """A state of the environment, with numbers of fixed types."""
