@@ -51,6 +51,7 @@ COMPILE_QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emit
 SHORT = {"num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 3, "evaluation_starts": 1}
 
 
+@functools.cache
 def working(tasks=tuple(TASKS)) -> list[tuple[str, str]]:
     """Pairs of one of these tasks and a method that go together."""
     return [
@@ -247,7 +248,7 @@ def main():
     """Record, or compare bit by bit."""
     command, path, *only = sys.argv[1], Path(sys.argv[2]), *sys.argv[3:]
     record = json.loads(path.read_text()) if path.exists() else {}
-    for task, method in working(presets.TASKS):
+    for task, method in working(tuple(presets.TASKS)):
         name = f"{task}/{method}"
         if only and task not in only:
             continue
