@@ -2,8 +2,7 @@
 smoothing.
 
 Actor and critics see the same features and codes, which the critics' loss alone trains. As in HRAC's own code the actor
-is updated as often as the critics. The high level of HRAC (`agents/hrac.py`) learns by the same functions, and its low
-level while it is trained.
+is updated as often as the critics. The high level of HRAC (`agents/hrac.py`) learns by the same functions.
 
 Shapes: B transitions, F features of a state, d numbers of a goal code, A numbers of an action, G goals.
 """

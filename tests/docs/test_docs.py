@@ -67,7 +67,7 @@ def flags_of(words: str) -> set[str]:
         contextlib.redirect_stdout(printed),
         pytest.raises(SystemExit),
     ):
-        main([*words.split(), "--help-all" if words.split()[0] in ("train", "tune") else "--help"])
+        main([*words.split(), "--help-all" if words.split()[0] in BY_TASK else "--help"])
     return flags_in(printed.getvalue())
 
 
