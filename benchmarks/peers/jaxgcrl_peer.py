@@ -60,6 +60,7 @@ class Sizes:
     """Steps of each before an update, in JaxGCRL's program."""
     episode_length: int = 1001
     batch_size: int = 256
+    """Of both. It divides the steps of an episode of all of JaxGCRL's environments, with the last step and without."""
     replay: int = 10_000
     """Steps that JaxGCRL keeps of each environment."""
     prefill: int = 1_000
@@ -77,7 +78,7 @@ TOY = Sizes(
     num_envs=4,
     unroll=10,
     episode_length=21,
-    batch_size=16,
+    batch_size=4,
     replay=80,
     prefill=40,
     num_eval=4,
@@ -275,8 +276,9 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int) -> Outcome:
     whole = time.perf_counter() - started
     rounds_seconds = np.diff(walls)
     seconds = np.median(rounds_seconds) * np.arange(1, len(walls) + 1)
-    # Every round has as many updates as make an epoch of its replayed episodes.
-    updates = sizes.evaluations * rounds * (sizes.num_envs * (sizes.episode_length - 1) // sizes.batch_size)
+    # Every round has as many updates as make an epoch of its replayed episodes, whose last steps have no later goal.
+    learned = sizes.num_envs * (sizes.episode_length - (agent == "crl"))
+    updates = sizes.evaluations * rounds * (learned // sizes.batch_size)
     return Outcome(
         task,
         agent,
