@@ -202,6 +202,11 @@ def registered(name, register):
                 registry.pop(name, None)
 
 
+def a_word(value) -> bool:
+    """Text, or a path, which counts as its name."""
+    return isinstance(value, str | Path) and "\ud800" not in str(value)
+
+
 def texts(value) -> bool:
     """A dict by names."""
     return isinstance(value, dict) and all(isinstance(name, str) for name in value)
@@ -372,13 +377,13 @@ CALLS = {
         lambda **fields: registered("mine", lambda: presets.registry.update(mine=presets.Preset(**fields))),
         {"agent": "td3", "training": {}, "hyper": {}, "methods": {}, "env": {}, "agents": {}, "description": ""},
         {
-            "agent": lambda value: isinstance(value, str) and "\ud800" not in value,
+            "agent": a_word,
             "training": texts,
             "hyper": texts,
             "methods": lambda value: isinstance(value, dict) and not value,
             "env": texts,
             "agents": lambda value: isinstance(value, dict) and not value,
-            "description": lambda value: isinstance(value, str) and "\ud800" not in value,
+            "description": a_word,
         },
     ),
     "Entry": Call(
