@@ -72,13 +72,19 @@ def checked(record: Record, prefix: str = "") -> Record:
     hints, found = hints_of(type(record)), {}
     for field in dataclasses.fields(record):
         value, name = getattr(record, field.name), f"{prefix}{field.name}"
-        if dataclasses.is_dataclass(value):
+        hint = hints.get(field.name, Any)
+        if dataclasses.is_dataclass(value) and takes_records(hint):
             new = checked(value, f"{name}.")
         else:
-            new = checked_value(value, hints.get(field.name, Any), name)
+            new = checked_value(value, hint, name)
         if new is not value:
             found[field.name] = new
     return dataclasses.replace(record, **found) if found else record
+
+
+def takes_records(hint: Any) -> bool:
+    """Whether a field of this type can hold another record."""
+    return any(each is Any or dataclasses.is_dataclass(each) for each in (hint, *typing.get_args(hint)))
 
 
 def checked_value(value: Any, hint: Any, name: str) -> Any:

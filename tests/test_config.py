@@ -281,6 +281,12 @@ def test_all_public_names_can_be_completed():
     assert all(getattr(presets, name) is not None for name in presets.__all__)
 
 
+@pytest.mark.parametrize("field", ["hidden", "num_steps", "huber"])
+def test_a_record_in_the_place_of_a_number_is_refused(field):
+    with pytest.raises(UserError, match=f"agent.{field} = .*expected"):
+        with_part("agent", **{field: CONFIG.agent})
+
+
 GOOD = dict(agent="td3", training={}, hyper={}, methods={})
 
 

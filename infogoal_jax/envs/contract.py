@@ -93,6 +93,7 @@ def check_members(env: Environment) -> None:
     for name, (dtype, shape) in arrays.items():
         array, wanted = getattr(env, name), f"give {dtype} [{', '.join(map(str, shape))}], or None"
         if array is not None:
+            require(checks.is_array(array), f"env.{name}", type(array).__name__, wanted)
             found = checks.written(np.shape(array), str(jnp.result_type(array)))
             fits = str(jnp.result_type(array)) == dtype and checks.has_shape(np.shape(array), shape)
             require(fits, f"env.{name}", found, wanted)

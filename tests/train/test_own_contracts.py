@@ -1,6 +1,7 @@
 """An environment, a learner, an agent, a relabelling or an explorer from outside that breaks its contract is refused
 when its training is made or traced, by the name of the function; and what the package brings keeps the contracts."""
 
+import contextlib
 import dataclasses
 
 import flax.struct
@@ -12,6 +13,9 @@ import jax.numpy as jnp
 import nbformat
 import numpy as np
 import pytest
+from fuzzing import examples_of
+from hypothesis import given
+from hypothesis import strategies as st
 from places import ROOT, block_of
 
 from infogoal_jax import (
@@ -27,9 +31,11 @@ from infogoal_jax import (
     relabelling,
 )
 from infogoal_jax.envs.contract import check_contract
+from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.envs.goal_task import GoalTask
 from infogoal_jax.goals import GoalBox
+from infogoal_jax.loading import check_environment
 from infogoal_jax.registry import Entry
 from infogoal_jax.train import checked_parts
 
@@ -111,6 +117,7 @@ BROKEN = {
     "recorded": (dict(recorded=[1]), "recorded is True, should be False"),
     "goal_positions": (dict(goal_positions=np.zeros((2, 2), np.float32)), "env.goal_positions = .*give float32"),
     "near_goals": (dict(near_goals=np.zeros(8)), r"env.near_goals = 'float32.*give bool \[8\]"),
+    "near_goals of none": (dict(near_goals=lambda self: None), "env.near_goals = 'method': give bool"),
     "backgrounds": (dict(test_backgrounds=np.zeros((2, 3, 4, 4), np.float32)), "env.test_backgrounds = .*give uint8"),
 }
 
@@ -170,6 +177,33 @@ def test_a_goal_task_has_a_box_of_goals():
 def test_a_function_of_a_goal_task_that_returns_something_else_is_refused(name, found):
     with pytest.raises(UserError, match="env"):
         check_contract(in_a_line(members={name: lambda self, *arguments: found}))
+
+
+MEMBERS = sorted(name for name in vars(Environment) if not name.startswith("_") and name != "unwrapped")
+MEMBERS += ["goals", "action_size", "episode_length", "source", "radius", "begin", "move", "observation"]
+ODD = [None, True, 0, -1, 1, 2**31, 10**400, 0.5, float("nan"), "x", "\ud800", b"x", (), [0.0], {"a": 1}, object(), int]
+ODD += [np.zeros(()), np.zeros(2), np.zeros((2, 0)), np.array(["a"]), np.array([None], object), jnp.zeros((2, 3, 4))]
+ODD += [jnp.zeros(1, jnp.int32), jnp.zeros(1, jnp.bfloat16), jax.ShapeDtypeStruct((1,), "float32"), ENV.goals]
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.long)])
+def test_whatever_a_member_of_a_task_is_it_keeps_the_contract_or_is_refused(count):
+    """A value, or a function that returns one."""
+
+    @examples_of(count, short=30)
+    @given(
+        st.sampled_from([changed, lambda **found: in_a_line(members=found)]),
+        st.sampled_from(MEMBERS),
+        st.sampled_from(ODD),
+        st.booleans(),
+    )
+    def check(make, name, value, is_function):
+        with contextlib.suppress(UserError):
+            env = make(**{name: (lambda self, *arguments: value) if is_function else value})
+            check_environment(CONFIG, env)
+            check_contract(env)
+
+    check()
 
 
 REGISTRIES = {
