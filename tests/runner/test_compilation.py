@@ -183,6 +183,16 @@ def test_what_a_compiled_program_needs_is_compared_with_the_device():
         memory.check_compiled([compiled], larger, lambda: dataclasses.replace(larger, batch_size=32), 1000)
 
 
+def test_of_a_gpu_it_is_said_which_fraction_jax_takes(monkeypatch):
+    """59.4 GiB of a card of 80 looked like another card."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_MEM_FRACTION", raising=False)
+    of_its_memory = "of its memory, the fraction that XLA_PYTHON_CLIENT_MEM_FRACTION lets jax take"
+    assert memory.room_in_words(60 * 2**30) == f"a device has 60.0 GiB: 0.75 {of_its_memory}"
+    monkeypatch.setenv("XLA_PYTHON_CLIENT_MEM_FRACTION", ".3")
+    assert f"GiB: .3 {of_its_memory}" in memory.room_in_words(2**30)
+
+
 @pytest.fixture
 def no_compiling(monkeypatch):
     """Nothing is compiled any more."""
