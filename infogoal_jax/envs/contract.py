@@ -94,8 +94,9 @@ def check_members(env: Environment) -> None:
         array, wanted = getattr(env, name), f"give {dtype} [{', '.join(map(str, shape))}], or None"
         if array is not None:
             require(checks.is_array(array), f"env.{name}", type(array).__name__, wanted)
-            found = checks.written(np.shape(array), str(jnp.result_type(array)))
-            fits = str(jnp.result_type(array)) == dtype and checks.has_shape(np.shape(array), shape)
+            dtype_of = str(checks.called(f"env.{name}", jnp.result_type, array))
+            found = checks.written(np.shape(array), dtype_of)
+            fits = dtype_of == dtype and checks.has_shape(np.shape(array), shape)
             require(fits, f"env.{name}", found, wanted)
 
 
