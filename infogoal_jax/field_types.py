@@ -83,7 +83,9 @@ def checked(record: Record, prefix: str = "") -> Record:
 
 
 def takes_records(hint: Any) -> bool:
-    """Whether a field of this type can hold another record."""
+    """Whether a field of this type can be another record; one of a container's elements may be."""
+    if typing.get_origin(hint) in (dict, list, tuple, Literal):
+        return False
     return any(each is Any or dataclasses.is_dataclass(each) for each in (hint, *typing.get_args(hint)))
 
 

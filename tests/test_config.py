@@ -299,7 +299,7 @@ def no_preset():
 
 
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(presets.Preset)])
-@pytest.mark.parametrize("value", [None, 3, ["td3"], b"x", {1: 2}])
+@pytest.mark.parametrize("value", [None, 3, ["td3"], b"x", {1: 2}, CONFIG.agent], ids=str)
 def test_a_preset_of_other_types_is_refused_where_it_is_registered(field, value, no_preset):
     with pytest.raises(UserError, match=f"preset of point_maze_2: {field} = "):
         presets.registry["point_maze_2"] = presets.Preset(**GOOD | {field: value})
