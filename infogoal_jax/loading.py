@@ -16,7 +16,7 @@ from infogoal_jax import agents, checks, envs, exploration, learners, relabellin
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
-from infogoal_jax.envs.contract import check_contract, check_goal_space, check_goals
+from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
 from infogoal_jax.envs.environment import Environment, Traits
 from infogoal_jax.errors import require
 from infogoal_jax.goal_uses import MOST_GOALS
@@ -315,7 +315,7 @@ def check_environment(config: TrainConfig, env: Any) -> None:
     """Raise `UserError` for what is no environment, one of another task than the configuration, or one without training
     goals or of too many goals."""
     require(isinstance(env, Environment), "env", env, "give an environment, such as envs.load makes")
-    check_goal_space(env)
+    check_kind(env)
     count = env.goals.num_goals or 0
     require(
         count <= MOST_GOALS,

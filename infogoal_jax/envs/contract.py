@@ -21,6 +21,7 @@ from infogoal_jax.replay import Trajectories
 FLAGS = ("terminated", "truncated", "diverged")
 LEAST_SQUARE = float(np.finfo(np.float32).tiny)
 """What is smaller is 0 on a device."""
+SWITCHES = ("discrete", "has_target_states", "goals_are_observations", "has_shortest_path", "ends_at_goal", "can_fail")
 STORED = (2, 3)
 """Axes of stored arrays, for the functions that take any."""
 DRAWN = 256
@@ -59,7 +60,7 @@ def check_members(env: Environment) -> None:
     asked = ("goals", "action_size", "episode_length", "source")
     missing = [name for name in asked if not hasattr(env, name)]
     require(not missing, "env", type(env).__name__, f"has no {', '.join(missing)}, which the contract asks for")
-    check_goal_space(env)
+    check_kind(env)
     if isinstance(env, GoalTask):
         require(not env.goals.finite, "env.goals", type(env.goals).__name__, "a GoalTask has a GoalBox.of")
         remedy = "give a distance above 0, whose square float32 holds"
@@ -69,15 +70,6 @@ def check_members(env: Environment) -> None:
         checks.whole(checks.called(f"env.{name}", getattr, env, name), f"env.{name}", 1, LARGEST_WHOLE)
     if env.num_observations is not None:
         checks.whole(env.num_observations, "env.num_observations", 1)
-    for name in (
-        "discrete",
-        "has_target_states",
-        "goals_are_observations",
-        "has_shortest_path",
-        "ends_at_goal",
-        "can_fail",
-    ):
-        checks.flag(getattr(env, name), f"env.{name}")
     checks.text(env.source, "env.source", "say in words what the data is")
     recorded = type(env.recorded).__name__
     require(
@@ -100,8 +92,10 @@ def check_members(env: Environment) -> None:
             require(fits, f"env.{name}", found, wanted)
 
 
-def check_goal_space(env: Environment) -> None:
-    """Raise `UserError` for an environment whose goals are no goal space."""
+def check_kind(env: Environment) -> None:
+    """Raise `UserError` for an environment whose goals are no goal space, or one of whose switches is none."""
+    for name in SWITCHES:
+        checks.flag(getattr(env, name), f"env.{name}")
     kind = type(getattr(env, "goals", None)).__name__
     require(
         isinstance(getattr(env, "goals", None), GoalSet | GoalBox), "env.goals", kind, "give GoalSet.of or GoalBox.of"

@@ -112,6 +112,7 @@ BROKEN = {
         dict(draw=lambda self, state: jnp.zeros((0, 4, 3), jnp.uint8)),
         "env.draw = .*give a picture with",
     ),
+    "discrete of several": (dict(discrete=np.zeros(2)), "env.discrete = array.*give True or False"),
     "discrete": (dict(discrete=1), "env.discrete = 1: give True or False"),
     "num_observations": (dict(num_observations=2.0), "env.num_observations = 2.0: give a whole number"),
     "recorded": (dict(recorded=[1]), "recorded is True, should be False"),
