@@ -36,8 +36,7 @@ ABOUT = """# The paper, reproduced
 **Which claims of the paper hold here?** Those whose whole interval lies on their side: the verdicts below. They rest on
 stand-in data, so that numbers compare methods and are not the paper's.
 
-Written by `infogoal reproduce` from the numbers of the runs (docs/guides/reproducing.md); a verdict says so where runs
-are missing.
+Written by `infogoal reproduce` from the numbers of the runs; a verdict says so where runs are missing.
 """
 
 
@@ -139,7 +138,7 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
-IN_FOLDER_ALONE = ("near_and_far", "equal_training_her")
+IN_FOLDER_ALONE = ("near_and_far", "equal_training_her", "over_tasks_her")
 """Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them."""
 NOT_OVER_TASKS = KINDS["corrupted_train_goal"]
 """Goals that the page leaves out of the comparisons over tasks."""

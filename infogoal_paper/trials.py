@@ -102,7 +102,6 @@ SHOWN = {
         "reach_ghrl_first_occurrence/",
         "pick_and_place_ghrl_first_occurrence/",
     ),
-    "probe": ("reach_",),
     "shelf": (
         "shelf_infogoal/",
         "shelf_infogoal_by_name/threshold 0.999",
@@ -123,7 +122,6 @@ SHOWN = {
         "house_sse_db/no explorer",
         "house_sse_db/weight 0.1, bonus 0.3",
     ),
-    "house_comparisons": ("house_",),
     "house_goals": (
         "house_goals_her/",
         "house_goals_leo/",
@@ -142,7 +140,6 @@ SHOWN = {
         "cube_dqn_leo_norm/",
         "cube_dqn_her_norm/",
     ),
-    "cube_hrac": ("cube_hrac_head/", "cube_hrac_infogoal_head_norm/"),
     "shelf_goals": (
         "shelf_goals_her_norm/",
         "shelf_goals_leo_norm/",
@@ -152,7 +149,7 @@ SHOWN = {
     ),
 }
 """The lanes that a page shows, by the beginnings of TRIAL/LANE: those that its answers rest on, the settings of the
-presets among them. Of a comparison the first of the two counts."""
+presets among them. Of a comparison the first of the two counts. Tables that are not here stand on no page."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -193,6 +190,8 @@ COMPARISONS = {
     "house_comparisons": first_occurrence("house"),
 }
 """Lanes of trials whose difference is shown, seed by seed: the second is the first without what is asked about."""
+NAMES = (*TABLES, *ALL_GOALS_TABLES, *COMPARISONS, "probe")
+"""Of all tables."""
 
 KINDS = (
     "train_goal",
@@ -322,7 +321,7 @@ def tables(rows: list[Row], shown: dict[str, tuple[str, ...]] | None = None) -> 
     lanes are compared stands in the table of differences alone. shown: the lanes to show of each table; None: all."""
 
     def is_shown(table: str, trial: str, lane: str) -> bool:
-        return shown is None or f"{trial}/{lane}".startswith(shown[table])
+        return shown is None or f"{trial}/{lane}".startswith(shown.get(table, ()))
 
     done = {row["trial"] for row in rows}
     compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
@@ -357,7 +356,7 @@ def tables(rows: list[Row], shown: dict[str, tuple[str, ...]] | None = None) -> 
             found[name] = trial_numbers.table(own, [trial for trial in trials if trial in ran], error)
     probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
     units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
-    if units:
+    if units and (shown is None or "probe" in shown):
         found["probe"] = trial_numbers.probe_table(rows, units)
     for name, pairs in COMPARISONS.items():
         ran = [pair for pair in pairs if all(trial in done for trial, _ in pair) and is_shown(name, *pair[0])]
@@ -409,7 +408,7 @@ def main():
     parser.add_argument("--trials", nargs="*", choices=QUEUE, default=list(QUEUE))
     parser.add_argument("--list", action="store_true", help="print the queue, how far each trial has come, and stop")
     parser.add_argument(
-        "--table", nargs="*", choices=SHOWN, metavar="NAME", help="print these tables with every lane, and stop"
+        "--table", nargs="*", choices=NAMES, metavar="NAME", help="print these tables with every lane, and stop"
     )
     parser.add_argument(
         "--merge", type=Path, metavar="FOLDER", help="put the trials of this folder into docs/results/trials, and stop"

@@ -28,8 +28,6 @@ from infogoal_jax.report.statistics import describe_machine
 ROOT = Path(__file__).resolve().parents[2]
 GUIDES = ("docs/guides/own_task.md", "docs/own_task.md")
 """The page with a task of one's own, here and in older checkouts."""
-TRAINS = re.compile(r"^train = make_train\(", re.MULTILINE)
-"""Where the guide's script begins to train: what stands above it is the file that `--import` takes."""
 ELSEWHERE = """
 import sys
 import numpy as np
@@ -73,7 +71,9 @@ def steps_of(seeds: int, own_task: str) -> list[Step]:
         infogoal(f"{train} --out infogoal", "first own run"),
         python("own_task.py", "python own_task.py  # the script of the guide", "first own task"),
         infogoal(
-            f"train {own_task} --import my_task.py --seeds {seeds} --out mine", "its figures", "infogoal_jax/imports.py"
+            f"train {own_task} --import own_task.py --seeds {seeds} --out mine",
+            "its figures",
+            "infogoal_jax/imports.py",
         ),
         infogoal(f"{train} --method her --out her"),
         infogoal("compare infogoal her --out success.pdf", "first comparison"),
@@ -88,11 +88,10 @@ def write_files(home: Path, checkout: Path) -> str:
     page = next(path for path in (checkout / name for name in GUIDES) if path.exists())
     (script, *_) = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     (home / "own_task.py").write_text(script)
-    (home / "my_task.py").write_text(TRAINS.split(script)[0])
     (home / "elsewhere").mkdir()
     (home / "elsewhere" / "run.py").write_text(ELSEWHERE)
     shutil.copy(checkout / "infogoal_jax" / "policy_file.py", home / "elsewhere")
-    return re.search(r'registry\["(\w+)"\]', script)[1]
+    return re.search(r"""(?:registry\[|register\()"(\w+)\"""", script)[1]
 
 
 def cpu_seconds() -> float:

@@ -15,18 +15,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
-import hand_made
 import pytest
 import words
 import yaml
 from places import ROOT
 
 import infogoal_jax
-from infogoal_jax import learners, presets
+from infogoal_jax import envs, learners, presets
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK, commands, main
 from infogoal_jax.imports import FLAG
-from infogoal_jax.loading import make_train
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*/*.md"))]
 # It may name flags and files that are no more; its links lead somewhere all the same.
@@ -220,15 +218,17 @@ def test_python_blocks_compile(page):
 
 
 @pytest.mark.long
-def test_the_readme_s_python_trains_one_seed_and_sixteen(monkeypatch):
-    """The block as it stands, for one epoch of the bare agent on the hand-made rooms instead of InfoGoal in a house."""
+def test_the_readme_s_python_trains_a_task_of_one_s_own_with_sixteen_seeds(monkeypatch):
+    """The block as it stands, for one epoch of two updates."""
     (block,), load, names = blocks(PAGES[0], "python"), presets.load, {}
-    sizes = hand_made.sizes(num_epochs=1, epochs_per_evaluation=1, updates_per_epoch=2, evaluation_starts=1)
-    monkeypatch.setattr(presets, "load", lambda task, method: load(task, method, learner="none", **sizes))
-    monkeypatch.setattr(infogoal_jax, "make_train", lambda config: make_train(config, hand_made.environment()))
-    exec(compile(block, "README", "exec"), names)
-    assert names["result"].metrics["test_goal/success_rate"].shape == (1,)
-    assert names["sweep"].metrics["test_goal/success_rate"].shape == (16, 1)
+    sizes = {"num_epochs": 1, "epochs_per_evaluation": 1, "updates_per_epoch": 2, "evaluation_starts": 1}
+    monkeypatch.setattr(presets, "load", lambda task, method: load(task, method, **sizes))
+    try:
+        exec(compile(block, "README", "exec"), names)
+    finally:
+        for registry in (envs.registry, presets.registry):
+            registry.pop("square", None)
+    assert names["result"].metrics["train_goal/success_rate"].shape == (16, 1)
 
 
 class Configuration(yaml.SafeLoader):
