@@ -185,8 +185,10 @@ def from_brax(
 
 
 def from_playground(env: Any, *, config_overrides: dict[str, Any] | None = None, **arguments: Any) -> AdaptedTask:
-    """An environment of MuJoCo Playground as a task: the environment, or its name there, such as "ReacherEasy". It is
-    then simulated by MJX in JAX, not by Warp, unless `config_overrides` says otherwise. arguments: of `from_brax`.
+    """An environment of MuJoCo Playground as a task: the environment, or its name there, such as "FishSwim". It is then
+    simulated by MJX in JAX, not by Warp, unless `config_overrides` says otherwise. arguments: of `from_brax`.
+
+    Playground 0.2.0 cannot make its reacher with MuJoCo 3.10 or later: it compares the versions as texts.
 
     Raises `UserError` as `from_brax`, where Playground is not installed, and for a name that it does not have.
     """

@@ -251,7 +251,7 @@ def test_names_that_are_not_there_are_one_line(make, said):
     ("module", "make", "remedy"),
     [
         ("jaxgcrl", lambda: envs.from_jaxgcrl("ant"), "pip install --no-deps jaxgcrl"),
-        ("mujoco_playground", lambda: envs.from_playground("ReacherEasy", **ARGUMENTS), "infogoal-jax[playground]"),
+        ("mujoco_playground", lambda: envs.from_playground("FishSwim", **ARGUMENTS), "infogoal-jax[playground]"),
     ],
 )
 def test_a_missing_package_is_named_with_its_remedy(module, make, remedy, monkeypatch):
@@ -273,16 +273,6 @@ def test_ant_of_jaxgcrl_is_itself():
     assert task.radius == 0.5 and task.episode_length == 1001 and len(task.shown) == 29 and task.action_size == 8
     assert np.linalg.norm(state.goal) == pytest.approx(10.0, abs=1e-3)
     assert np.array_equal(task.achieved(state), task.observe(state)[:2])
-
-
-@pytest.mark.long
-@pytest.mark.filterwarnings("ignore")
-def test_playgrounds_reacher_is_itself():
-    skip_without("mujoco_playground")
-    task = envs.from_playground(
-        "ReacherEasy", goal=lambda state: state.data.mocap_pos[0, :2], achieved=[0, 1], hidden=[2, 3], radius=0.05
-    )
-    check_contract(task)
 
 
 def skip_without(package: str) -> None:
