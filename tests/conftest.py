@@ -66,8 +66,13 @@ KEPT = "INFOGOAL_TEST_PROGRAMS"
 """Where `make test` keeps compiled programs for the next session; unset, they go with the session."""
 MOST_KEPT = 4e9
 """Bytes of them, of code that is long gone: with more, the next session begins anew."""
-ON_DISK = {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1"}
-"""Small programs too: a file of tests has hundreds, and reading one takes a fraction of the time of compiling it."""
+ON_DISK = {
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+    "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES": "none",
+}
+"""Small programs too: a file of tests has hundreds, and reading one takes a fraction of the time of compiling it. XLA's
+own caches would make the path of the folder, another in each session, a part of what programs are found by."""
 
 
 def pytest_configure(config):
@@ -86,12 +91,8 @@ def pytest_configure(config):
             link_kept(Path(os.environ[KEPT]).absolute(), programs)
         os.environ.update(ON_DISK | {"XDG_CACHE_HOME": str(folder), "JAX_COMPILATION_CACHE_DIR": str(programs)})
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-    jax.config.update(
-        "jax_persistent_cache_min_compile_time_secs", float(ON_DISK["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
-    )
-    jax.config.update(
-        "jax_persistent_cache_min_entry_size_bytes", int(ON_DISK["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"])
-    )
+    for name, value in ON_DISK.items():
+        jax.config.update(name.lower(), value if name.endswith("XLA_CACHES") else int(value))
 
 
 def link_kept(kept: Path, programs: Path) -> None:
