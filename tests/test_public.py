@@ -255,7 +255,7 @@ CALLS = {
             "method": never,
             "learner": lambda value: none(value) or a_name(value),
             "agent": none,
-            "num_envs": lambda value: whole(value, 1, 1000),
+            "num_envs": lambda value: whole(value, 1, 4000),
         },
     ),
     "envs.load": Call(envs.load, {"task": "fetch_reach", "config": None}, {"task": never, "config": none}),
