@@ -204,7 +204,7 @@ def registered(name, register):
 
 def a_word(value) -> bool:
     """Text, or a path, which counts as its name."""
-    return isinstance(value, str | Path) and "\ud800" not in str(value)
+    return isinstance(value, str | Path)
 
 
 def texts(value) -> bool:
