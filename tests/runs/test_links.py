@@ -5,6 +5,7 @@ written."""
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import hand_made
 import pytest
@@ -119,7 +120,8 @@ def test_what_looks_abandoned_and_is_a_link_stays(run, outside):
 def test_figures_are_not_drawn_through_a_link(run, outside, monkeypatch):
     put(link, run / "figures", outside)
     monkeypatch.setattr(figures, "learning_curves", None)
-    subject = type("Subject", (), {"evaluations": type("Table", (), {"values": {"a": 1}})})
+    train = SimpleNamespace(env=SimpleNamespace(goals=SimpleNamespace(finite=True)))
+    subject = SimpleNamespace(evaluations=SimpleNamespace(values={"a": 1}), train=train)
     for name in ("beta_and_accuracy", "success_by_length", "success_by_goal", "representations", "learning_curves"):
         monkeypatch.setattr(figures, name, type(name, (), {"__new__": lambda kind, subject: None}))
     monkeypatch.setattr(figures, "draw_of_task", lambda subject: {})

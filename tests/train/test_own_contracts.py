@@ -152,7 +152,7 @@ class InALine(GoalTask):
 
 def in_a_line(goals=None, members=(), **fields):
     """The task with other members and fields, as a class of a user's own."""
-    own = flax.struct.dataclass(type("Own", (InALine,), {"__module__": "own", **dict(members)}))
+    own = flax.struct.dataclass(type("Own", (InALine,), {"__module__": "own", "action_size": 1, **dict(members)}))
     return own(GoalBox.of([0.0], [1.0]) if goals is None else goals, **fields)
 
 
