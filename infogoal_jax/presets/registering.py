@@ -15,6 +15,11 @@ from infogoal_jax.registry import Entry
 EPOCHS = 40
 
 
+class Configurations:
+    """The configurations of registered tasks as attributes, by the tasks' names: a worker of a cluster that has
+    registered the same task finds the class of what it is sent."""
+
+
 def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     """Give a task of one's own a name, by which `load` and every command know it in this process.
 
@@ -39,6 +44,7 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         namespace={"__doc__": GoalTaskConfig.__doc__, "__module__": __name__},
         frozen=True,
     )
+    config.__qualname__ = f"{Configurations.__name__}.{name}"
     config().check(None)
     check_contract(env)
 
@@ -49,6 +55,7 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         recorded = bool(config.dataset) or env.recorded is not None
         return Traits(finite_goals=False, moves=env.discrete, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
+    setattr(Configurations, name, config)
     envs.registry[name] = Entry(config, make, traits=traits)
     registry[name] = default_preset(env) if preset is None else preset
 

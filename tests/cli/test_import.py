@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import sys
 from types import SimpleNamespace
 
@@ -203,3 +204,14 @@ def test_a_file_that_was_changed_is_sent_to_nobody(my_task):
     my_task.unlink()
     with pytest.raises(UserError, match="import = .*put the file back"):
         imports.contents()
+
+
+def test_the_configuration_of_a_registered_task_is_found_by_another_process():
+    """By the name of its class, which a process that has registered the task has too, as a worker of Ray."""
+    presets.register("a_maze", envs.load("point_maze"))
+    try:
+        config = envs.registry["a_maze"].config(radius=0.2)
+        assert pickle.loads(pickle.dumps(config)) == config
+    finally:
+        for registry in (envs.registry, presets.registry):
+            registry.pop("a_maze", None)
