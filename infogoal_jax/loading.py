@@ -158,7 +158,7 @@ def refusals_of_continuous_goals(config: TrainConfig) -> Iterator[Refusal]:
     }
     for field, (value, refused, remedy) in finite.items():
         if refused is True or refused == value:
-            yield Refusal(field, value, f"goals of {config.task} are no finite set", f"give {remedy}")
+            yield Refusal(field, value, "the goals of the task are no finite set", f"give {remedy}")
 
 
 def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:

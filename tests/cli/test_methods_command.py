@@ -93,7 +93,7 @@ def test_the_list_is_readable_on_a_narrow_terminal(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "80")
     assert main(["methods"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80 and len(lines) < 15 * len(presets.METHODS)
+    assert max(map(len, lines)) <= 80 and len(lines) < 12 * len(presets.METHODS)
     for name in (*presets.METHODS, *presets.TASKS):
         assert any(re.search(rf"\b{name}\b", line) for line in lines), name
 
