@@ -26,6 +26,7 @@ from infogoal_jax.errors import UserError, nearest, require
 REMEDY = "give an npz with observations, actions and terminals (docs/reference/datasets.md)"
 MEMBERS = ("observations", "actions", "terminals")
 GOALS = ("achieved_goals", "desired_goals")
+READ = (*MEMBERS, *GOALS, "valids", "next_observations")
 OTHERS = ("qpos", "qvel", "button_states", "rewards", "masks", "tasks")
 """Members of OGBench's files that nothing here needs."""
 WITHIN = 1e-5
@@ -81,8 +82,7 @@ def load(path: str | os.PathLike) -> Episodes:
         archive = archives.read(path, REMEDY)
         missing = [name for name in MEMBERS if name not in archive.sizes]
         require(not missing, "members", list(archive.sizes), f"has no {', '.join(missing)}; {REMEDY}")
-        known = [*MEMBERS, *GOALS, "valids", "next_observations"]
-        return of_arrays({name: archives.member(archive, name, REMEDY) for name in known if name in archive.sizes})
+        return of_arrays({name: archives.member(archive, name, REMEDY) for name in READ if name in archive.sizes})
 
 
 def save(path: str | os.PathLike, episodes: Episodes) -> None:
@@ -96,9 +96,7 @@ def of_arrays(arrays: Mapping[str, Any]) -> Episodes:
     `UserError`, naming the array, for what does not fit together."""
     missing = [name for name in MEMBERS if name not in arrays]
     require(not missing, "arrays", list(arrays), f"has no {', '.join(missing)}; {REMEDY}")
-    found = {
-        name: np.asarray(arrays[name]) for name in (*MEMBERS, *GOALS, "valids", "next_observations") if name in arrays
-    }
+    found = {name: np.asarray(arrays[name]) for name in READ if name in arrays}
     last = found.pop("terminals")
     if "next_observations" in found:
         return regular(found, last)
@@ -141,7 +139,7 @@ def is_one(path: str | os.PathLike) -> bool:
         names = {*archives.read(path, REMEDY, version=None).sizes}
     except (OSError, UserError):
         return False
-    return bool({"observations", "actions", "terminals"} & names) and "frames" not in names
+    return bool({*MEMBERS} & names) and "frames" not in names
 
 
 def check_episodes(path: str | os.PathLike) -> list[Finding]:
@@ -152,16 +150,15 @@ def check_episodes(path: str | os.PathLike) -> list[Finding]:
     except UserError as error:
         return [Finding("error", str(path), str(error).removeprefix(f"dataset = {str(path)!r}: "))]
     findings, members = [], {}
-    known = [*MEMBERS, *GOALS, "valids", "next_observations"]
     for name in archive.sizes:
-        if name in known:
+        if name in READ:
             try:
                 members[name] = archives.member(archive, name, REMEDY)
             except UserError as error:
                 findings.append(Finding("error", f"{path}: {name}", str(error).removeprefix(f"{name} = ")))
         elif name not in OTHERS:
             where = f"{path}: {name}"
-            findings.append(Finding("warning", where, f"no such member: it is not read.{nearest(name, known)}"))
+            findings.append(Finding("warning", where, f"no such member: it is not read.{nearest(name, list(READ))}"))
     if "next_observations" in members or "valids" in members:
         try:
             members = of_arrays(members).members()

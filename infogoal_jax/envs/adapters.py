@@ -79,12 +79,12 @@ class AdaptedTask(GoalTask):
     def move(self, world: Any, action: jax.Array) -> Any:
         """The state after an action. The environment is given dictionaries of its own, since it may write into
         them."""
-        moved = self.env.step(jax.tree.map(lambda leaf: leaf, world), action)
+        moved = self.env.step(copied(world), action)
         return jax.tree.map(lambda old, new: jnp.asarray(new, old.dtype), world, moved)
 
     def observation(self, world: Any) -> jax.Array:
         """The flattened observation, without what tells of the goal."""
-        return flat(world.obs)[np.array(self.shown, np.int32)]
+        return taken(self.shown, flat(world.obs))
 
     def achieved_goal(self, world: Any) -> jax.Array:
         """The goal that is achieved."""
@@ -336,7 +336,7 @@ class Layout:
             return lambda state: jnp.ravel(jnp.asarray(function(state), jnp.float32)), ()
         places = self.places(given, field)
         require(len(places) > 0, field, given, "give at least one place of the observation")
-        return lambda state: flat(state.obs)[np.array(places, np.int32)], places
+        return lambda state: taken(places, flat(state.obs)), places
 
 
 def flat(observation: Any) -> jax.Array:
