@@ -129,6 +129,15 @@ POSITIONS = {
     "evaluation_starts": 5,
 }
 BOUNDED = {"hidden": (256, 256, 256), "layer_norm": True, "bounded": True}
+CONTINUOUS = {
+    "learning_rate": 1e-3,
+    "discount": 0.95,
+    "target_rate": 0.05,
+    "epsilon": 0.3,
+    "noise": 0.2,
+    "intrinsic_weight": 0.0,
+}
+"""Floats of the tasks whose goals are positions, and of target states."""
 
 
 def preset_of_positions(description: str, training: dict) -> Preset:
@@ -142,14 +151,7 @@ def preset_of_positions(description: str, training: dict) -> Preset:
         agents={"td3": BOUNDED, "sac": BOUNDED},
         state_encoder={"features": 256},
         training=POSITIONS | training,
-        hyper={
-            "learning_rate": 1e-3,
-            "discount": 0.95,
-            "target_rate": 0.05,
-            "epsilon": 0.3,
-            "noise": 0.2,
-            "intrinsic_weight": 0.0,
-        },
+        hyper=CONTINUOUS,
         methods={name: Changes(learner={"window": 3, "num_pairs": 256}) for name in ("infogoal", "cogoal")},
     )
 
@@ -192,16 +194,7 @@ def preset_of_targets(description: str, training: dict, hidden: tuple[int, ...])
             "evaluation_starts": 16,
         }
         | training,
-        hyper={
-            "learning_rate": 1e-3,
-            "discount": 0.95,
-            "target_rate": 0.05,
-            "epsilon": 0.3,
-            "noise": 0.2,
-            "intrinsic_weight": 0.0,
-            "agent.target_noise": 0.1,
-            "agent.action_cost": 1.0,
-        },
+        hyper=CONTINUOUS | {"agent.target_noise": 0.1, "agent.action_cost": 1.0},
         methods={},
     )
 
