@@ -42,8 +42,8 @@ def success_over_goals(subject: Subject) -> Figure:
     title = f"success over the goal space, epoch {subject.evaluations.epochs[-1]}"
     figure = new_figure(subject, title, (9.5, 6), shown=shown)
     axes = figure.subplots()
-    across = np.argsort(-goals.std(0), kind="stable")[:2]
-    axes.set_xlabel(f"goal[{min(across)}]")
+    across = np.sort(np.argsort(-goals.std(0), kind="stable")[:2])
+    axes.set_xlabel(f"goal[{across[0]}]")
     groups = np.asarray(space.in_groups())
     if len(across) == 1:
         for group, mask in zip(space.groups, groups, strict=True):
@@ -51,12 +51,11 @@ def success_over_goals(subject: Subject) -> Figure:
             axes.scatter(goals[mask, 0], success[mask], s=area / 2, marker=marker, color=USE_COLOURS[group])
         finish_share_axis(axes, "success rate")
     else:
-        shared = np.sort(across)
-        axes.set_ylabel(f"goal[{shared[1]}]")
-        low, high = corners_of(space, shared)
+        axes.set_ylabel(f"goal[{across[1]}]")
+        low, high = corners_of(space, across)
         scale = Normalize(0, 1)
         sums, counts = (
-            np.histogram2d(*goals[:, shared].T, CELLS, list(zip(low, high, strict=True)), weights=weights)[0].T
+            np.histogram2d(*goals[:, across].T, CELLS, list(zip(low, high, strict=True)), weights=weights)[0].T
             for weights in (success, None)
         )
         mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
@@ -64,7 +63,7 @@ def success_over_goals(subject: Subject) -> Figure:
         axes.imshow(mean, extent=extent, origin="lower", cmap=COLOURS, norm=scale, alpha=0.45, aspect="equal")
         for group, mask in zip(space.groups, groups, strict=True):
             marker, area = USE_MARKERS[group]
-            points = goals[mask][:, shared]
+            points = goals[mask][:, across]
             drawn = axes.scatter(
                 *points.T,
                 s=area,
@@ -75,7 +74,7 @@ def success_over_goals(subject: Subject) -> Figure:
                 edgecolors="black",
                 clip_on=False,
             )
-        outline(axes, space, shared, low, high)
+        outline(axes, space, across, low, high)
         figure.colorbar(drawn, ax=axes, label="success rate", location="left", shrink=0.8)
         axes.grid(visible=False)
     axes.legend(handles=legend(space), loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -251,14 +251,14 @@ class RunFiles(Callback):
 
     def stopped(self, sweep: Sweep) -> None:
         """Write what was not due after the last chunk."""
-        if sweep.states is not None and self.saved < self.epoch:
+        if self.saved < self.epoch:
             self.save(sweep)
 
     def is_due(self) -> bool:
         """Whether this process writes, and writing takes a second at most or little of the time since it was last
         done."""
-        share = self.save_seconds / max(time.monotonic() - self.saved_at, 1e-9)
-        return distributed.is_writer() and (self.save_seconds < 1.0 or share < CHECKPOINT_SHARE)
+        passed = time.monotonic() - self.saved_at
+        return distributed.is_writer() and self.save_seconds < max(1.0, CHECKPOINT_SHARE * passed)
 
     def save(self, sweep: Sweep) -> None:
         """Write the checkpoint, then the policy."""
