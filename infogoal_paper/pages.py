@@ -14,7 +14,7 @@ them is replaced by what the numbers of the source give. Sources:
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json
-    positions Fetch with continuous goals, positions.py, in positions.csv and transfer.jsonl
+    positions Fetch with continuous goals, positions.py, in positions.csv.gz and transfer.jsonl
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.

@@ -2,24 +2,25 @@
 
     python -m infogoal_paper.positions [--runs RUN ...] [--transfers FILE ...]
 
-`--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv,
+`--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv.gz,
 `--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl, each in place
 of what was there of the same task, learner and agent, or of the same policy. `pages.py positions` writes the tables of
 docs/reference/vectors.md.
 """
 
 import argparse
-import csv
 import json
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from infogoal_jax.report.statistics import mean_interval
+from infogoal_paper import trial_numbers
 from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.trial_numbers import Row
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
-NUMBERS, TRANSFERS = RESULTS / "positions.csv", RESULTS / "transfer.jsonl"
+NUMBERS, TRANSFERS = RESULTS / "positions.csv.gz", RESULTS / "transfer.jsonl"
 KEY = "task", "learner", "agent"
 TITLES = {
     "fetch_reach_positions": "Reach",
@@ -32,26 +33,22 @@ NAMES = {"none": "", "infogoal": " + InfoGoal"}
 ENOUGH = 0.9
 
 
-def rows_of_run(folder: Path) -> list[dict[str, str]]:
+def rows_of_run(folder: Path) -> list[Row]:
     """A row for each evaluation of each seed."""
     about = json.loads((folder / "config.json").read_text())
     config, machine = about["config"], f"1 x {about['device']}, jax {about['versions']['jax']}"
     parts = {"task": config["task"], "learner": config["learner"]["name"], "agent": config["agent"]["name"]}
-    with open(folder / "evaluations.csv", newline="") as file:
-        return [
-            parts
-            | {name: row[name] for name in ("seed", "epoch", "env_steps")}
-            | {"success": f"{float(row['train_goal/success_rate']):.4g}", "machine": machine}
-            for row in csv.DictReader(file)
-        ]
+    return [
+        parts
+        | {name: row[name] for name in ("seed", "epoch", "env_steps")}
+        | {"success": f"{float(row['train_goal/success_rate']):.4g}", "machine": machine}
+        for row in trial_numbers.read(folder / "evaluations.csv")
+    ]
 
 
-def read() -> list[dict[str, str]]:
+def read() -> list[Row]:
     """The rows so far."""
-    if not NUMBERS.exists():
-        return []
-    with open(NUMBERS, newline="") as file:
-        return list(csv.DictReader(file))
+    return trial_numbers.read(NUMBERS) if NUMBERS.exists() else []
 
 
 def take(runs: list[Path]) -> None:
@@ -60,10 +57,7 @@ def take(runs: list[Path]) -> None:
     replaced = {tuple(row[name] for name in KEY) for row in new}
     rows = [row for row in read() if tuple(row[name] for name in KEY) not in replaced] + new
     rows.sort(key=lambda row: (*(row[name] for name in KEY), int(row["seed"]), int(row["epoch"])))
-    with open(NUMBERS, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    trial_numbers.write(rows, NUMBERS)
 
 
 def take_transfers(files: list[Path]) -> None:
@@ -80,7 +74,7 @@ def read_transfers() -> list[dict[str, Any]]:
     return [json.loads(line) for line in TRANSFERS.read_text().splitlines()] if TRANSFERS.exists() else []
 
 
-def solved(rows: list[dict[str, str]]) -> list[str]:
+def solved(rows: list[Row]) -> list[str]:
     """The line of one task, learner and agent: success at the end, and steps of each seed until it is 0.9."""
     seeds = [list(own) for _, own in groupby(rows, key=lambda row: int(row["seed"]))]
     first = [next((int(row["env_steps"]) for row in own if float(row["success"]) >= ENOUGH), None) for own in seeds]

@@ -22,7 +22,7 @@ def write_run(folder, agent: str, successes: dict[int, list[float]]) -> None:
 
 def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
     """A second run of the same parts takes the first one's place; a seed that never got there is counted."""
-    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv")
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.gz")
     monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
     assert positions.tables() == {}
     write_run(tmp_path / "first", "sac", {0: [0.1, 0.2], 1: [0.1, 0.2]})
@@ -36,7 +36,7 @@ def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
 
 
 def test_policies_are_shown_beside_the_reference(tmp_path, monkeypatch):
-    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv")
+    monkeypatch.setattr(positions, "NUMBERS", tmp_path / "positions.csv.gz")
     monkeypatch.setattr(positions, "TRANSFERS", tmp_path / "transfer.jsonl")
     for seed, (ours, there) in enumerate(((1.0, 0.9), (0.8, 0.9))):
         reached = {"ours": {"mean": ours}, "reference": {"mean": there}, "difference": ours - there}
