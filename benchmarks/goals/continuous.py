@@ -75,13 +75,22 @@ def studies() -> dict[str, list[Setting]]:
     held_out = {"point_maze": {}, "reacher": {}, "fetch_reach_positions": {"held_out": "octant"}}
     lanes = {f"alpha {alpha}": {"learner.beta_threshold": alpha} for alpha in (0.96, 0.99, 0.997)}
     lanes |= {"beta 0": {"learner.beta_step": 0.0}}
-    lanes |= {f"{name}, weight 0.1": lanes[name] | {"learner_weight": 0.1} for name in ("alpha 0.96", "beta 0")}
+    lanes = {f"{name}, weight 1.0": hyper | {"learner_weight": 1.0} for name, hyper in lanes.items()} | {
+        f"{name}, weight 0.1": lanes[name] | {"learner_weight": 0.1} for name in ("alpha 0.96", "beta 0")
+    }
     causes = []
     for task, env in held_out.items():
         causes.append(Setting(f"{task} none", task, "none", env=env))
         for window in (1, 5):
             causes += [
-                Setting(f"{task} infogoal, window {window}, {lane}", task, "infogoal", {"window": window}, hyper, env)
+                Setting(
+                    f"{task} infogoal, window {window}, {lane}",
+                    task,
+                    "infogoal",
+                    {"window": window, "beta_rule": "linear"},
+                    hyper,
+                    env,
+                )
                 for lane, hyper in lanes.items()
             ]
             following = {"window": window, "beta_rule": "relative"}
@@ -96,11 +105,24 @@ def studies() -> dict[str, list[Setting]]:
                 )
                 for margin, weight in ((0.005, 1.0), (0.02, 1.0), (0.005, 0.1))
             ]
-    methods = [
-        Setting(f"{task} {method}", task, method, env=held_out[task])
-        for task in ("point_maze", "fetch_reach_positions")
-        for method in ("none", "infogoal", "vae", "cogoal")
-    ]
+    methods = []
+    for task in ("point_maze", "fetch_reach_positions"):
+        methods.append(Setting(f"{task} none", task, "none", env=held_out[task]))
+        fields = [("infogoal", {})]
+        fields += [("vae", {"vae_beta": weight}) for weight in (1.0, 0.1, 0.01)]
+        fields += [("cogoal", {"window": window}) for window in (1, 5)]
+        methods += [
+            Setting(
+                f"{task} {method} {json.dumps(learner)}, weight {weight}",
+                task,
+                method,
+                learner,
+                {"learner_weight": weight},
+                held_out[task],
+            )
+            for method, learner in fields
+            for weight in (1.0, 0.1)
+        ]
     negatives = [
         Setting(f"dissimilar by {rule}", "point_maze", "infogoal", {"dissimilar_by": rule})
         for rule in ("trajectory", "cells", "classifier")

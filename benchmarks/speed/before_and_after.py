@@ -2,6 +2,8 @@
 
     python benchmarks/speed/before_and_after.py 8ac0064 [--method infogoal] [--rounds 5] [--epochs 60]
 
+Instead of a commit, a folder that holds one serves, where there is no git.
+
 Each turn is a process of its own, which knows nothing of caches: it imports, traces, compiles and trains the hand-made
 rooms of the tests of its checkout. Time is that of the processor, over all threads, which other work on the machine
 changes little. Printed are the medians of both, and the ratio of the later to the earlier one over the rounds. The
@@ -65,7 +67,7 @@ def measured(checkout: Path, arguments: argparse.Namespace) -> dict:
 def main() -> None:
     """Measure in turns and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("commit")
+    parser.add_argument("commit", help="or a folder")
     parser.add_argument("--method", default="infogoal")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--epochs", type=int, default=60)
@@ -73,10 +75,12 @@ def main() -> None:
     arguments = parser.parse_args()
     rounds = []
     with tempfile.TemporaryDirectory() as folder:
-        before = Path(folder) / "before"
-        before.mkdir()
-        content = subprocess.run(["git", "archive", arguments.commit], cwd=ROOT, check=True, stdout=subprocess.PIPE)
-        subprocess.run(["tar", "xf", "-"], cwd=before, input=content.stdout, check=True)
+        before = Path(arguments.commit).absolute()
+        if not before.is_dir():
+            before = Path(folder) / "before"
+            before.mkdir()
+            content = subprocess.run(["git", "archive", arguments.commit], cwd=ROOT, check=True, stdout=subprocess.PIPE)
+            subprocess.run(["tar", "xf", "-"], cwd=before, input=content.stdout, check=True)
         for number in range(arguments.rounds):
             order = [before, ROOT] if number % 2 == 0 else [ROOT, before]
             found = {checkout: measured(checkout, arguments) for checkout in order}

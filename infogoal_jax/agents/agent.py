@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import flax.struct
 import jax
+import jax.numpy as jnp
 
 from infogoal_jax.errors import require
 from infogoal_jax.replay import Trajectories
@@ -74,8 +75,16 @@ class AgentBatch:
     """bool [B, A], legal actions in the first state."""
     next_action_mask: jax.Array
     """bool [B, A], legal actions in the last state."""
+    largest_value: jax.Array | None = None
+    """float32 [], what being at the goal for ever is worth, where an episode goes on at its goal; 1 otherwise."""
     all_goals: AllGoals | None = None
     """The same transitions under all goals, where the relabelling asks for it (`relabelling/all_goals.py`)."""
+
+
+def in_bounds(target: jax.Array, batch: AgentBatch) -> jax.Array:
+    """Targets [B] between 0 and the largest value that a goal can have, as HER clips them (Andrychowicz et al. 2017,
+    Appendix A)."""
+    return jnp.clip(target, 0.0, 1.0 if batch.largest_value is None else batch.largest_value)
 
 
 class Exploration(NamedTuple):

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_sizes
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_sizes, in_bounds
 from infogoal_jax.hyperparameters import Number, Search
 
 LOG_STDS = (-5.0, 2.0)
@@ -169,7 +169,7 @@ def make(config: SACConfig, env) -> Agent:
         target_key, actor_key = jax.random.split(key)
         alpha = 0.0 if config.bounded else temperature(params, hyper)
         target = soft_target(actor, critic, params, target_params, batch, alpha, target_key)
-        target = jnp.clip(target, 0.0, 1.0) if config.bounded else target
+        target = in_bounds(target, batch) if config.bounded else target
         inputs = td3.joined(batch.features, batch.code)
         values = critic.apply(params["critic"], inputs, batch.action)
         inputs, frozen = jax.lax.stop_gradient((inputs, params["critic"]))

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes, in_bounds
 from infogoal_jax.hyperparameters import Number, Search
 
 
@@ -39,7 +39,8 @@ class TD3Config:
     layer_norm: bool = False
     """Normalise what each ReLU of the critics gets."""
     bounded: bool = False
-    """Keep targets between 0 and 1, and values of `product` by a sigmoid. Not for rewards other than 1 at the goal."""
+    """Keep targets between 0 and the largest value, and values of `product` by a sigmoid. Not for rewards other than 1
+    at the goal."""
     behaviour: bool = False
     """Keep the actor near the actions of the data, for recorded episodes (TD3+BC, Fujimoto & Gu 2021)."""
 
@@ -266,13 +267,13 @@ def learn(
     """The losses for a batch, under all goals at once where it has them: then the critics learn from all of them, and
     the actor from the batch's own.
 
-    noise: standard deviation of target policy smoothing; bounded: keep targets between 0 and 1.
+    noise: standard deviation of target policy smoothing; bounded: keep targets `in_bounds`.
     """
     inputs = joined(batch.features, batch.code)
     target_inputs, both = joined(batch.target_features, batch.target_code), of_inputs(critic, batch.features)
     following = next_value(key, actor, both, target_params, target_inputs, noise)
     target = batch.reward + batch.discount * following
-    target = jnp.clip(target, 0.0, 1.0) if bounded else target
+    target = in_bounds(target, batch) if bounded else target
     found = losses(actor, both, params, inputs, batch.action, target, huber)
     if batch.all_goals is None:
         return found

@@ -1,6 +1,7 @@
 """The Fetch tasks with goal images: windows and weights [M] tuned on goal set 1, floats on validation goals of goal set
 0, by searches [T] (docs/research/tuning.md) and by trials [M] (docs/research/trials.md)."""
 
+from infogoal_jax.presets import plane
 from infogoal_jax.presets.preset import INFOBOT, Changes, Preset
 
 TRAINING = {
@@ -152,7 +153,7 @@ def preset_of_positions(description: str, training: dict) -> Preset:
         state_encoder={"features": 256},
         training=POSITIONS | training,
         hyper=CONTINUOUS,
-        methods={name: Changes(learner={"window": 3, "num_pairs": 256}) for name in ("infogoal", "cogoal")},
+        methods={"infogoal": plane.INFOGOAL, "cogoal": Changes(learner=plane.SIMILAR)},
     )
 
 

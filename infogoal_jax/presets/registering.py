@@ -64,5 +64,4 @@ def default_preset(env: GoalTask) -> Preset:
     """The preset of a task that brings none."""
     words = (type(env).__doc__ or "A task of one's own.").split("\n")[0]
     preset = plane.preset(words, EPOCHS)
-    agents = {name: fields | {"bounded": env.ends_at_goal} for name, fields in preset.agents.items()}
-    return dataclasses.replace(preset, agent="dqn" if env.discrete else "td3", agents=agents)
+    return dataclasses.replace(preset, agent="dqn" if env.discrete else "td3")

@@ -189,6 +189,8 @@ def train_in(train: Train, programs: Programs, point: Point, files: "RunFiles", 
 
 CHECKPOINT_SHARE = 0.1
 """Of the time that passes, what goes into checkpoints at most: those of several seeds' replay buffers are gigabytes."""
+BYTES_A_SECOND = 2e8
+"""How fast the first one is expected to be written [M]."""
 
 
 class RunFiles(Callback):
@@ -219,8 +221,10 @@ class RunFiles(Callback):
         return self.left() >= 1.2 * sweep.last_seconds
 
     def compiled(self, sweep: Sweep) -> None:
-        """Note how many steps earlier sessions took."""
+        """Note how many steps earlier sessions took, and what a checkpoint is likely to take."""
         self.phase("training", self.epoch)
+        self.saved_at = time.monotonic()
+        self.save_seconds = sum(leaf.nbytes for leaf in jax.tree.leaves(sweep.states)) / BYTES_A_SECOND
         self.steps_before = int(np.sum(distributed.gathered(jax.device_get(sweep.states.state.env_steps))))
 
     def evaluated(self, sweep: Sweep) -> None:

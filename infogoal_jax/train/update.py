@@ -108,6 +108,7 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
         discount=discount_after(batch, hyper),
         action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
+        largest_value=None if env.ends_at_goal else 1.0 / (1.0 - hyper.discount),
     )
 
 

@@ -56,11 +56,12 @@ def test_actions_at_the_edge_have_a_finite_density_and_gradient():
     assert np.isfinite(found) and np.isfinite(slope).all()
 
 
-@pytest.mark.parametrize("bounded", [False, True])
-def test_loss_is_that_of_the_formulas(bounded):
+@pytest.mark.parametrize(("bounded", "largest"), [(False, None), (True, None), (True, 1.2)])
+def test_loss_is_that_of_the_formulas(bounded, largest):
     """The trained actor draws what follows, the smaller target critic values it; entropy is worth its temperature in
     targets that have no bounds."""
     agent, batch = agent_of(layer_norm=True, huber=False, bounded=bounded), random_batch()
+    batch = batch.replace(largest_value=largest)
     params, state = started(agent)
     params, target_params = params | {"log_temperature": jnp.float32(0.4)}, varied(params, 1)
     hyper = sac.SACHyperparameters(target_entropy=-0.7, initial_temperature=0.2)
@@ -70,7 +71,7 @@ def test_loss_is_that_of_the_formulas(bounded):
     action, log_pi = drawn(target_key, *of_policy(params, batch.next_features, batch.next_code))
     worth = twin(target_params["critic"], batch.target_features, batch.target_code, action).min(0)
     target = batch.reward + batch.discount * (worth if bounded else worth - alpha * log_pi)
-    target = np.clip(target, 0, 1) if bounded else target
+    target = np.clip(target, 0, largest or 1) if bounded else target
     values = twin(params["critic"], batch.features, batch.code, batch.action)
     own, own_log_pi = drawn(actor_key, *of_policy(params, batch.features, batch.code))
     climbed = twin(params["critic"], batch.features, batch.code, own).min(0)

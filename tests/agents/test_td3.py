@@ -16,12 +16,12 @@ def agent_of(**changes):
     return agents.registry.entry("td3").make(td3.TD3Config(hidden=(8, 8), **changes), vector_agents.env())
 
 
-@pytest.mark.parametrize("bounded", [False, True])
-def test_loss_is_that_of_the_formulas(bounded):
-    """Without target noise: the smaller of the target critics sets one target for both (Eq. 10), in [0, 1] if it is
-    bounded; the actor climbs the first critic and pays for large actions."""
+@pytest.mark.parametrize(("bounded", "largest"), [(False, None), (True, None), (True, 1.2)])
+def test_loss_is_that_of_the_formulas(bounded, largest):
+    """Without target noise: the smaller of the target critics sets one target for both (Eq. 10), between 0 and the
+    largest value if it is bounded; the actor climbs the first critic and pays for large actions."""
     agent, batch = agent_of(layer_norm=True, huber=False, bounded=bounded), random_batch()
-    batch = batch.replace(reward=3.0 * (batch.reward - 0.5))
+    batch = batch.replace(reward=3.0 * (batch.reward - 0.5), largest_value=largest)
     params, state = started(agent)
     target_params, hyper = varied(params, 1), td3.TD3Hyperparameters(target_noise=0.0, action_cost=0.7)
     found, metrics = agent.loss(params, target_params, batch, state, hyper, jax.random.key(0))
@@ -29,8 +29,8 @@ def test_loss_is_that_of_the_formulas(bounded):
     target = batch.reward + batch.discount * twin(
         target_params["critic"], batch.target_features, batch.target_code, following
     ).min(0)
-    assert (target < 0).any() and (target > 1).any()
-    target = np.clip(target, 0, 1) if bounded else target
+    assert (target < 0).any() and (target > (largest or 1)).any()
+    target = np.clip(target, 0, largest or 1) if bounded else target
     values = twin(params["critic"], batch.features, batch.code, batch.action)
     own = np.tanh(mlp(params["actor"], joined(batch.features, batch.code)))
     climbed = twin(params["critic"], batch.features, batch.code, own)[0].mean()

@@ -148,21 +148,21 @@ def test_what_is_no_goal_task_is_not_registered(env):
     assert "square" not in envs.registry and "square" not in presets.registry
 
 
-def test_values_are_bounded_where_an_episode_ends_at_its_goal_alone(registered):
-    """Every step at the goal is worth 1 otherwise: refused by the field, and not by default for a task of one's own."""
+def test_values_are_bounded_by_what_staying_at_the_goal_is_worth(registered):
+    """Every step at the goal is worth 1 otherwise: a sigmoid is refused, and targets are clipped higher."""
     goes_on = presets.load("point_maze", "none", env=PlaneConfig(ends_at_goal=False))
-    (refusal,) = reasons_against(goes_on)
-    assert refusal.field == "agent.bounded" and "give False" in refusal.remedy
+    assert goes_on.agent.bounded and not reasons_against(goes_on)
+    of_sigmoid = dataclasses.replace(goes_on, agent=TD3Config(bounded=True, critic="product"))
     with pytest.raises(UserError, match=r"^agent.bounded = True: an episode of point_maze goes on at its goal"):
-        make_train(goes_on)
-    assert not reasons_against(dataclasses.replace(goes_on, agent=TD3Config(bounded=False)))
+        make_train(of_sigmoid)
+    assert not reasons_against(dataclasses.replace(goes_on, agent=TD3Config(critic="product")))
     all_goals = presets.load("fetch_reach", "all_goals", env=dataclasses.replace(goes_on.env), agent="td3")
     assert "relabelling" in {
         refusal.field for refusal in reasons_against(dataclasses.replace(all_goals, task="reacher"))
     }
     registered(Square(GOALS, ends_at_goal=False))
     config = presets.load("square", "none")
-    assert not config.agent.bounded and not reasons_against(config)
+    assert config.agent.bounded and not reasons_against(config)
 
 
 @pytest.mark.long
