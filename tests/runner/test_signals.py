@@ -30,17 +30,19 @@ FRACTION = 1.0 if os.environ.get("SIGNALS") == "all" else 0.1
 TIMES = {signal.SIGKILL: 50, signal.SIGINT: 20, signal.SIGTERM: 20, signal.SIGHUP: 20}
 
 
-class Command:
-    """A run of the command in this folder, or what is left of it. cache: of compiled programs."""
+LARGE = "fetch_pick_and_place --seeds 64 --no-figures".split()
+"""A program that takes a compiler minutes, on any device."""
 
-    def __init__(self, folder: Path, house: Path, cache: Path):
-        there = (folder / "config.json").exists()
-        words = ["--resume", str(folder)] if there else ["--out", str(folder), "--env.dataset", str(house)]
+
+class Command:
+    """`infogoal train` in this folder. words: of the command; cache: of compiled programs."""
+
+    def __init__(self, folder: Path, words: list[str], cache: Path):
         self.folder, self.log = folder, folder.with_suffix(".log")
         self.log.write_text("")
         with open(self.log, "w") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "infogoal_jax", "train", "object_search", *words, *FLAGS],
+                [sys.executable, "-m", "infogoal_jax", "train", *words],
                 env=os.environ | {"XDG_CACHE_HOME": str(cache), "PYTHONUNBUFFERED": "1"},
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -66,11 +68,18 @@ class Command:
         return self.process.wait(LONGEST)
 
 
+def searching(folder: Path, house: Path, cache: Path) -> Command:
+    """A short run of object search, or what is left of it."""
+    there = (folder / "config.json").exists()
+    words = ["--resume", str(folder)] if there else ["--out", str(folder), "--env.dataset", str(house)]
+    return Command(folder, ["object_search", *words, *FLAGS], cache)
+
+
 @pytest.fixture(scope="module")
 def whole(tiny_house, tmp_path_factory) -> tuple[Path, Path, float]:
     """A run that was left alone, the cache of its programs, and the seconds that they took to compile."""
     place = tmp_path_factory.mktemp("whole")
-    command = Command(place / "run", tiny_house, place / "cache")
+    command = searching(place / "run", tiny_house, place / "cache")
     command.wait_for(command.compiles)
     began = time.monotonic()
     command.wait_for(command.has_trained)
@@ -88,7 +97,7 @@ def test_whatever_ends_it_the_run_goes_on(number, whole, tiny_house, tmp_path):
     met = Counter()
     for time_of in range(round(FRACTION * TIMES[number])):
         compiling, folder = time_of % 2 == 0, tmp_path / f"run_{time_of}"
-        command = Command(folder, tiny_house, tmp_path / f"cache_{time_of}" if compiling else cache)
+        command = searching(folder, tiny_house, tmp_path / f"cache_{time_of}" if compiling else cache)
         command.wait_for(command.compiles if compiling else command.has_trained)
         time.sleep(random.uniform(0.0, 0.8 * seconds if compiling else 0.5))
         hit, before = command.process.poll() is None, command.has_trained()
@@ -105,9 +114,33 @@ def test_whatever_ends_it_the_run_goes_on(number, whole, tiny_house, tmp_path):
             assert "Traceback" not in command.printed()
             assert status == 0 or f"--resume {folder}" in command.printed()
             assert before or command.has_trained() or took < AT_ONCE, command.printed()
-        command = Command(folder, tiny_house, cache)
+        command = searching(folder, tiny_house, cache)
         assert command.end() == 0, command.printed()
         for name in FILES:
             assert (folder / name).read_bytes() == (other / name).read_bytes(), (time_of, name)
         assert not list(folder.glob(".*"))
     print(f"{number.name}: the same bits after all of {dict(met)}")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seconds", [0.0, 2.0, 5.0, 10.0])
+def test_compilation_of_many_seeds_ends_with_the_process(seconds, tmp_path):
+    """The threads of a compiler cannot be stopped: 64 seeds, on whichever device jax has, go with their process."""
+    folder = tmp_path / "run"
+    command = Command(folder, [*LARGE, "--out", str(folder)], tmp_path / "cache")
+    try:
+        command.wait_for(command.compiles)
+        time.sleep(seconds)
+        assert command.process.poll() is None, command.printed()
+        assert "tracing" not in command.printed()  # The line of times that ends compilation.
+        began = time.monotonic()
+        command.process.send_signal(signal.SIGTERM)
+        status, took = command.end(), time.monotonic() - began
+    finally:
+        command.process.kill()
+    print(f"SIGTERM {seconds:.0f} s into compilation: status {status} after {took:.2f} s", flush=True)
+    said = command.printed()
+    assert status == 130 and took < AT_ONCE and "Traceback" not in said, (status, took, said)
+    assert f"{folder} has no checkpoint yet; go on with: infogoal train --resume {folder}" in said
+    assert (folder / "config.json").exists() and not (folder / "checkpoint").exists()
+    assert not list(folder.glob(".*.partial*")), list(folder.iterdir())
