@@ -3,11 +3,12 @@ against seconds and steps, steps and updates a second.
 
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
-        [--steps 2000000] [--sides ours theirs] [--budget 540]
+        [--steps 2000000] [--evaluations 10] [--sides ours theirs] [--budget 540]
     python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json [MORE.json]
 
-What is in RESULTS.json already is not run again, so that several calls fill one table; a program is not begun once the
-budget, in seconds, is spent. `--toy` is a size for a CPU, which checks that everything runs.
+What is in RESULTS.json already is not run again, so that several calls fill one table. Once the budget, in seconds, is
+spent no program is begun, and JaxGCRL's stops at its next evaluation. `--toy` is a size for a CPU, which checks that
+everything runs.
 
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
@@ -37,7 +38,7 @@ import numpy as np
 
 from infogoal_jax import envs, make_train, presets, use_compilation_cache
 from infogoal_jax.bridges.brax import brax_training
-from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl
+from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl, jaxgcrl_environment
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine, mean_interval
 
@@ -226,11 +227,15 @@ def with_memory(evaluator: type) -> type:
     return Remembering
 
 
-def theirs(task: str, agent: str, sizes: Sizes, seed: int) -> Outcome:
-    """Train one seed of one of JaxGCRL's agents by its own program."""
+class BudgetSpentError(Exception):
+    """Stops JaxGCRL's program at an evaluation."""
+
+
+def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> Outcome:
+    """Train one seed of one of JaxGCRL's agents by its own program, until its end or the first evaluation after the
+    deadline, in seconds of `time.perf_counter`."""
     agents = import_jaxgcrl("jaxgcrl.agents")
-    module, kind, given = JAXGCRL[task]
-    env_class = getattr(import_jaxgcrl(f"jaxgcrl.envs.{module}"), kind)
+    env_class, given = jaxgcrl_environment(task)
     more = {"crl": {"min_replay_size": sizes.prefill}, "td3": {"use_her": True}, "sac": {"use_her": True}}[agent]
     made = getattr(agents, agent.upper())(
         batch_size=sizes.batch_size,
@@ -264,11 +269,15 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int) -> Outcome:
         walls.append(float(metrics["training/walltime"]))
         success.append(float(metrics["eval/episode_success_any"]))
         report("theirs", task, agent, steps[-1], walls[-1], success[-1])
+        if time.perf_counter() > deadline and len(steps) > 1:  # The second round is the first that does not compile.
+            raise BudgetSpentError
 
     started = time.perf_counter()
     with changed_for_today(env_class):
         try:
             made.train_fn(settings, env_class(**given), env_class(**given), progress_fn=heard)
+        except BudgetSpentError:
+            pass
         except (AssertionError, UnboundLocalError):
             # At the end it counts other steps than it plans by, and returns parameters that it keeps in files alone.
             if len(steps) < sizes.evaluations:
@@ -278,7 +287,7 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int) -> Outcome:
     seconds = np.median(rounds_seconds) * np.arange(1, len(walls) + 1)
     # Every round has as many updates as make an epoch of its replayed episodes, whose last steps have no later goal.
     learned = sizes.num_envs * (sizes.episode_length - (agent == "crl"))
-    updates = sizes.evaluations * rounds * (learned // sizes.batch_size)
+    updates = len(steps) * rounds * (learned // sizes.batch_size)
     return Outcome(
         task,
         agent,
@@ -303,12 +312,15 @@ def report(side: str, task: str, agent: str, steps: float, seconds: float, succe
 
 
 def joined(outcomes: list[Outcome]) -> Outcome:
-    """Seeds that ran one after the other as one outcome: seconds are the mean of a seed."""
-    first = outcomes[0]
+    """Seeds that ran one after the other as one outcome, as far as the shortest of them went: seconds are the mean of a
+    seed."""
+    first, count = outcomes[0], min(len(each.steps) for each in outcomes)
     return dataclasses.replace(
         first,
-        seconds=np.mean([each.seconds for each in outcomes], 0).tolist(),
-        success=[curve for each in outcomes for curve in each.success],
+        steps=first.steps[:count],
+        seconds=np.mean([each.seconds[:count] for each in outcomes], 0).tolist(),
+        success=[curve[:count] for each in outcomes for curve in each.success],
+        updates=first.updates * count // len(first.steps),
         compiling=float(np.mean([each.compiling for each in outcomes])),
     )
 
@@ -325,13 +337,13 @@ def print_table(outcomes: list[Outcome]) -> None:
         f"s to {SUCCESS} (a seed) | compiling (s) |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    sides: dict[tuple[str, str], dict[str, Outcome]] = {}
+    sides: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
     for each in outcomes:
-        grouped = sides.setdefault((each.task, each.agent), {})
-        grouped[each.side] = joined([grouped[each.side], each]) if each.side in grouped else each
+        sides.setdefault((each.task, each.agent), {}).setdefault(each.side, []).append(each)
     for (task, agent), both in sides.items():
         measured = {}
-        for side, outcome in both.items():
+        for side, found in both.items():
+            outcome = joined(found)
             measured[side] = (
                 outcome.steps_per_second(),
                 outcome.updates_per_second(),
@@ -361,6 +373,7 @@ def main() -> None:
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=2_000_000)
+    parser.add_argument("--evaluations", type=int, default=10)
     parser.add_argument("--budget", type=float, default=float("inf"))
     parser.add_argument("--toy", action="store_true")
     words = parser.parse_args()
@@ -370,7 +383,8 @@ def main() -> None:
     if words.out is None:
         parser.error("--out: give the file of the results")
     use_compilation_cache()
-    sizes, started = TOY if words.toy else Sizes(words.steps), time.perf_counter()
+    sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
+    deadline = time.perf_counter() + words.budget
     outcomes = read(words.out)
 
     def runs() -> Iterator[tuple[str, str, str, int]]:
@@ -388,11 +402,14 @@ def main() -> None:
         done = sum((each.task, each.agent, each.side) == (task, agent, side) for each in outcomes)
         if done > seed:
             continue
-        if time.perf_counter() - started > words.budget:
+        if time.perf_counter() > deadline:
             print("the budget is spent; the same command goes on", file=sys.stderr)
             break
         try:
-            found = ours(task, agent, sizes, words.seeds) if side == "ours" else theirs(task, agent, sizes, seed)
+            if side == "ours":
+                found = ours(task, agent, sizes, words.seeds)
+            else:
+                found = theirs(task, agent, sizes, seed, deadline)
         except UserError as error:
             parser.error(str(error))
         outcomes.append(found)

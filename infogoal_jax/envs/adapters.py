@@ -243,14 +243,7 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     `import_jaxgcrl`.
     Raises `UserError` as `from_brax`, where JaxGCRL is not installed, and for a name that it does not have.
     """
-    known = isinstance(name, str) and name in JAXGCRL
-    require(known, "name", name, f"no such environment.{nearest(str(name), [*JAXGCRL])} Known: {', '.join(JAXGCRL)}")
-    module, kind, given = JAXGCRL[name]
-    package = import_jaxgcrl(f"jaxgcrl.envs.{module}")
-    made = getattr(package, kind)
-    if name.startswith("arm_"):  # It looks for its models from the folder that one is in.
-        own_path, folder = made._get_xml_path, Path(sys.modules["jaxgcrl"].__file__).parent
-        made = type(kind, (made,), {"_get_xml_path": lambda self: str(folder / own_path(self))})
+    made, given = jaxgcrl_environment(name)
     env = checks.called("name", lambda: made(**given))
     # Its observation is the state and then the goal; `goal_indices` are places of the state.
     own = {
@@ -262,6 +255,19 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
         "source": f"{name} of JaxGCRL, simulated",
     }
     return from_brax(env, **(own | arguments))
+
+
+def jaxgcrl_environment(name: str) -> tuple[type, dict[str, Any]]:
+    """The class of an environment of JaxGCRL, by its name there, and the arguments that make it. Raises `UserError` as
+    `import_jaxgcrl`, and for a name that it does not have."""
+    known = isinstance(name, str) and name in JAXGCRL
+    require(known, "name", name, f"no such environment.{nearest(str(name), [*JAXGCRL])} Known: {', '.join(JAXGCRL)}")
+    module, kind, given = JAXGCRL[name]
+    made = getattr(import_jaxgcrl(f"jaxgcrl.envs.{module}"), kind)
+    if name.startswith("arm_"):  # It looks for its models from the folder that one is in.
+        own_path, folder = made._get_xml_path, Path(sys.modules["jaxgcrl"].__file__).parent
+        made = type(kind, (made,), {"_get_xml_path": lambda self: str(folder / own_path(self))})
+    return made, given
 
 
 def import_jaxgcrl(module: str) -> Any:
