@@ -149,15 +149,15 @@ def reach_run(tmp_path_factory) -> training.RunResult:
     return training.run(config, [0, 1], tmp_path_factory.mktemp("reach") / "run")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def tiny_house(tmp_path_factory) -> Path:
-    """Folder of a tiny synthetic house: 64 x 36 pixels, nodes 1.2 m apart."""
+    """Folder of a tiny synthetic house: 64 x 36 pixels, nodes 1.2 m apart. Nobody changes it."""
     root = tmp_path_factory.mktemp("tiny_house")
     house.build_house(root, seed=3, **TINY_HOUSE)
     return root
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def annotations(tiny_house) -> dict[str, dict]:
     """What the images of the tiny house show."""
     return json.loads((tiny_house / "Home_101_1" / "annotations.json").read_text())

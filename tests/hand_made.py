@@ -29,6 +29,7 @@ from infogoal_jax.learners.learner import InputSpec, LearnerBatch, NewSteps, Vis
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.evaluation import Scores, evaluate, random_policy
+from infogoal_jax.train.program import Train
 
 ROOMS, DEPTH = 4, 3
 SPLIT = make_split({f"{use}_{room}": (f"room {room}", use) for use in ("train", "test") for room in range(ROOMS)})
@@ -142,6 +143,22 @@ def learner_batch(
     [N, F] of the observations that they are."""
     features_of = None if features is None else lambda indices: features[indices]
     return LearnerBatch(encode, lambda indices: inputs[indices], pairs, goals, desired, transitions, features_of)
+
+
+def untrained(train: Train) -> Train:
+    """Training without an update: parameters stay as they begin, and every number of an epoch grows with it. Its
+    program compiles in a part of the time."""
+
+    def epochs(state, numbers, hyper, env):
+        _, shapes = jax.eval_shape(train.epochs, state, numbers, hyper, env)
+
+        def of(shape):
+            growing = 0.5 + 0.1 * numbers.reshape(-1, *(1,) * (len(shape.shape) - 1))
+            return jnp.broadcast_to(growing, shape.shape).astype(shape.dtype)
+
+        return state, jax.tree.map(of, shapes)
+
+    return dataclasses.replace(train, epochs=epochs)
 
 
 SMALL = {"hidden": (32, 32), "latent_size": 8, "num_goals": 16}

@@ -3,6 +3,7 @@ where to go, which an agent learns through its contract alone."""
 
 from types import SimpleNamespace
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,7 @@ from infogoal_jax.agents.agent import Agent, AgentBatch, Exploration
 B, F, D, A = 16, 5, 3, 2
 STEP, NEAR, LENGTH, DISCOUNT = 0.4, 0.1, 8, 0.9
 """Of the line from -1 to 1: how far a step leads, how near to the goal is at it, steps of an episode."""
+UPDATES = 400
 GREEDY = Exploration(0.0, 0.0)
 
 
@@ -48,13 +50,15 @@ def random_batch(seed: int = 0, **changes) -> AgentBatch:
 
 def started(agent: Agent, seed: int = 0):
     """Parameters and state of an agent for such batches."""
-    return agent.init(jax.random.key(seed), jnp.zeros(F), jnp.zeros(D))
+    return hand_made.initial(agent, jax.random.key(seed), jnp.zeros(F), jnp.zeros(D))
 
 
 def varied(params, seed: int):
     """Other parameters of the same shapes."""
     generator = np.random.default_rng(seed)
-    return jax.tree.map(lambda leaf: leaf + jnp.asarray(0.3 * generator.normal(size=leaf.shape), jnp.float32), params)
+    return jax.tree.map(
+        lambda leaf: np.asarray(leaf) + (0.3 * generator.normal(size=leaf.shape)).astype(np.float32), params
+    )
 
 
 def mlp(params, inputs: np.ndarray) -> np.ndarray:
@@ -130,11 +134,11 @@ def relabelled(key: jax.Array, places: jax.Array, actions: jax.Array, size: int,
     )
 
 
-def success_on_the_line(agent: Agent, hyper, share: float, updates: int, learning_rate: float = 3e-3) -> float:
-    """How often the greedy policy gets to its goal within an episode, after it learned from random walks."""
+def success_on_the_line(agent: Agent, hyper, share: float, learning_rate: float = 3e-3) -> tuple[float, float]:
+    """How often the greedy policy gets to its goal within an episode, before and after it learned from random walks."""
     keys = jax.random.split(jax.random.key(0), 5)
     places, actions = random_walks(keys[0], 500)
-    params, state = agent.init(keys[1], jnp.zeros(1), jnp.zeros(1))
+    params, state = hand_made.initial(agent, keys[1], jnp.zeros(1), jnp.zeros(1))
     optimizer = optax.adam(learning_rate)
 
     def update(carry, key):
@@ -146,10 +150,7 @@ def success_on_the_line(agent: Agent, hyper, share: float, updates: int, learnin
         params = optax.apply_updates(params, change)
         return (params, optax.incremental_update(params, target_params, 0.05), moments), None
 
-    @jax.jit
-    def run(params):
-        carry = (params, params, optimizer.init(params))
-        (params, *_), _ = jax.lax.scan(update, carry, jax.random.split(keys[2], updates))
+    def success(params):
         place, goal = jax.random.uniform(keys[3], (2, 200, 1), minval=-1.0)
 
         def step(carry, key):
@@ -160,4 +161,11 @@ def success_on_the_line(agent: Agent, hyper, share: float, updates: int, learnin
         (_, arrived), _ = jax.lax.scan(step, (place, jnp.zeros(200, bool)), jax.random.split(keys[4], LENGTH))
         return arrived.mean()
 
-    return float(run(params))
+    @jax.jit
+    def run(params):
+        carry = (params, params, optimizer.init(params))
+        (learned, *_), _ = jax.lax.scan(update, carry, jax.random.split(keys[2], UPDATES))
+        return jax.lax.map(success, jax.tree.map(lambda *each: jnp.stack(each), params, learned))
+
+    before, after = run(params).tolist()
+    return before, after

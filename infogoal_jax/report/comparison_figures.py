@@ -90,12 +90,12 @@ def draw_comparison(
     require(len(labels) in (0, len(given)), "labels", labels, f"give {len(given)}, one for each run")
     require(len(set(labels)) == len(labels), "labels", labels, "give each run a label of its own")
     names = labels or ("",) * len(given)
-    compared = [read_compared(folder)._replace(label=label) for folder, label in zip(folders, names, strict=True)]
-    check_same_task([each.run for each in compared])
-    for metric in metrics:
-        check_metric(metric, compared)
-    env = load_environment(compared[0].run.config, env)
-    with figure_style(style):
+    with figure_style(style):  # One that cannot be read is named before any data is loaded.
+        compared = [read_compared(folder)._replace(label=label) for folder, label in zip(folders, names, strict=True)]
+        check_same_task([each.run for each in compared])
+        for metric in metrics:
+            check_metric(metric, compared)
+        env = load_environment(compared[0].run.config, env)
         save(metrics_while_training(compared, metrics, env) if metrics else comparison(compared, env), path, captions)
     return path
 

@@ -27,6 +27,7 @@ class FourActions:
     action_size = ACTIONS
 
 
+@jax.jit
 def batch(mask) -> AgentBatch:
     """Random codes; only actions 0 and 1 were recorded, and every reward is 0."""
     keys = jax.random.split(jax.random.key(0), 4)
@@ -74,15 +75,19 @@ def test_values_of_unrecorded_moves_are_held_down(weight):
     params, state = hand_made.initial(agent, jax.random.key(3), data.features[0], data.code[0])
     hyper = CQLHyperparameters(conservative_weight=weight)
 
-    @jax.jit
     def step(params, _):
         gradient, metrics = jax.grad(
             lambda own: agent.loss(own, params, data, state, hyper, jax.random.key(0)), has_aux=True
         )(params)
         return jax.tree.map(lambda leaf, slope: leaf - 0.1 * slope, params, gradient), metrics["conservative_gap"]
 
-    params, gaps = jax.lax.scan(step, params, None, length=300)
-    action = agent.act(params, data.features, data.code, data.action_mask, jax.random.key(1), Exploration(0.0, 0.0))
+    @jax.jit
+    def trained(params):
+        params, gaps = jax.lax.scan(step, params, None, length=300)
+        key = jax.random.key(1)
+        return gaps, agent.act(params, data.features, data.code, data.action_mask, key, Exploration(0.0, 0.0))
+
+    gaps, action = jax.device_get(trained(params))
     recorded = float((action < 2).mean())
     if weight:
         assert recorded == 1.0 and gaps[-1] < 0.5 * gaps[0]
@@ -168,19 +173,20 @@ def inputs_of(kind: str):
 @pytest.mark.parametrize("kind", [pytest.param("concatenated", marks=pytest.mark.long), "product", "index"])
 def test_all_goals_at_once_have_the_values_of_each_alone(kind):
     head, params, features, codes = inputs_of(kind)
-    values, of_all = jax.jit(head.values), jax.jit(head.values_of_all)
-    alone = jnp.stack([values(params, features, jnp.tile(code, (B, 1))) for code in codes], axis=-1)
+    values, of_all, codes = jax.jit(head.values), jax.jit(head.values_of_all), np.asarray(codes)
+    alone = np.stack([values(params, features, np.tile(code, (B, 1))) for code in codes], axis=-1)
     np.testing.assert_allclose(of_all(params, features, codes), alone, atol=1e-6)
-    some = jnp.array([4, 1, 1])
+    some = np.array([4, 1, 1])
     np.testing.assert_allclose(of_all(params, features, codes[some]), alone[..., some], atol=1e-6)
-    actions = jnp.arange(B) % A
-    taken = alone[jnp.arange(B), actions]
+    actions = np.arange(B) % A
+    taken = alone[np.arange(B), actions]
     np.testing.assert_allclose(jax.jit(head.taken_of_all)(params, features, actions, codes), taken, atol=1e-6)
 
 
 def test_bounded_values_lie_between_0_and_1():
     head, params, features, codes = inputs_of("index")
-    values = head.values_of_all(jax.tree.map(lambda leaf: 50 * leaf, params), features, codes)
+    wide = jax.tree.map(lambda leaf: 50 * np.asarray(leaf), params)
+    values = np.asarray(jax.jit(head.values_of_all)(wide, features, codes))
     assert values.min() >= 0 and values.max() <= 1 and values.std() > 0.3
 
 

@@ -135,8 +135,8 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
         dissimilarity=None,
         codes=codes,
     )
-    row, first = (jnp.asarray(index) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
-    batch = replay.transitions_at(rows, row, first, parts.agent.num_steps)
+    row, first = (index.astype(np.int32) for index in np.nonzero(np.asarray(rows.valid) & np.asarray(rows.decided)))
+    batch = jax.jit(lambda rows: replay.transitions_at(rows, row, first, parts.agent.num_steps))(rows)
     hyper = Hyperparameters(discount=0.8, intrinsic_weight=intrinsic_weight)
     setup = train.setup(hyper)
     before = InfoGoalState(beta=jnp.zeros(()), scale=jnp.asarray(2.0))
@@ -182,10 +182,15 @@ def test_returns_are_those_of_the_definition(train, rows, params, intrinsic_weig
 def gradients(train, rows):
     """The gradient of HRAC's loss, and its metrics, for parameters, target parameters, hyperparameters and whether goal
     encoders are left alone."""
-    row, first = (jnp.asarray(index[:64]) for index in np.nonzero(np.asarray(rows.valid & rows.decided)))
-    batch = replay.transitions_at(rows, row, first, train.parts.agent.num_steps)
+    row, first = (index[:64] for index in np.nonzero(np.asarray(rows.valid) & np.asarray(rows.decided)))
     cells = Cells.over(train.env.space.bounds, train.config.agent.cell)
-    apart = train.parts.agent.observe(pairs.initial_dissimilarity(cells.count)[None], rows)
+
+    @jax.jit
+    def seen(rows):
+        apart = train.parts.agent.observe(pairs.initial_dissimilarity(cells.count)[None], rows)
+        return replay.transitions_at(rows, row, first, train.parts.agent.num_steps), apart
+
+    batch, apart = seen(rows)
 
     def gradient(params, target_params, hyper, stop=False):
         parts = train.parts._replace(config=dataclasses.replace(train.config, stop_encoder_gradient=stop))
@@ -261,11 +266,11 @@ def test_targets_come_from_the_target_networks_where_an_episode_goes_on(train, p
 def test_the_adjacency_penalty_moves_the_actor_alone(train, params, gradients):
     far_off = scaled(params, "adjacency")
     # Everything lies far apart.
-    far_off["agent"]["adjacency"] = jax.tree.map(lambda leaf: 4.0 * leaf, far_off["agent"]["adjacency"])
+    far_off["agent"]["adjacency"] = jax.tree.map(lambda leaf: np.float32(4) * leaf, far_off["agent"]["adjacency"])
     free, metrics = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 0.0}))
     bound, _ = gradients(far_off, far_off, with_values(train.config.hyper, {"agent.adjacency_weight": 20.0}))
     assert metrics["adjacency_penalty"] > 0
-    assert norm(jax.tree.map(jnp.subtract, bound["agent"]["actor"], free["agent"]["actor"])) > 1e-3
+    assert norm(jax.tree.map(np.subtract, bound["agent"]["actor"], free["agent"]["actor"])) > 1e-3
     for name in ("critic", "adjacency"):
         assert_close(bound["agent"][name], free["agent"][name])
     assert_close(bound["goal"], free["goal"])

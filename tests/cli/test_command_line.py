@@ -3,12 +3,12 @@ anything is compiled."""
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 
 import jax
 import pytest
-from hand_made_frames import TINY_HOUSE
 
 import infogoal_jax
 from infogoal_jax.cli.main import main
@@ -17,7 +17,6 @@ from infogoal_jax.presets import load
 from infogoal_jax.runner import compilation, training
 from infogoal_jax.runs import configuration, tables
 from infogoal_jax.runs.configuration import Description, from_dict, to_dict
-from infogoal_jax.stand_ins.house import build_house
 
 
 @pytest.fixture(autouse=True)
@@ -212,9 +211,9 @@ def spoil_by_removing_images(house):
     ],
 )
 def test_a_dataset_cut_short_is_named_with_the_command_that_lists_what_is_wrong(
-    spoil, tmp_path, capsys, no_compilation
+    spoil, tiny_house, tmp_path, capsys, no_compilation
 ):
-    build_house(tmp_path / "house", **TINY_HOUSE)
+    shutil.copytree(tiny_house, tmp_path / "house")
     spoil(tmp_path / "house")
     assert main(["train", "object_search", "--env.dataset", "house"]) == 2
     assert "infogoal data check" in capsys.readouterr().err
@@ -262,10 +261,9 @@ TINY = (
 )
 
 
-def test_train_evaluate_and_report_from_the_command_line(tmp_path, capsys):
+def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, capsys):
     """A small house, two seeds: everything a run promises is there, and the run can be resumed."""
-    build_house(tmp_path / "house", **TINY_HOUSE)
-    flags = f"--method none --env.dataset house {TINY}"
+    flags = f"--method none --env.dataset {tiny_house} {TINY}"
     assert main(f"train object_search --seeds 2 --out run --tensorboard {flags}".split()) == 0
     printed = capsys.readouterr().out
     assert "a stand-in" in printed and "success rate" in printed

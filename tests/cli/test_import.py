@@ -78,7 +78,7 @@ def refused(words, capsys):
 
 
 def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, capsys):
-    assert main("train my_rooms --import my_task.py --out run --no-figures".split()) == 0
+    assert main("train my_rooms --method none --import my_task.py --out run --no-figures".split()) == 0
     description = json.loads((my_task.parent / "run" / "config.json").read_text())
     assert description["imports"] == {"my_task.py": imports.checksums()["my_task.py"]}
     forget()

@@ -19,24 +19,17 @@ from infogoal_jax.stand_ins import house
 SCENE = "Home_101_1"
 
 
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
-    root = tmp_path_factory.mktemp("tiny_house")
-    house.build_house(root, seed=5, node_spacing=1.2, image_width=64)
-    return root
-
-
 @pytest.fixture
-def copy(tiny, tmp_path):
-    return shutil.copytree(tiny, tmp_path / "copy")
+def copy(tiny_house, tmp_path):
+    return shutil.copytree(tiny_house, tmp_path / "copy")
 
 
 def cut(path):
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
-def test_a_sound_dataset_has_no_fault(tiny):
-    assert check_active_vision(tiny) == []
+def test_a_sound_dataset_has_no_fault(tiny_house):
+    assert check_active_vision(tiny_house) == []
 
 
 def plant_everything(root):
@@ -141,18 +134,18 @@ def test_one_fault_is_one_finding(copy):
     assert (finding.severity, finding.where) == ("error", f"{SCENE}/{name}")
 
 
-def test_images_are_read_once(tiny, monkeypatch):
+def test_images_are_read_once(tiny_house, monkeypatch):
     read = []
     decode = check_module._decode
     monkeypatch.setattr(check_module, "_decode", lambda path: read.append(path) or decode(path))
-    check_active_vision(tiny)
-    assert len(read) == len(set(read)) == len(list((tiny / SCENE / "jpg_rgb").iterdir()))
+    check_active_vision(tiny_house)
+    assert len(read) == len(set(read)) == len(list((tiny_house / SCENE / "jpg_rgb").iterdir()))
 
 
-def test_wrong_folders_are_explained(tiny, tmp_path):
+def test_wrong_folders_are_explained(tiny_house, tmp_path):
     (finding,) = check_active_vision(tmp_path / "nowhere")
     assert finding.problem == "no such folder"
-    (finding,) = check_active_vision(tiny / SCENE)
+    (finding,) = check_active_vision(tiny_house / SCENE)
     assert "this is a scene" in finding.problem
     assert any("no scene folder" in f.problem for f in check_active_vision(tmp_path))
 

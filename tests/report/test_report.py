@@ -42,7 +42,10 @@ def env():
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory, env):
-    return training.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
+    """A run without an update."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "make_train", lambda *given: hand_made.untrained(make_train(*given)))
+        return training.run(hand_made.config(), SEEDS, tmp_path_factory.mktemp("report") / "run", env=env)
 
 
 @pytest.fixture

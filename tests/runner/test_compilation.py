@@ -137,16 +137,17 @@ def test_of_what_has_a_form_for_each_device_one_is_counted():
 @pytest.mark.parametrize(
     ("task", "most"),
     [
-        ("object_search", 3_300),
+        ("rooms", 3_300),
+        pytest.param("object_search", 3_300, marks=pytest.mark.long),
         pytest.param("fetch_reach", 10_000, marks=pytest.mark.long),
         pytest.param("fetch_pick_and_place", 12_500, marks=pytest.mark.long),
     ],
 )
 def test_training_programs_stay_small(task, most):
-    """Operations of the chunk of a preset. What compiles it takes time in proportion; FetchPickAndPlace once had
-    81,663."""
-    config = presets.load(task)
-    train = make_train(config)
+    """Operations of the chunk of a preset, or of object search in the hand-made rooms, which need no house. What
+    compiles it takes time in proportion; FetchPickAndPlace once had 81,663."""
+    config = hand_made.config() if task == "rooms" else presets.load(task)
+    train = make_train(config, hand_made.environment() if task == "rooms" else None)
     state = jax.eval_shape(train.initial, jax.random.key(0), config.hyper, train.env)
     assert (
         operations(

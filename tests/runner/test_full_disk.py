@@ -2,6 +2,7 @@
 again, and the run ends with the bits of one that was left alone."""
 
 import errno
+import functools
 import os
 import subprocess
 from pathlib import Path
@@ -98,7 +99,7 @@ def config():
 
 @pytest.fixture(autouse=True)
 def small_program(monkeypatch):
-    monkeypatch.setattr(training, "make_train", killed_run.small_train)
+    monkeypatch.setattr(training, "make_train", functools.partial(killed_run.small_train, size=1000))
 
 
 @pytest.fixture(scope="module")

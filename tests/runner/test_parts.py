@@ -37,7 +37,7 @@ def small_train(config, env=None):
         with open(os.environ[LOG], "a") as file:
             file.write(f"{config.hyper.learning_rate:g} {os.getpid()}\n")
         time.sleep(0.3)
-    return killed_run.small_train(config, hand_made.environment())
+    return killed_run.small_train(config, hand_made.environment(), size=1000)
 
 
 def prepare_worker() -> None:

@@ -14,12 +14,19 @@ from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.sampling import sample_pairs
 
 
-@pytest.fixture(scope="session")
-def train():
-    return make_train(hand_made.config(), hand_made.environment())
+@pytest.fixture(scope="module")
+def heard() -> list:
+    """What the callback of `train` heard: epoch and metrics."""
+    return []
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
+def train(heard):
+    config = hand_made.config(rollout_steps=20, updates_per_epoch=5)
+    return make_train(config, hand_made.environment(), lambda epoch, metrics: heard.append((int(epoch), metrics)))
+
+
+@pytest.fixture(scope="module")
 def sweep_function(train):
     """Seeds and their hyperparameters side by side, in one compiled program."""
     return jax.jit(jax.vmap(train))
@@ -30,7 +37,7 @@ def repeated(hyper: Hyperparameters, times: int) -> Hyperparameters:
     return jax.tree.map(lambda value: jnp.full(times, value), hyper)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def sweep(train, sweep_function):
     return sweep_function(jax.random.split(jax.random.key(0), 3), repeated(train.config.hyper, 3))
 
@@ -212,15 +219,18 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
     assert not draw(buffer, jax.random.key(0)).positive_weight.any()
 
 
-def test_a_callback_hears_of_each_evaluation_and_leaves_nothing_in_a_program_without_it():
-    heard, config, env = [], hand_made.config("none", num_epochs=4), hand_made.environment()
-    train = make_train(config, env, lambda epoch, metrics: heard.append((int(epoch), metrics)))
-    result = jax.jit(train)(jax.random.key(0))
+def test_a_callback_hears_of_each_evaluation_of_each_seed(sweep, heard):
     jax.effects_barrier()
-    assert [epoch for epoch, _ in heard] == [2, 4]
-    for place, (_, metrics) in enumerate(heard):
-        np.testing.assert_array_equal(
-            metrics["train_goal/success_rate"], result.metrics["train_goal/success_rate"][place]
-        )
-    with_it, without = (jax.make_jaxpr(each)(jax.random.key(0)) for each in (train, make_train(config, env)))
+    name = "train_goal/episode_length"
+    found = sorted((epoch, float(metrics[name])) for epoch, metrics in heard[:6])
+    expected = sorted(
+        (epoch, float(value)) for row in sweep.metrics[name] for epoch, value in zip((2, 4), row, strict=True)
+    )
+    assert found == expected and len({*found}) == 6
+
+
+def test_a_callback_leaves_nothing_in_a_program_without_it():
+    config, env = hand_made.config("none"), hand_made.environment()
+    both = make_train(config, env, lambda epoch, metrics: None), make_train(config, env)
+    with_it, without = (jax.make_jaxpr(train)(jax.random.key(0)) for train in both)
     assert "debug_callback" in str(with_it) and "callback" not in str(without)
