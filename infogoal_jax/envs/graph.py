@@ -170,6 +170,11 @@ class DetectionWalk(GraphWalk):
         """The goals in view that are known while training, int32 [..., G], padded with -1."""
         return self.achieved_goals[record]
 
+    def draw(self, state: GraphState) -> jax.Array:
+        """The image that is seen, uint8 [H, W, 3]; a grey one has three equal colours."""
+        image = self.render(self.observe(state))
+        return jnp.broadcast_to(image, (*image.shape[:-1], 3))
+
 
 def frame_edges(data: FrameDataset) -> tuple[np.ndarray, np.ndarray | None]:
     """Edges int32 [K, A] between the images of a dataset, as in `GraphWalk.next_node`, and `GraphWalk.views`.

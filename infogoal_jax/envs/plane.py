@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Traits
-from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
+from infogoal_jax.envs.goal_task import Episode, GoalTask, GoalTaskConfig
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import require
 from infogoal_jax.goals import GoalBox
@@ -20,6 +20,10 @@ DOORS = {"vertical": ((1, 0, 1), (1, 1, 0)), "horizontal": ((1, 1, 0), (1, 0, 1)
 y = 1 and 2, for each column."""
 DOOR = 0.25
 """Half of the width of a door."""
+PIXELS = 120
+"""Along each side of a picture."""
+FLOOR, WALL, BODY, GOAL = (255, 255, 255), (90, 90, 90), (0, 114, 178), (0, 158, 115)
+"""Colours of a picture: red, green and blue."""
 TEST_ROOMS, VALIDATION_ROOMS = ((2, 0), (0, 2)), ((2, 2),)
 """Column and row of rooms that no training goal lies in."""
 
@@ -55,6 +59,25 @@ def use_of_place(goal: jax.Array) -> jax.Array:
         return jnp.stack([(room == jnp.array(each, jnp.int32)).all() for each in rooms]).any()
 
     return jnp.where(lies_in(TEST_ROOMS), 2, jnp.where(lies_in(VALIDATION_ROOMS), 1, 0)).astype(jnp.int32)
+
+
+def pixels_of(low: float, high: float) -> jax.Array:
+    """The places float32 [P, P, 2] of the pixels of a square picture; y grows upwards."""
+    along = low + (high - low) * (jnp.arange(PIXELS, dtype=jnp.float32) + 0.5) / PIXELS
+    return jnp.stack(jnp.meshgrid(along, along[::-1]), axis=-1)
+
+
+def paint(*layers: tuple[jax.Array, tuple[int, int, int]]) -> jax.Array:
+    """A picture uint8 [P, P, 3] of these masks bool [P, P] and their colours, the last on top."""
+    picture = jnp.full((PIXELS, PIXELS, 3), jnp.array(FLOOR, jnp.uint8))
+    for mask, colour in layers:
+        picture = jnp.where(mask[..., None], jnp.array(colour, jnp.uint8), picture)
+    return picture
+
+
+def is_near(pixels: jax.Array, place: jax.Array, radius: float) -> jax.Array:
+    """Which pixels lie in a circle, bool [P, P]."""
+    return jnp.linalg.norm(pixels - place, axis=-1) < radius
 
 
 @flax.struct.dataclass
@@ -96,6 +119,19 @@ class PointMaze(GoalTask):
     def achieved_goal(self, place: jax.Array) -> jax.Array:
         """The place."""
         return place
+
+    def draw(self, state: Episode) -> jax.Array:
+        """The maze from above, uint8 [P, P, 3]: walls, the desired goal with its radius, and the point."""
+        pixels, walls = pixels_of(0.0, float(ROOMS)), jnp.zeros((PIXELS, PIXELS), bool)
+        for axis, doors in enumerate((DOORS["vertical"], DOORS["horizontal"])):
+            across = pixels[..., 1 - axis]
+            row = jnp.floor(across).astype(jnp.int32)
+            at_door = jnp.abs(across - row.astype(jnp.float32) - 0.5) < DOOR
+            for number, has_door in enumerate(doors, 1):
+                is_open = jnp.array(has_door, bool)[row] & at_door
+                walls |= (jnp.abs(pixels[..., axis] - number) < 0.03) & ~is_open
+        goal, point = is_near(pixels, state.goal, self.radius), is_near(pixels, state.world, 0.07)
+        return paint((walls, WALL), (goal, GOAL), (point, BODY))
 
 
 def draw_in_reach(key: jax.Array) -> jax.Array:
@@ -140,6 +176,16 @@ class Reacher(GoalTask):
         """The place of the tip, [2]."""
         first, second = angles[0], angles[0] + angles[1]
         return jnp.stack([jnp.cos(first) + jnp.cos(second), jnp.sin(first) + jnp.sin(second)])
+
+    def draw(self, state: Episode) -> jax.Array:
+        """The arm from above, uint8 [P, P, 3], and the desired goal with its radius."""
+        pixels = pixels_of(-2.2, 2.2)
+        elbow = jnp.stack([jnp.cos(state.world[0]), jnp.sin(state.world[0])])
+        tip = self.achieved_goal(state.world)
+        along = jnp.linspace(0.0, 1.0, 21, dtype=jnp.float32)[:, None]
+        places = jnp.concatenate([along * elbow, elbow + along * (tip - elbow)])
+        arm = jax.vmap(lambda place: is_near(pixels, place, 0.06))(places).any(0)
+        return paint((is_near(pixels, state.goal, self.radius), GOAL), (arm, BODY))
 
 
 def make_maze(config: PlaneConfig) -> PointMaze:

@@ -113,7 +113,8 @@ def policy_video(
     require(0 <= corruption <= 1, "corruption", corruption, "give a weight from 0 to 1, for example 0.4")
     if not has_image_goals(env):
         raise UserError(
-            f"run = {subject.run.name!r}: is of {subject.run.config.task}; videos are of tasks with image goals"
+            f"run = {subject.run.name!r}: is of {subject.run.config.task}; videos are of tasks with image goals, or "
+            "with a draw(state)"
         )
     if subject.params is None:
         raise UserError(f"run = {subject.run.name!r}: holds no parameters yet, or every seed diverged; train it first")

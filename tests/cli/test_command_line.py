@@ -274,10 +274,9 @@ def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, c
     assert (run / "figures" / "learning_curves.png").exists()
     assert list(run.glob("events.out.tfevents*"))
     assert main(["evaluate", "run", "--starts", "2"]) == 0
-    assert main(["evaluate", "run", "--corruption", "0.4"]) == 2 and main(["video", "run", "--out", "a.mp4"]) == 2
-    refusals = capsys.readouterr().err
-    assert "goals of object_search are not images" in refusals
-    assert "is of object_search; videos are of tasks with image goals" in refusals
+    assert main(["evaluate", "run", "--corruption", "0.4"]) == 2
+    assert "goals of object_search are not images" in capsys.readouterr().err
+    assert main(["video", "run", "--out", "a.mp4"]) == 0 and (tmp_path / "a.mp4").stat().st_size > 0
     assert main("train --resume run --num-epochs 3 --no-figures".split()) == 0
     rows = (run / "evaluations.jsonl").read_text().splitlines()
     assert [json.loads(row)["epoch"] for row in rows] == [1, 1, 2, 2, 3, 3]

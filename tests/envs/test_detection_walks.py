@@ -37,6 +37,12 @@ def test_distances_are_shortest_paths(house):
     np.testing.assert_array_equal(object_search.distances(edges, in_view), expected)
 
 
+def test_a_grey_image_that_is_seen_is_drawn_in_three_equal_colours(house):
+    state = house.reset(jax.random.key(0))
+    picture = np.asarray(house.draw(state))
+    np.testing.assert_array_equal(picture, np.asarray(house.images)[state.node][..., None].repeat(3, -1))
+
+
 def test_episodes_start_with_the_goal_out_of_view_and_a_training_goal(house):
     states = jax.vmap(house.reset)(jax.random.split(jax.random.key(0), 500))
     assert not house.reached(states.node, states.goal).any()

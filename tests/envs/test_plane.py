@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from infogoal_jax import checks, envs
+from infogoal_jax.envs import plane
 
 MODES = {
     "64 bits": lambda: jax.enable_x64(True),
@@ -62,3 +63,42 @@ def test_an_episode_in_the_plane_ends_at_its_goal(task):
     assert after.terminated and not after.truncated and not env.reached(env.achieved(state), state.goal)
     broken = env.step(state.replace(world=state.world * jnp.nan), jnp.zeros(2))
     assert broken.diverged and broken.truncated and not broken.terminated
+
+
+@pytest.mark.parametrize("task", ["point_maze", "reacher"])
+def test_a_picture_shows_the_body_and_the_goal_where_they_are(task):
+    env = envs.load(task)
+    state = env.reset_to(jax.random.key(0), jnp.array([1.5, 0.5]))
+    picture, pixels = (
+        np.asarray(jax.jit(env.draw)(state)),
+        plane.pixels_of(*((0, 3) if task == "point_maze" else (-2.2, 2.2))),
+    )
+
+    def middle(colour):
+        return np.asarray(pixels)[(picture == colour).all(-1)].mean(0)
+
+    assert picture.dtype == np.uint8 and picture.shape == (plane.PIXELS, plane.PIXELS, 3)
+    np.testing.assert_allclose(middle(plane.GOAL), [1.5, 0.5], atol=0.05)
+    body = state.world if task == "point_maze" else middle_of_the_arm(state.world)
+    np.testing.assert_allclose(middle(plane.BODY), body, atol=0.1)
+
+
+def middle_of_the_arm(angles):
+    """The mean place of its two parts, [2]."""
+    first, second = np.array([[np.cos(angle), np.sin(angle)] for angle in (angles[0], angles[0] + angles[1])])
+    return (first / 2 + first + second / 2) / 2
+
+
+def test_walls_of_a_picture_have_the_doors_of_the_maze():
+    """A step over a wall is possible exactly where the picture has none."""
+    env = envs.load("point_maze")
+    state = env.reset_to(jax.random.key(0), jnp.array([0.5, 0.5]))
+    picture, pixels = np.asarray(env.draw(state)), np.asarray(plane.pixels_of(0.0, 3.0))
+    wall = (picture == plane.WALL).all(-1)
+    beside = np.abs(pixels[..., 0] - 0.96) < 0.013  # Left of the wall at x = 1, whose pixels are the next to the right.
+    places = pixels[beside]
+    moved = np.asarray(jax.vmap(env.move)(jnp.asarray(places), jnp.tile(jnp.array([1.0, 0.0]), (len(places), 1))))
+    crossed = moved[:, 0] > 1
+    shown = wall[np.abs(pixels[..., 0] - 1.0125) < 0.0126]
+    assert crossed.any() and not crossed.all()
+    np.testing.assert_array_equal(crossed, ~shown)
