@@ -44,7 +44,7 @@ class ProgressLine:
         self.words, self.total, self.console = words, total, console
         self.started = self.since = time.monotonic()
         self.times: dict[str, float] = {}
-        self.name = ""
+        self.name = "loading"  # Modules at first.
         self.epoch = self.first = 0
         self.numbers, self.rates = "", ""
         self.left: float | None = None

@@ -177,6 +177,7 @@ def test_a_run_that_goes_on_tells_the_time_left_by_its_own_epochs():
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_before_the_first_epoch_the_line_says_what_the_run_is_doing(width):
     line = progress.ProgressLine("object_search infogoal x 16", 8, Console(file=io.StringIO()))
+    assert "0/8  loading 0:00" in line.of_width(width)  # From the first letter on.
     line.phase("loading")
     line.since -= 2
     line.phase("tracing")
@@ -284,8 +285,9 @@ def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures
     folders = sorted((tmp_path / "runs" / "wandb").glob("offline-run-*"))
     logs = [log for folder in folders for log in folder.glob("*.wandb")]
     assert len(logs) == 2  # A run for each seed, in the group of the folder.
-    for _ in range(300):  # Its service writes the last of it when the run is over.
-        if any(b"episode" in log.read_bytes() for log in logs):
+    for _ in range(300):  # Its service writes the last of it when the runs are over.
+        written = [log.read_bytes() for log in logs]
+        if any(b"episode" in text for text in written) and all(b"mine-seed-" in text for text in written):
             break
         time.sleep(0.1)
     for seed in (3, 4):
