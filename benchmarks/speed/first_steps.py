@@ -42,12 +42,13 @@ assert "jax" not in sys.modules and "infogoal_jax" not in sys.modules
 
 class Step(NamedTuple):
     """What is typed. milestone: what the newcomer then has, or nothing; shown: the line; words: the command; needs: a
-    file of the checkout without which the command cannot do it yet."""
+    file of the checkout without which the command cannot do it yet; folder: where, below the newcomer's home."""
 
     milestone: str
     shown: str
     words: list[str]
     needs: str = ""
+    folder: str = "."
 
 
 def infogoal(line: str, milestone: str = "", needs: str = "") -> Step:
@@ -55,9 +56,9 @@ def infogoal(line: str, milestone: str = "", needs: str = "") -> Step:
     return Step(milestone, f"infogoal {line}", [sys.executable, "-m", "infogoal_jax", *line.split()], needs)
 
 
-def python(script: str, shown: str, milestone: str = "") -> Step:
+def python(script: str, shown: str, milestone: str = "", folder: str = ".") -> Step:
     """A step that runs a script."""
-    return Step(milestone, shown, [sys.executable, script])
+    return Step(milestone, shown, [sys.executable, script], folder=folder)
 
 
 def steps_of(seeds: int, own_task: str) -> list[Step]:
@@ -78,7 +79,7 @@ def steps_of(seeds: int, own_task: str) -> list[Step]:
         infogoal(f"{train} --method her --out her"),
         infogoal("compare infogoal her --out success.pdf", "first comparison"),
         infogoal("export infogoal --out elsewhere/policy.npz"),
-        python("elsewhere/run.py", "python run.py  # NumPy alone", "first policy elsewhere"),
+        python("run.py", "python run.py  # NumPy alone", "first policy elsewhere", "elsewhere"),
         infogoal(f"{train} --out again", "the same run, from the cache"),
     ]
 
@@ -107,10 +108,8 @@ def play(steps: list[Step], home: Path, checkout: Path) -> Iterator[tuple[Step, 
     for step in steps:
         if not (checkout / step.needs).exists():
             continue
-        folder = home / "elsewhere" if step.words[-1].startswith("elsewhere/") else home
-        words = [word.removeprefix("elsewhere/") for word in step.words] if folder != home else step.words
         before, used = time.perf_counter(), cpu_seconds()
-        done = subprocess.run(words, cwd=folder, env=environment, stdout=sys.stderr)
+        done = subprocess.run(step.words, cwd=home / step.folder, env=environment, stdout=sys.stderr)
         yield step, time.perf_counter() - before, cpu_seconds() - used, done.returncode
 
 
