@@ -11,6 +11,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
@@ -253,12 +254,32 @@ def test_every_page_and_every_notebook_is_in_the_navigation():
     )
 
 
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
+def test_one_line_gives_notebooks_a_button_for_colab(path):
+    """The address of the repository in mkdocs.yml, where the notebook then is to be installed from."""
+    spec = importlib.util.spec_from_file_location("site_hook", ROOT / "docs" / "site.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    text, _ = hook.notebook_page(path)
+    shown = hook.with_badge(text, path.name, "https://github.com/somebody/infogoal-jax")
+    address = "https://colab.research.google.com/github/somebody/infogoal-jax/blob/main/notebooks"
+    assert shown.splitlines()[2] == f"[Open in Colab]({address}/{path.name}){{ .md-button }}"
+    assert hook.with_badge(text, path.name, "") == text
+    assert f'SOURCE = "git+{configuration().get("repo_url", "...")}"' in text
+
+
 def test_the_api_has_everything_that_the_package_exports():
     page = (ROOT / "docs" / "reference" / "api.md").read_text()
     named = {line.rsplit(".", 1)[1] for line in page.splitlines() if line.startswith(":::")}
     assert set(infogoal_jax.__all__) - {"envs", "presets"} <= named
     exported = page[page.index("`infogoal_jax` itself") : page.index("\n## ")]
     assert set(re.findall(r"`(\w+)`", exported)) == {"infogoal_jax", *infogoal_jax.__all__}
+
+
+def test_every_extra_is_on_the_page_of_the_installation():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    rows = re.findall(r"^\| (`.*?`) \|", (ROOT / "docs" / "start" / "install.md").read_text(), re.M)
+    assert sorted(re.findall(r"`(.*?)`", " ".join(rows))) == sorted(extras)
 
 
 def test_the_changelog_begins_with_this_version():
@@ -314,6 +335,9 @@ SEARCHED = {
     "export": "guides/policies.html",
     "plot": "guides/results.html",
     "install": "start/install.html",
+    "custom task": "guides/own_task.html",
+    "learning rate": "guides/sweeps.html",
+    "video": "guides/results.html",
 }
 """What a stranger looks for, and the page that says how. The search puts titles first."""
 
