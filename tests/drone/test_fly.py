@@ -49,7 +49,8 @@ def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
     """The alarm clock of the generated shelf is wholly in view from the second or third place to the right."""
     policy = faults.write_policy(tmp_path / "policy.npz", objects=["alarm clock"])
     first, recordings = (0.5 + 0.2 * 31, 0.4 + 0.2 * 8), tmp_path / "recordings"
-    code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(recordings), first=first)
+    few = {"first": first, "frames_per_second": 12}
+    code, output, events, truth = fly(drone, tmp_path, policy, "--record", str(recordings), **few)
     (end,) = records.events_of(events, "end")
     assert code == 0 and end["found"] and end["landed"], output
     assert (truth["phase"], truth["crashed"], truth["why_landed"]) == ("ground", False, "command land")

@@ -2,6 +2,7 @@
 not tell the goal, and ends of an episode are told apart."""
 
 import dataclasses
+import functools
 import importlib
 import sys
 
@@ -135,8 +136,11 @@ def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
     for rows in (pushed, waiting):
         row, step = np.nonzero(np.asarray(rows.truncated))
         for goal, reached in ((None, None), (jnp.full((len(row), 1), 9.0), TASK.reached)):
-            found = replay.transitions_at(rows, jnp.asarray(row), jnp.asarray(step), 1, goal, reached)
-            assert np.array_equal(found.terminated, rows.failed[row, step])
+            judged = functools.partial(
+                replay.transitions_at, row=row, first=step, num_steps=1, goal=goal, reached=reached
+            )
+            found = jax.jit(judged)(rows).terminated
+            assert np.array_equal(found, np.asarray(rows.failed)[row, step])
 
 
 def test_goals_are_the_environments_own_uniform_or_some_held_out():

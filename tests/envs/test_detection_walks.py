@@ -44,7 +44,7 @@ def test_a_grey_image_that_is_seen_is_drawn_in_three_equal_colours(house):
 
 
 def test_episodes_start_with_the_goal_out_of_view_and_a_training_goal(house):
-    states = jax.vmap(house.reset)(jax.random.split(jax.random.key(0), 500))
+    states = jax.jit(jax.vmap(house.reset))(jax.random.split(jax.random.key(0), 500))
     assert not house.reached(states.node, states.goal).any()
     np.testing.assert_array_equal(np.unique(states.goal), np.flatnonzero(np.asarray(house.goals.train_mask)))
     assert len(np.unique(states.node)) > 40
@@ -79,17 +79,19 @@ def test_achieved_goals_agree_with_what_is_reached(house):
 def test_oracle_takes_shortest_paths_and_random_does_not(house):
     goals = house.goals.evaluated
     shortest, drawn = (
-        evaluate(policy(house), house, goals) for policy in (hand_made.shortest_path_policy, random_policy)
+        jax.jit(lambda policy=policy: evaluate(policy(house), house, goals))()
+        for policy in (hand_made.shortest_path_policy, random_policy)
     )
     assert shortest.success.shape == (len(goals), 10) and shortest.success.all() and (shortest.spl == 1).all()
     assert set(group_means(drawn, house.goals)) == {"train", "test"}
     assert all(means["spl"] < 0.7 for means in group_means(drawn, house.goals).values())
-    starts = draw_starts(house, goals, 10)
-    np.testing.assert_array_equal(shortest.first, jax.vmap(jax.vmap(house.shortest_path))(starts))
+    lengths = jax.jit(lambda: jax.vmap(jax.vmap(house.shortest_path))(draw_starts(house, goals, 10)))
+    np.testing.assert_array_equal(shortest.first, lengths())
 
 
 def test_a_failed_goal_counts_as_reached_after_the_end(house):
-    stay = evaluate(lambda observation, goal, key: jnp.full(goal.shape, 4), house, house.goals.evaluated, 5)
+    goals = house.goals.evaluated
+    stay = jax.jit(lambda: evaluate(lambda observation, goal, key: jnp.full(goal.shape, 4), house, goals, 5))()
     first = stay.first
     assert not stay.success.all() and (first[~stay.success] == house.episode_length + 1).all()
 

@@ -39,7 +39,7 @@ def test_target_states_of_joints_are_an_ordinary_task(env):
 
 def test_an_evaluation_starts_near_and_a_turn_ends_where_it_began(env):
     goals = env.goals.evaluated
-    starts = jax.vmap(env.reset_to)(jax.random.split(jax.random.key(0), 32), goals)
+    starts = jax.jit(jax.vmap(env.reset_to))(jax.random.split(jax.random.key(0), 32), goals)
     turn = np.abs(wrapped(goals - env.achieved(starts)))
     assert (turn < 3 * env.radius).all() and (turn.max(1) >= env.radius).all()  # One step: 60 degrees.
     assert env.reached(jnp.full(3, np.pi - 0.01), jnp.full(3, -np.pi + 0.01))
@@ -49,7 +49,7 @@ def test_an_evaluation_starts_near_and_a_turn_ends_where_it_began(env):
 
 
 def test_training_asks_for_targets_near_and_far_that_are_not_reached_yet(env):
-    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 500))
+    states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 500))
     turn = np.abs(wrapped(states.goal - env.achieved(states))).max(1)
     assert (turn < joint_targets.FARTHEST).all() and (turn >= env.radius).mean() > 0.99  # Of eight draws one is.
     assert (turn > 0.8 * joint_targets.FARTHEST).any() and (turn < 1.5 * env.radius).any()

@@ -34,9 +34,14 @@ class World:
 
 
 def make_world(key: jax.Array) -> World:
+    return World(*drawn_world(key))
+
+
+@jax.jit
+def drawn_world(key: jax.Array) -> tuple[jax.Array, jax.Array]:
     features_key, following_key = jax.random.split(key)
     features = jax.nn.relu(jax.random.normal(features_key, (STATES, FEATURES)))
-    return World(features, jax.random.randint(following_key, (STATES, ACTIONS), 0, STATES))
+    return features, jax.random.randint(following_key, (STATES, ACTIONS), 0, STATES)
 
 
 def rows_of(observation, action, valid) -> Trajectories:
@@ -47,8 +52,9 @@ def rows_of(observation, action, valid) -> Trajectories:
     )
 
 
-def random_rows(key: jax.Array, num_rows: int = 6, steps: int = 15) -> Trajectories:
-    keys = jax.random.split(key, 3)
+@jax.jit
+def random_rows(key: jax.Array) -> Trajectories:
+    num_rows, steps, keys = 6, 15, jax.random.split(key, 3)
     return rows_of(
         jax.random.randint(keys[0], (num_rows, steps + 1), 0, STATES),
         jax.random.randint(keys[1], (num_rows, steps), 0, ACTIONS),
@@ -58,7 +64,8 @@ def random_rows(key: jax.Array, num_rows: int = 6, steps: int = 15) -> Trajector
 
 def compute_bonus(explorer, params, state, world: World, rows: Trajectories, written=None):
     written = jnp.ones(rows.valid.shape[0], bool) if written is None else written
-    return explorer.compute_bonus(params, state, world.features, rows, written, DISCOUNT)
+    bonus = jax.jit(explorer.compute_bonus, static_argnums=5)
+    return bonus(params, state, world.features, rows, written, DISCOUNT)
 
 
 def trained(explorer, params, state, world: World, share: jax.Array, key: jax.Array, updates: int):
@@ -185,7 +192,8 @@ def test_gradient_reaches_the_state_and_never_the_next_state():
         )[0]
 
     own, to_state, to_next = jax.jit(jax.grad(loss, argnums=(0, 1, 2)))(params, moves.features, moves.next_features)
-    assert (jnp.abs(to_state).max(1) > 0).all() and not to_next.any()
+    own, to_state, to_next = jax.device_get((own, to_state, to_next))
+    assert (np.abs(to_state).max(1) > 0).all() and not to_next.any()
     assert all(leaf.any() for leaf in jax.tree.leaves(own))
 
 
@@ -235,12 +243,12 @@ def test_steps_that_were_not_taken_do_not_enter_the_scale():
         action=jnp.where(counted, rows.action, other.action), valid=jnp.where(written[:, None], rows.valid, other.valid)
     )
     assert (changed.action != rows.action).any() and (changed.valid != rows.valid).any()
-    np.testing.assert_array_equal(
-        *(compute_bonus(explorer, params, state, world, each, written)[0] for each in (rows, changed))
+    bonus, same, other = (
+        compute_bonus(explorer, params, state, world, *given)[0]
+        for given in ((rows, written), (changed, written), (rows, np.ones(6, bool)))
     )
-    assert not np.allclose(
-        *(compute_bonus(explorer, params, state, world, rows, each)[0] for each in (written, jnp.ones(6, bool)))
-    )
+    np.testing.assert_array_equal(bonus, same)
+    assert not np.allclose(bonus, other)
 
 
 def test_nothing_collected_gives_no_endless_bonus():

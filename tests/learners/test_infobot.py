@@ -49,17 +49,22 @@ def by_hand(code: GoalCode) -> np.ndarray:
 def test_loss_is_beta_times_the_kl_of_the_desired_goals_in_bits(state_conditioned):
     learner, params, state, inputs = start(state_conditioned=state_conditioned)
     desired, features = jnp.array([0, 0, 3]), jax.random.normal(jax.random.key(2), (3, FEATURES))
-    code = learner.encode(params, inputs[desired])
-    code = learner.condition(params, code, features) if state_conditioned else code
-    kl = by_hand(code).mean()  # Goal 0 counts twice.
-    batch = hand_made.learner_batch(
-        learner.encode(params, inputs).__getitem__, desired=desired, transitions=Transitions(features)
-    )
     state = state.replace(counts=jnp.array([0.0, 2.0, 0.0, 1.0, 0.0]))
-    loss, metrics, after = learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.03), jax.random.key(3))
+
+    @jax.jit
+    def codes_and_loss(params, state):
+        code = learner.encode(params, inputs[desired])
+        code = learner.condition(params, code, features) if state_conditioned else code
+        encode = learner.encode(params, inputs).__getitem__
+        batch = hand_made.learner_batch(encode, desired=desired, transitions=Transitions(features))
+        return code, learner.loss(params, state, batch, InfoBotHyperparameters(beta=0.03), jax.random.key(3))
+
+    code, (loss, metrics, after) = codes_and_loss(params, state)
+    kl = by_hand(code).mean()  # Goal 0 counts twice.
     np.testing.assert_allclose(loss, 0.03 * kl / np.log(2), rtol=1e-4)
     np.testing.assert_allclose([metrics["kl"], metrics["beta"], metrics["visited_cells"]], [kl, 0.03, 2], rtol=1e-4)
-    assert after == state.replace(updates=after.updates) and after.updates == 1
+    assert after.updates == 1
+    jax.tree.map(np.testing.assert_array_equal, after, state.replace(updates=after.updates))
 
 
 def test_beta_rises_to_its_value_over_the_warm_up():
@@ -111,7 +116,7 @@ def bonus(learner, state, codes: GoalCode, desired, cell):
     """Bonus of single steps into these cells."""
     cell = jnp.asarray(cell)[:, None]
     visited = Visited(jnp.asarray(desired), jnp.full((*cell.shape, 1), -1), cell, jnp.ones(cell.shape))
-    reward, state = learner.intrinsic_reward(state, codes.__getitem__, visited)
+    reward, state = jax.jit(lambda state: learner.intrinsic_reward(state, codes.__getitem__, visited))(state)
     return reward[:, 0], state
 
 
@@ -127,7 +132,7 @@ def test_bonus_falls_as_one_over_the_root_of_the_visits(state_conditioned):
 
 def test_bonus_grows_with_what_the_code_tells_and_is_of_the_order_of_one():
     learner, params, state, inputs = start()
-    reward, _ = bonus(learner, state, learner.encode(params, inputs), jnp.arange(GOALS), jnp.zeros(GOALS, int))
+    reward, _ = bonus(learner, state, jax.jit(learner.encode)(params, inputs), np.arange(GOALS), np.zeros(GOALS, int))
     assert 0.5 < reward.mean() < 2  # From the first update on.
     codes = GoalCode(jnp.zeros((2, 8)).at[1].set(2.0), jnp.full((2, 8), 0.5))
     step = jax.jit(lambda state: bonus(learner, state, codes, [0, 1, 1], [0, 0, 0]))
@@ -197,7 +202,7 @@ def test_kl_of_the_state_conditioned_form_shapes_both_encoders():
             batch = hand_made.learner_batch(encode, desired=jnp.array([0, 1, 2]), transitions=Transitions(features))
             return learner.loss(params, state, batch, InfoBotHyperparameters(), jax.random.key(0))[0]
 
-        of_params, of_features = jax.grad(loss, argnums=(0, 1))(params, features)
+        of_params, of_features = jax.tree.map(np.asarray, jax.jit(jax.grad(loss, argnums=(0, 1)))(params, features))
         assert of_features.any()
         for part in ("encoder", "joint"):
             assert any(leaf.any() for leaf in jax.tree.leaves(of_params[part]))
@@ -230,7 +235,8 @@ def test_reward_for_goals_first_seen_is_one_for_each():
     """Counted by hand: two episodes in a row; a goal at the start of an episode, and one that comes again, say
     nothing."""
     rows = rows_of([[1, 1, 1, 0, 1, 1]], [[[1, -1], [1, 2], [3, 4], [2, 5], [1, 2], [2, 3], [1, 3]]])
-    np.testing.assert_array_equal(first_seen(rows.record, rows, 6), [[1, 1, 2, 1, 2, 1, 0]])
+    found = jax.jit(lambda rows: first_seen(rows.record, rows, 6))(rows)
+    np.testing.assert_array_equal(found, [[1, 1, 2, 1, 2, 1, 0]])
     learner = infobot.make(infobot.InfoBotConfig(reward="first_seen"))
     seen = jnp.asarray([[1.0, 0.0], [2.0, 1.0]])
     visited = Visited(None, None, jnp.zeros((2, 2), jnp.int32), jnp.ones((2, 2)), seen)

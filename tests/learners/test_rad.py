@@ -17,7 +17,7 @@ from infogoal_jax.learners.learner import GoalEncoding
 from infogoal_jax.registry import Entry
 from infogoal_jax.train.parts import Setup, training_view
 
-AUGMENT = rad.make(rad.RADConfig()).augment
+AUGMENT = jax.jit(rad.make(rad.RADConfig()).augment)
 
 
 def images(*batch: int) -> np.ndarray:
@@ -54,16 +54,15 @@ def test_every_image_is_the_padded_original_at_some_shift(batch):
 def test_shifts_are_uniform_along_both_axes():
     """Each of the nine shifts of one pixel comes up in a ninth of 1800 draws, within five standard deviations (13)."""
     image = images()
-    moved = np.asarray(rad.shifted(jax.random.key(1), jnp.broadcast_to(image, (1800, *image.shape)), 1))
+    shifted = jax.jit(lambda key: rad.shifted(key, jnp.broadcast_to(image, (1800, *image.shape)), 1))
+    moved = np.asarray(shifted(jax.random.key(1)))
     offsets, counts = np.unique([offset_of(one, image, 1) for one in moved], axis=0, return_counts=True)
     assert len(offsets) == 9 and (np.abs(counts - 200) < 67).all()
 
 
 def test_no_shift_is_the_identity():
     before = images(4)
-    np.testing.assert_array_equal(
-        rad.make(rad.RADConfig(shift=0)).augment(jax.random.key(0), jnp.asarray(before)), before
-    )
+    np.testing.assert_array_equal(jax.jit(rad.make(rad.RADConfig(shift=0)).augment)(jax.random.key(0), before), before)
 
 
 def test_vectors_are_scaled_as_a_whole_within_bounds():
@@ -94,11 +93,12 @@ def test_nothing_but_the_inputs_differs_from_the_plain_learner():
     learner, plain = rad.make(rad.RADConfig(hidden=(32,))), none.make(none.NoneConfig(hidden=(32,)))
     inputs = jnp.asarray(images(5)[:, :8])
     (params, _), (of_plain, _) = (
-        one.init(jax.random.key(0), hand_made.example(inputs), NoHyperparameters()) for one in (learner, plain)
+        hand_made.initial(one, jax.random.key(0), hand_made.example(inputs), NoHyperparameters())
+        for one in (learner, plain)
     )
     jax.tree.map(np.testing.assert_array_equal, params, of_plain)
-    code = learner.encode(params, inputs)
-    np.testing.assert_array_equal(code.mean, plain.encode(params, inputs).mean)
+    code = jax.jit(learner.encode)(params, inputs)
+    np.testing.assert_array_equal(code.mean, jax.jit(plain.encode)(params, inputs).mean)
     assert code.std is None and plain.augment is None
     assert learner.loss(params, (), hand_made.learner_batch(None), NoHyperparameters(), jax.random.key(0))[0] == 0
 
@@ -109,11 +109,9 @@ def test_updates_see_varied_goals_and_acting_sees_them_as_collecting_does(corrup
     env, key = hand_made_points.points(), jax.random.key(0)
     parts = SimpleNamespace(learner=rad.make(rad.RADConfig()), config=SimpleNamespace(training_corruption=corruption))
     acting, updating = (training_view(Setup(parts, None, env), augmented) for augmented in (False, True))
-    if corruption:
-        seen, varied = (view(key, env.goals.inputs) for view in (acting, updating))
-    else:
-        assert acting is None
-        seen, varied = env.goals.inputs, updating(key, env.goals.inputs)
+    assert (acting is None) == (corruption == 0)
+    seen = jax.jit(acting)(key, env.goals.inputs) if corruption else env.goals.inputs
+    varied = jax.jit(updating)(key, env.goals.inputs)
     pairs = zip(np.asarray(varied), np.asarray(seen), strict=True)
     moved = [
         any(np.array_equal(one, cut) for cut in cuts(image, 4)) and not np.array_equal(one, image)
@@ -140,8 +138,11 @@ def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
         augmented=True,
     )
     same_goal = jnp.zeros(10, jnp.int32)
-    varied = GoalEncoding(learner, params, env.goals, 32, view, jax.random.key(1)).of_any()(same_goal).mean
-    plain = GoalEncoding(learner, params, env.goals, 32).of_any()(same_goal).mean
+
+    def codes(*given):
+        return jax.jit(lambda: GoalEncoding(learner, params, env.goals, 32, *given).of_any()(same_goal).mean)()
+
+    varied, plain = codes(view, jax.random.key(1)), codes()
     assert len(np.unique(varied, axis=0)) == 10 and len(np.unique(plain, axis=0)) == 1
 
 

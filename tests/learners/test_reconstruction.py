@@ -95,7 +95,7 @@ def test_vae_learns_to_reconstruct_goals(inputs):
     config = vae.VAEConfig(**SMALL)
     params, _, metrics = trained(vae.make(config), inputs, 400)
     assert metrics["elbo"][-50:].mean() > metrics["elbo"][:20].mean() + 10
-    means = vae.make(config).encode(params, inputs).mean
+    means = jax.jit(vae.make(config).encode)(params, inputs).mean
     error = vae.squared_error(params["decoder"], config.hidden, means, inputs, False).mean() / inputs[0].size
     assert error < 0.5 * constant_error(inputs)
     others = (

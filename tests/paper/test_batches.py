@@ -76,7 +76,9 @@ def batch_of(envs, values=(("discount", 0.9),)) -> batches.Batch:
     return batches.Batch(config, tuple(envs), tuple((lane, seed) for lane in settings for seed in SEEDS), runs)
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0), (1,)], ids=["preset first", "preset last", "alone"])
+@pytest.mark.parametrize(
+    "order", [(0, 1), pytest.param((1, 0), marks=pytest.mark.long), (1,)], ids=["preset first", "preset last", "alone"]
+)
 def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path):
     """The first lane of a batch may be another than the preset, where the preset's run is done already."""
     fixed = Lane("beta 0.1", (("learner.beta_start", 0.1), ("learner.beta_step", 0.0)))
@@ -89,7 +91,9 @@ def test_the_floats_of_a_lane_are_its_own_whichever_comes_first(order, tmp_path)
     assert len(floats) == len(order) * len(SEEDS)
 
 
-@pytest.mark.parametrize(("task", "most"), [("fetch_reach", 64), ("fetch_reach", 3), ("fetch_push", 64)])
+@pytest.mark.parametrize(
+    ("task", "most"), [("fetch_reach", 64), pytest.param("fetch_reach", 3, marks=pytest.mark.long), ("fetch_push", 64)]
+)
 def test_goal_sets_are_side_by_side_as_far_as_the_lanes_go_but_for_push(task, most, tmp_path):
     """A GPU's compiler fails on some programs of several goal sets of Push."""
     (tmp_path / "1").mkdir()

@@ -65,8 +65,9 @@ def test_weight_of_proximity_grows_as_in_the_public_code():
 def test_weights_among_equal_goals():
     """Where all goals are equal the mean distance is 0: similarities are 1, not undefined, and one candidate stands for
     all."""
-    np.testing.assert_array_equal(cher.neighbour_weights(jnp.full((4, 2), 0.3)), [3, 1, 0, 0])
-    assert (cher.dense_similarity(jnp.full((4, 2), 0.3)) == 1).all()
+    equal = np.full((4, 2), 0.3, np.float32)
+    np.testing.assert_array_equal(jax.jit(cher.neighbour_weights)(equal), [3, 1, 0, 0])
+    assert (np.asarray(jax.jit(cher.dense_similarity)(equal)) == 1).all()
 
 
 def test_comparing_all_finds_the_best_choice_where_candidates_do_not_cover_each_other():
@@ -103,30 +104,33 @@ def test_comparing_three_is_better_than_chance(similarity):
     """The objective of every choice among three beats the mean of random halves by several of their deviations."""
     random = np.random.default_rng(1)
     positions, cost = jnp.asarray(random.normal(size=(64, 3)), jnp.float32), jnp.asarray(random.random(64), jnp.float32)
-    weights, dense = cher.neighbour_weights(positions), cher.dense_similarity(positions)
+    weights, dense = jax.jit(lambda at: (cher.neighbour_weights(at), cher.dense_similarity(at)))(positions)
+    kept, paid = np.asarray(weights), np.asarray(cost)
 
     def objective(chosen):
         chosen = np.asarray(chosen)
-        return (float(weights[chosen].sum()) if similarity == "nearest" else coverage(dense, chosen)) - float(
-            cost[chosen].sum()
-        )
+        return (kept[chosen].sum() if similarity == "nearest" else coverage(dense, chosen)) - paid[chosen].sum()
 
     by_chance = [objective(random.permutation(64)[:32]) for _ in range(50)]
-    pick = jax.jit(
-        lambda places: (
+
+    @jax.jit
+    def pick(key):
+        places = cher.draw_places(key, 64, 32)
+        return (
             cher.pick_nearest(weights, cost, places)
             if similarity == "nearest"
             else cher.pick_dense(dense, cost, places)
         )
-    )
+
     for seed in range(5):
-        chosen = pick(cher.draw_places(jax.random.key(seed), 64, 32))
+        chosen = pick(jax.random.key(seed))
         assert len(set(np.asarray(chosen).tolist())) == 32
         assert objective(chosen) > np.mean(by_chance) + 2 * np.std(by_chance)
 
 
 def test_places_are_different_and_every_three_are_equally_likely():
-    places = np.asarray(jax.vmap(lambda key: cher.draw_places(key, 6, 3))(jax.random.split(jax.random.key(0), 3000)))
+    draw = jax.jit(jax.vmap(lambda key: cher.draw_places(key, 6, 3)))
+    places = np.asarray(draw(jax.random.split(jax.random.key(0), 3000)))
     for pick in range(3):
         drawn = np.sort(places[:, pick], axis=1)
         threes, counts = np.unique(drawn, axis=0, return_counts=True)
@@ -140,12 +144,9 @@ def test_distance_to_what_was_achieved_instead():
     anywhere is no distance."""
     positions = jnp.asarray([[0.0, 0.0], [3.0, 4.0], [6.0, 8.0]])
     achieved = jnp.asarray([[1, 2], [-1, 2], [-1, -1], [-1, 0]])
-    np.testing.assert_allclose(
-        cher.proximity_distances(positions[jnp.zeros(4, int)], achieved, positions), [5, 10, 10, 0]
-    )
-    np.testing.assert_array_equal(
-        cher.proximity_distances(positions[jnp.zeros(2, int)], jnp.full((2, 3), -1), positions), [0, 0]
-    )
+    distances, here = jax.jit(cher.proximity_distances), np.zeros((4, 2), np.float32)
+    np.testing.assert_allclose(distances(here, achieved, positions), [5, 10, 10, 0])
+    np.testing.assert_array_equal(distances(here, np.full((4, 2), -1), positions), [0, 0, 0, 0])
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -188,10 +189,12 @@ def test_only_distances_in_the_world_depend_on_its_unit():
 def test_many_updates_draw_side_by_side_what_each_draws_alone():
     random = np.random.default_rng(2)
     weights, cost = jnp.asarray(random.random((2, 5, 32)), jnp.float32)
-    places = jax.vmap(lambda key: cher.draw_places(key, 32, 16))(jax.random.split(jax.random.key(0), 5))
-    together = jax.jit(jax.vmap(cher.pick_nearest))(weights, cost, places)
-    for number, chosen in enumerate(together):
-        np.testing.assert_array_equal(chosen, jax.jit(cher.pick_nearest)(weights[number], cost[number], places[number]))
+    draw = jax.jit(jax.vmap(lambda key: cher.draw_places(key, 32, 16)))
+    places = draw(jax.random.split(jax.random.key(0), 5))
+    together, pick = jax.jit(jax.vmap(cher.pick_nearest))(weights, cost, places), jax.jit(cher.pick_nearest)
+    weights, cost, places = map(np.asarray, (weights, cost, places))
+    for number, chosen in enumerate(np.asarray(together)):
+        np.testing.assert_array_equal(chosen, pick(weights[number], cost[number], places[number]))
 
 
 @pytest.mark.parametrize("fields", [{"proximity_weight": -1.0}, {"proximity_growth": -1e-4}])

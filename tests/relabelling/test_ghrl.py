@@ -185,9 +185,14 @@ def test_first_occurrences_are_given_to_what_lies_before_them(several):
     rows, times = random_rows(several), 2000
     relabelling = ghrl.make(ghrl.GHRLConfig(share=1.0, choice="first_occurrence"))
     places = [(row, step, first, last) for row, first, last in episodes(rows) for step in range(first, last)]
-    row, step = (jnp.repeat(jnp.asarray(column), times) for column in list(zip(*places, strict=True))[:2])
-    table = jax.jit(lambda rows: relabelling.prepare(context(rows)))(rows)
-    drawn = np.asarray(relabelling.relabel(jax.random.key(2), table, row, step, jnp.zeros_like(row)))
+    row, step = (np.repeat(column, times).astype(np.int32) for column in list(zip(*places, strict=True))[:2])
+
+    @jax.jit
+    def relabel(rows, row, step):
+        table = relabelling.prepare(context(rows))
+        return relabelling.relabel(jax.random.key(2), table, row, step, jnp.zeros_like(row))
+
+    drawn = np.asarray(relabel(rows, row, step))
     rows = jax.tree.map(np.asarray, rows)
     for (r, t, first, last), goals in zip(places, drawn.reshape(-1, times), strict=True):
         begin, expected = {}, np.zeros(GOALS)

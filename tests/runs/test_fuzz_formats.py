@@ -172,13 +172,18 @@ def crop_members() -> dict[str, np.ndarray]:
     return {"train": crops, "test": crops, "train_photographs": np.array(["a"]), "test_photographs": np.array(["b"])}
 
 
+def two_runs() -> dict:
+    """The numbers of two runs."""
+    found = made_up_results.results(tasks=("object_search",), methods=("infogoal",))
+    return dict(list(found.items())[:2])
+
+
 def run_members() -> dict[str, np.ndarray]:
-    return files.packed(next(iter(made_up_results.results().values())))
+    return files.packed(next(iter(two_runs().values())))
 
 
 def number_members() -> dict[str, np.ndarray]:
-    results = made_up_results.results()
-    numbers.save(dict(list(results.items())[:2]), Path("numbers"))
+    numbers.save(two_runs(), Path("numbers"))
     (path,) = Path("numbers").iterdir()
     archive = archives.read(path, "")
     return {name: archives.member(archive, name, "") for name in archive.sizes}

@@ -96,7 +96,8 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
     achieved, desired = jnp.array([[[7, -1]], [[-1, 20]], [[7, 20]]]), jnp.array([3, 3, 30])
 
     def drawn(achieved, *spec):
-        goals = draw_goals(AllGoalsSpec(*spec, mean_code=False), known, achieved, desired, jax.random.key(0))
+        spec = AllGoalsSpec(*spec, mean_code=False)
+        goals = jax.jit(lambda *given: draw_goals(spec, *given))(known, achieved, desired, jax.random.key(0))
         return None if goals is None else np.asarray(goals)
 
     goals = drawn(achieved, 80, 0.5, 0.25)

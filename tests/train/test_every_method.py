@@ -113,7 +113,7 @@ def traced(task: str, method: str, in_64_bits: bool = False):
 
 
 TRACED = [*(("object_search", method) for method in presets.METHODS), ("fetch_reach", "infogoal")]
-IN_64_BITS = [("object_search", "infogoal"), ("fetch_reach", "infogoal")]
+IN_64_BITS = [("object_search", "infogoal")]
 
 
 @pytest.mark.parametrize(("task", "method"), TRACED)
