@@ -135,6 +135,15 @@ def array(
     return value
 
 
+def as_float32(value: Any, field: str) -> np.ndarray:
+    """An array of finite numbers, which `array` has looked at, as float32. Raises `UserError` for one that becomes
+    infinite."""
+    with np.errstate(over="ignore"):
+        found = np.asarray(value, np.float32)
+    require(bool(np.isfinite(found).all()), field, value, "give finite numbers that float32 holds")
+    return found
+
+
 def has_shape(found: tuple[int, ...], asked: tuple[int | str | None, ...]) -> bool:
     """Whether the shape is the one that is asked for, see `array`."""
     if Ellipsis in asked or "..." in asked:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax import checks
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import LONGEST, UserError, require
 from infogoal_jax.goal_uses import NO_USE, USES
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import aligned, with_rank
@@ -166,7 +166,9 @@ class GoalSet:
         named = [goals] if isinstance(goals, str) else goals if isinstance(goals, list | tuple) else []
         if {*map(type, named)} == {str}:
             unknown = [name for name in named if name not in self.names]
-            require(not unknown, field, goals, f"the task has no goal {', '.join(unknown)}; see env.goals.names")
+            require(
+                not unknown, field, goals, f"the task has no goal {', '.join(unknown)[:LONGEST]}; see env.goals.names"
+            )
             numbers = [self.names.index(name) for name in named]
             goals = numbers[0] if isinstance(goals, str) else numbers
         remedy = (

@@ -10,8 +10,8 @@ from infogoal_jax.checked_dict import CheckedDict
 from infogoal_jax.errors import UserError, a, nearest, shown
 from infogoal_jax.hyperparameters import NoHyperparameters, check_declared
 
-NAME = r"\w[\w.-]*"
-"""Of a part: it is a word of the command line and of a run's folder."""
+NAME = r"[^\W_][\w.-]*"
+"""Of a part: it is a word of the command line and of a run's folder, and none of Python's own, such as `__dict__`."""
 
 
 class Entry(NamedTuple):
@@ -48,7 +48,7 @@ class Registry(CheckedDict):
         """Raise `UserError` for what is no `Entry`, and for the configuration of another part: which part is meant
         follows from it. Tasks may share one, as a `TrainConfig` names its task."""
         if not isinstance(name, str) or not re.fullmatch(NAME, name):
-            raise UserError(f"{self.kind} = {name!r}: give a name of letters, digits, _, - and .")
+            raise UserError(f"{self.kind} = {name!r}: give a name of letters, digits, _, - and ., not _ first")
         if not isinstance(entry, Entry):
             raise UserError(f"{self.kind} = {name!r}: give an Entry(Config, make, ...), not {type(entry).__name__}")
         self.check_entry(name, entry)

@@ -2,13 +2,17 @@
 wrong. Nothing is coerced, no error of Python or JAX comes through, and nothing is written."""
 
 import dataclasses
+import importlib
+import inspect
 import os
 import re
 from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest import mock
 
+import flax.struct
 import hand_made
 import jax
 import jax.numpy as jnp
@@ -16,7 +20,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from places import ROOT
 
+import infogoal_jax
 from infogoal_jax import (
     UserError,
     compiled,
@@ -28,10 +34,13 @@ from infogoal_jax import (
     make_train,
     presets,
     rollout,
+    sweep,
     use_compilation_cache,
 )
-from infogoal_jax.bridges import brax, gymnasium
+from infogoal_jax.bridges import brax, gymnasium, minari
+from infogoal_jax.data.episodes import Episodes, of_arrays
 from infogoal_jax.envs.plane import PlaneConfig
+from infogoal_jax.envs.recordings import with_recordings
 from infogoal_jax.goals import GoalBox, GoalSet
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.registry import Entry, Registry
@@ -39,6 +48,7 @@ from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.video import write_video
+from infogoal_jax.runner import parts, training
 from infogoal_jax.runner.training import run
 
 SHORT, LONG = 150, 5000
@@ -212,11 +222,78 @@ def texts(value) -> bool:
     return isinstance(value, dict) and all(isinstance(name, str) for name in value)
 
 
+class WorkBegins(BaseException):
+    """What was given is taken: the function would begin its work now."""
+
+
+def until_work(function, module, name):
+    """The function, which returns where it would call this one."""
+
+    def begin(*arguments, **named):
+        raise WorkBegins
+
+    def call(**arguments):
+        with mock.patch.object(module, name, begin):
+            try:
+                function(**arguments)
+            except WorkBegins:
+                return
+
+    return call
+
+
+def several_seeds(value) -> bool:
+    """Different seeds."""
+    array = value if isinstance(value, np.ndarray | jax.Array) else None
+    if isinstance(value, list | tuple | range) and all(whole(seed) for seed in value):
+        array = np.array([*value], int)
+    if array is None or isinstance(array, np.ma.MaskedArray) or array.ndim != 1 or not array.size:
+        return False
+    is_whole = not jax.dtypes.issubdtype(array.dtype, jax.dtypes.prng_key) and array.dtype.kind in "iu"
+    return is_whole and len({*array.tolist()}) == array.size and bool((array >= 0).all())
+
+
+def some_places(value) -> bool:
+    """Places of an observation of four numbers that leave one of the first two."""
+    if isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray):
+        is_places = value.size == 0 or (value.ndim < 2 and value.dtype.kind in "iu")
+        value = [int(place) for place in np.ravel(value)] if is_places else None
+    if whole(value, -4, 3):
+        value = [value]
+    is_several = isinstance(value, list | tuple | set | dict) and all(whole(place, -4, 3) for place in value)
+    return is_several and not {0, 1} <= {place % 4 for place in value}
+
+
+@flax.struct.dataclass
+class Seen:
+    """A state as brax has them."""
+
+    obs: jax.Array
+    done: jax.Array
+
+
+class Line:
+    """An environment as brax has them: two numbers are moved, two are their goal."""
+
+    action_size = 2
+
+    def reset(self, rng):
+        return Seen(jax.random.uniform(jax.random.wrap_key_data(rng), (4,), jnp.float32), jnp.zeros((), jnp.float32))
+
+    def step(self, state, action):
+        return state.replace(obs=state.obs.at[:2].add(action))
+
+
+LINE = Line()
+RECORDED = {"observations": np.zeros((3, 4)), "actions": np.zeros((3, 2)), "terminals": [0, 0, 1]}
 MAZE = envs.load("point_maze", PlaneConfig(held_out=False))
 KNOWN = {*envs.registry}
 SQUARES = np.zeros((2, 2), np.uint8)
 """Two goals of the maze, as one of `ARRAYS` has them."""
 ROOMS = gymnasium.TaskGymnasium(ENV)
+WALK = {"actions": np.zeros((3, 2)), "last": np.arange(3) == 2, "achieved_goals": np.zeros((3, 2))}
+WALK |= {"observations": np.zeros((3, *MAZE.observe(MAZE.reset(KEY)).shape))}
+REWARDED = ("achieved_goal", "desired_goal")
 FIELDS = {"inputs": np.zeros((3, 4), np.float32), "regions": [0, 0, 0], "uses": [0, 0, 2], "names": ("a", "b", "c")}
 CALLS = {
     "rollout": Call(
@@ -292,9 +369,135 @@ CALLS = {
         write_video, {"path": "out.mp4", "frames": [], "fps": 25}, {"path": never, "frames": never, "fps": never}
     ),
     "run": Call(
-        run,
-        {"config": None, "seeds": [0], "folder": "out", "resume": False, "listeners": (), "env": ENV, "phase": stay},
-        {name: never for name in ("config", "seeds", "folder", "resume", "listeners", "env", "phase")},
+        until_work(run, training, "make_train"),
+        {
+            "config": CONFIG,
+            "seeds": [0],
+            "folder": "out",
+            "resume": False,
+            "listeners": (),
+            "env": ENV,
+            "phase": zero,
+            "left": zero,
+        },
+        {
+            "config": lambda value: value is CONFIG,
+            "seeds": several_seeds,
+            "folder": lambda value: is_path(value) and "\ud800" not in str(value),
+            "resume": flag,
+            "listeners": lambda value: isinstance(value, list | tuple) and not value,
+            "env": lambda value: none(value) or value is ENV,
+            "phase": lambda value: value in (zero, int) if callable(value) else False,
+            "left": lambda value: callable(value) and value not in (len, stay, object),
+        },
+    ),
+    "sweep": Call(
+        until_work(sweep, parts, "check_new"),
+        {
+            "config": CONFIG,
+            "seeds": [0],
+            "folder": "out",
+            "resume": False,
+            "seeds_at_once": 0,
+            "execute": zero,
+            "learning_rate": [1e-4],
+        },
+        {
+            "config": lambda value: value is CONFIG,
+            "seeds": several_seeds,
+            "folder": lambda value: is_path(value) and "\ud800" not in str(value),
+            "resume": lambda value: flag(value) and not value,
+            "seeds_at_once": lambda value: whole(value, 0),
+            "execute": lambda value: value in (zero, int) if callable(value) else False,
+            "learning_rate": lambda value: isinstance(value, list) and value == [0.5],
+        },
+    ),
+    "envs.from_brax": Call(
+        envs.from_brax,
+        {
+            "env": LINE,
+            "goal": [2, 3],
+            "achieved": [0, 1],
+            "radius": 0.1,
+            "hidden": (),
+            "episode_length": 9,
+            "ends_at_goal": True,
+            "low": None,
+            "high": None,
+            "held_out": None,
+            "num_evaluated": 2,
+            "starts": 1,
+            "source": "",
+        },
+        {
+            "env": lambda value: value is LINE,
+            "goal": lambda value: isinstance(value, range),
+            "achieved": lambda value: isinstance(value, range),
+            "radius": lambda value: number(value) and 0 < value <= 1e37,
+            "hidden": some_places,
+            "episode_length": lambda value: whole(value, 1, 2**31 - 1),
+            "ends_at_goal": flag,
+            "low": none,
+            "high": none,
+            "held_out": lambda value: none(value) or value is zero,
+            "num_evaluated": lambda value: whole(value, 1, 4096),
+            "starts": lambda value: whole(value, 1, 4096),
+            "source": lambda value: isinstance(value, str),
+        },
+    ),
+    "envs.from_playground": Call(
+        lambda **arguments: envs.from_playground(**arguments, goal=[2, 3], achieved=[0, 1], radius=0.1),
+        {"env": LINE, "config_overrides": None},
+        {"env": lambda value: value is LINE, "config_overrides": none},
+    ),
+    "envs.from_jaxgcrl": Call(envs.from_jaxgcrl, {"name": ""}, {"name": never}),
+    "of_arrays": Call(
+        lambda **arrays: of_arrays(arrays),
+        RECORDED,
+        {
+            "observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "actions": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "terminals": never,
+        },
+    ),
+    "of_arrays of transitions": Call(
+        lambda **arrays: of_arrays(arrays),
+        RECORDED | {"next_observations": np.ones((3, 4))},
+        {
+            "observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "actions": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+            "terminals": never,
+            "next_observations": lambda value: np.shape(value) == (3, 4) if isinstance(value, np.ndarray) else False,
+        },
+    ),
+    "of_arrays of nothing": Call(of_arrays, {"arrays": RECORDED}, {"arrays": never}),
+    "with_recordings": Call(
+        with_recordings,
+        {"task": MAZE, "episodes": Episodes(**WALK), "seed": 0},
+        {"task": lambda value: value is MAZE, "episodes": never, "seed": lambda value: whole(value, 0, 2**32 - 1)},
+    ),
+    "episodes_of": Call(minari.episodes_of, {"dataset": ""}, {"dataset": never}),
+    "presets.method_named": Call(presets.method_named, {"name": "her"}, {"name": never}),
+    "presets.name_of": Call(presets.name_of, {"config": CONFIG}, {"config": lambda value: value is CONFIG}),
+    "presets.default_hyperparameters": Call(
+        presets.default_hyperparameters,
+        {"learner": CONFIG.learner, "agent": CONFIG.agent},
+        {"learner": never, "agent": never},
+    ),
+    "compute_reward of bits": Call(
+        ROOMS.compute_reward,
+        {"achieved_goal": np.eye(8)[:1], "desired_goal": np.eye(8)[1:2], "info": {}},
+        {"achieved_goal": never, "desired_goal": never},
+    ),
+    "compute_reward of vectors": Call(
+        gymnasium.TaskGymnasium(MAZE).compute_reward,
+        {"achieved_goal": [[0.5, 0.5]], "desired_goal": [[0.5, 0.2]], "info": {}},
+        {name: lambda value: str(value) == "[[0, 2]]" and not isinstance(value, str) for name in REWARDED},
+    ),
+    "compute_reward of Fetch": Call(
+        gymnasium.FetchGymnasium("fetch_reach").compute_reward,
+        {"achieved_goal": np.zeros((1, 3)), "desired_goal": np.ones((1, 3)), "info": {}},
+        {name: never for name in REWARDED},
     ),
     "reset": Call(
         ROOMS.reset,
@@ -368,7 +571,7 @@ CALLS = {
         lambda name, env, preset: registered(name, lambda: presets.register(name, env, preset)),
         {"name": "mine", "env": MAZE, "preset": None},
         {
-            "name": lambda value: isinstance(value, str) and bool(re.fullmatch(r"\w[\w.-]*", value)),
+            "name": lambda value: isinstance(value, str) and bool(re.fullmatch(r"[^\W_][\w.-]*", value)),
             "env": lambda value: value is MAZE,
             "preset": none,
         },
@@ -396,6 +599,9 @@ CALLS = {
 
 SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_interval", "Entry", "GoalBox.of"]
 SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
+SURE += ["run", "sweep", "envs.from_brax", "envs.from_playground", "of_arrays", "of_arrays of transitions"]
+SURE += ["with_recordings", "presets.method_named", "presets.name_of", "presets.default_hyperparameters"]
+SURE += ["compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
 """Functions that work as they are called here."""
 
 
@@ -441,6 +647,24 @@ def test_right_arguments_are_taken(name):
     """Else everything would be refused."""
     function, arguments, _ = CALLS[name]
     function(**arguments)
+
+
+def public_functions() -> set[str]:
+    """The functions that the package exports or docs/reference/api.md describes, and that take something."""
+    found = {name: getattr(infogoal_jax, name) for name in infogoal_jax.__all__}
+    found |= {f"presets.{name}": getattr(presets, name) for name in presets.__all__}
+    found |= {f"envs.{name}": getattr(envs, name) for name in vars(envs) if name == "load" or name.startswith("from_")}
+    for path in re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / "reference" / "api.md").read_text(), re.M):
+        module, _, name = path.rpartition(".")
+        if module != "infogoal_jax.presets":
+            found[name] = getattr(importlib.import_module(module), name)
+    return {name for name, value in found.items() if inspect.isfunction(value) and inspect.signature(value).parameters}
+
+
+def test_every_public_function_is_called_here():
+    """One that is added is tried with odd arguments too."""
+    assert not public_functions() - {*CALLS}
+    assert {"sweep", "run", "envs.from_brax", "presets.register"} <= public_functions()
 
 
 def test_arrays_are_no_hyperparameters_of_a_run(tmp_path):

@@ -78,6 +78,8 @@ def distance(achieved, desired) -> np.ndarray:
     remedy = "give positions [..., 3]"
     achieved = np.asarray(checks.array(achieved, "achieved_goal", "numbers", remedy=remedy))
     desired = np.asarray(checks.array(desired, "desired_goal", "numbers", remedy=remedy))
+    for goals, field in ((achieved, "achieved_goal"), (desired, "desired_goal")):
+        checks.as_float32(goals, field)  # Beyond, no distance is a number.
     fit = achieved.shape[-1:] == (3,) and achieved.shape == desired.shape
     require(
         fit,

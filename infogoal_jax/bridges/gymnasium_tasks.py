@@ -119,11 +119,11 @@ def at_goal(env: Environment, achieved: np.ndarray, desired: np.ndarray) -> np.n
     """Whether desired goals [..., D] are achieved, bool [...]: vectors, or bits of a finite set. Raises `UserError` for
     other shapes, and for numbers that are not finite."""
     if env.goals.finite:
-        return among(achieved, desired)
+        return among(achieved, desired, env.goals.num_goals)
     (size,) = env.goals.shape
     given = {"achieved_goal": achieved, "desired_goal": desired}
     achieved, desired = (
-        np.asarray(checks.array(goals, field, "numbers", (..., size)), np.float32) for field, goals in given.items()
+        checks.as_float32(checks.array(goals, field, "numbers", (..., size)), field) for field, goals in given.items()
     )
     require(
         achieved.shape == desired.shape,
@@ -145,20 +145,20 @@ def reached_in_rows(env: Environment, achieved: jax.Array, desired: jax.Array) -
     return env.reached(achieved, desired)
 
 
-def among(achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+def among(achieved: np.ndarray, desired: np.ndarray, num_goals: int) -> np.ndarray:
     """Whether a desired goal is among those that are achieved, bool [...], for bits [..., N]. Raises `UserError` for
-    other shapes."""
+    other shapes, and for another number of goals N."""
     bits = {}
     for field, given in {"achieved_goal": achieved, "desired_goal": desired}.items():
         flags = isinstance(given, np.ndarray) and given.dtype == bool
-        bits[field] = np.asarray(checks.array(given, field, "flags" if flags else "numbers", (..., "N")))
-        require(np.isin(bits[field], (0, 1)).all(), field, given, "give bits [..., N], each 0 or 1")
+        bits[field] = np.asarray(checks.array(given, field, "flags" if flags else "numbers", (..., num_goals)))
+        require(np.isin(bits[field], (0, 1)).all(), field, given, f"give bits [..., {num_goals}], each 0 or 1")
     achieved, desired = bits["achieved_goal"], bits["desired_goal"]
     require(
         achieved.shape == desired.shape,
         "achieved_goal",
         f"of shape {achieved.shape}, desired_goal of {desired.shape}",
-        "give bits [..., N] of one shape",
+        f"give bits [..., {num_goals}] of one shape",
     )
     return ((achieved > 0) & (desired > 0)).any(-1)
 

@@ -165,14 +165,18 @@ def episodes_of(dataset: Any) -> Episodes:
     dictionaries: of a `GoalEnv` its `observation`, beside its goals; of others all vectors in the order of their keys.
     Raises `UserError` for what cannot be read so.
     """
-    recorded = [(one.observations, np.asarray(one.actions)) for one in dataset.iterate_episodes()]
+    known = callable(getattr(dataset, "iterate_episodes", None))
+    require(known, "dataset", type(dataset).__name__, "give a MinariDataset, as minari.load_dataset makes it")
+    recorded = [(one.observations, as_numbers(one.actions, "actions")) for one in dataset.iterate_episodes()]
     require(len(recorded) > 0, "dataset", "no episodes", "give a dataset with episodes")
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("observations", "actions", "last")}
     for observations, actions in recorded:
         is_goal_env = isinstance(observations, dict) and {"achieved_goal", "desired_goal"} <= observations.keys()
         if is_goal_env:
             for name in ("achieved_goal", "desired_goal"):
-                columns.setdefault(f"{name}s", []).append(np.asarray(observations[name], np.float32))
+                goals = as_numbers(observations[name], f"{name}s")
+                columns.setdefault(f"{name}s", []).append(goals.astype(np.float32))
+            require("observation" in observations, "observations", sorted(observations), "give an `observation` too")
             observations = observations["observation"]
         seen = as_array(observations)
         require(
@@ -196,12 +200,21 @@ def as_array(observations: Any) -> np.ndarray:
         vectors = all(part.ndim == 2 for part in parts)
         require(vectors, "observations", sorted(observations), "give vectors, or images alone, under their keys")
         return np.concatenate(parts, 1)
-    found = np.asarray(observations)
+    found = as_numbers(observations, "observations")
     if found.dtype == np.uint8 and found.ndim == 4:
         channels_first = found.shape[1] <= MOST_CHANNELS < found.shape[3]
         return np.moveaxis(found, 1, -1) if channels_first else found
-    require(found.dtype.kind in "fiub", "observations", str(found.dtype), "give numbers")
     return found.reshape(len(found), -1).astype(np.float32)
+
+
+def as_numbers(values: Any, field: str) -> np.ndarray:
+    """The values of an episode, [T, ...], as an array of numbers. Raises `UserError`, naming the field, for others."""
+    try:
+        found = np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{field}: give an array, not {type(values).__name__} of several shapes") from error
+    require(found.dtype.kind in "fiub" and found.ndim > 0, field, str(found.dtype), "give numbers for each step")
+    return found
 
 
 def from_minari(path: str | os.PathLike) -> FrameDataset:

@@ -127,7 +127,7 @@ def empty_folder(path: str | Path, flag: str) -> Path:
     folder = Path(path)
     try:
         holds_something = not folder.is_dir() or any(folder.iterdir())
-        there = folder.exists()
+        there = os.path.lexists(folder)  # A link that leads nowhere, too: nothing is written through it.
     except OSError as error:
         raise UserError(f"{flag} = {str(path)!r}: {error.strerror or error}; give a new folder") from error
     if there and holds_something:

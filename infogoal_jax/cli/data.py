@@ -2,6 +2,7 @@
 check, import, export, download, embed."""
 
 import contextlib
+import os
 import shlex
 import sys
 import time
@@ -51,7 +52,7 @@ def fetch(
 
     files = {name: Path(path) / f"{name}.npz" for name in tasks}
     for file in files.values():
-        if file.exists():
+        if os.path.lexists(file):
             raise UserError(f"path = {str(file)!r}: is there already; give a new folder")
     goal_rendering.check(tuple(files), seed)
     for name, file in files.items():
@@ -118,7 +119,7 @@ def new_file(path: str, flag: str = "path") -> None:
     there already."""
     if Path(path).suffix != ".npz":
         raise UserError(f"{flag} = {path!r}: an image dataset is one file, an npz; let it end in .npz")
-    if Path(path).exists():
+    if os.path.lexists(path):  # A link that leads nowhere, too: nothing is written through it.
         raise UserError(f"{flag} = {path!r}: is there already; give a new file")
 
 

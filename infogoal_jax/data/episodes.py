@@ -49,10 +49,7 @@ class Episodes:
     """float32 [N, D]; None: unknown."""
 
     def __post_init__(self):
-        faults = list(faults_of(self.members()))
-        if faults:
-            where, problem = faults[0]
-            raise UserError(f"{where}: {problem}")
+        check(faults_of(self.members()))
         for name in ("observations", "actions", *GOALS):
             array = getattr(self, name)
             if array is not None and array.dtype != np.uint8:
@@ -87,6 +84,7 @@ def load(path: str | os.PathLike) -> Episodes:
 
 def save(path: str | os.PathLike, episodes: Episodes) -> None:
     """Write the episodes to a file, in the layout of OGBench. Raises `UserError` where the disk refuses."""
+    require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes, as load returns them")
     members = episodes.members()
     archives.save(path, members | {"terminals": members["terminals"].astype(np.float32)}, "path")
 
@@ -94,15 +92,33 @@ def save(path: str | os.PathLike, episodes: Episodes) -> None:
 def of_arrays(arrays: Mapping[str, Any]) -> Episodes:
     """The episodes of arrays by name: as they stand in a file, or as `ogbench.load_dataset` gives them. Raises
     `UserError`, naming the array, for what does not fit together."""
+    require(isinstance(arrays, Mapping), "arrays", type(arrays).__name__, f"give arrays by their names: {REMEDY}")
     missing = [name for name in MEMBERS if name not in arrays]
     require(not missing, "arrays", list(arrays), f"has no {', '.join(missing)}; {REMEDY}")
-    found = {name: np.asarray(arrays[name]) for name in READ if name in arrays}
+    found = {name: as_array(name, arrays[name]) for name in READ if name in arrays}
+    check(faults_of_arrays(found))
     last = found.pop("terminals")
     if "next_observations" in found:
         return regular(found, last)
     if "valids" in found:
         last = 1 - found.pop("valids")
     return Episodes(last=last, **found)
+
+
+def as_array(name: str, value: Any) -> np.ndarray:
+    """An array, or nested lists, as an array. Raises `UserError` for one with a mask, and for rows of several
+    lengths."""
+    require(not isinstance(value, np.ma.MaskedArray), name, "a masked array", "give an array without a mask")
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{name}: give an array, not {type(value).__name__} of several shapes") from error
+
+
+def check(faults: Iterator[tuple[str, str]]) -> None:
+    """Raise `UserError` for the first of these faults, if there is one."""
+    for where, problem in faults:
+        raise UserError(f"{where}: {problem}")
 
 
 def regular(found: dict[str, np.ndarray], last: np.ndarray) -> Episodes:
@@ -160,6 +176,9 @@ def check_episodes(path: str | os.PathLike) -> list[Finding]:
             where = f"{path}: {name}"
             findings.append(Finding("warning", where, f"no such member: it is not read.{nearest(name, list(READ))}"))
     if "next_observations" in members or "valids" in members:
+        faults = [*faults_of_arrays(members)]
+        if faults:
+            return [*findings, *(Finding("error", f"{path}: {where}", problem) for where, problem in faults)]
         try:
             members = of_arrays(members).members()
         except UserError as error:
@@ -172,10 +191,21 @@ def check_episodes(path: str | os.PathLike) -> list[Finding]:
 
 def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
     """Every fault of these members of a file: where, and what is wrong with the remedy."""
-    lengths = {}
+    wrong = False
     for name in MEMBERS:
         if name not in members:
             yield name, f"is missing; {REMEDY}"
+    for fault in faults_of_arrays(members):
+        wrong |= fault[0] == "lengths"
+        yield fault
+    terminals = members.get("terminals")
+    if not wrong and isinstance(terminals, np.ndarray):
+        yield from faults_of_ends(terminals)
+
+
+def faults_of_arrays(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
+    """The faults of these arrays, each by itself, and of their lengths."""
+    lengths = {}
     for name, array in members.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
             yield name, f"is {getattr(array, 'dtype', type(array).__name__)}; give numbers"
@@ -196,13 +226,11 @@ def faults_of(members: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str]]:
     if len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name} {length:,}" for name, length in lengths.items())
         yield "lengths", f"disagree: {shown}; give each observation an action and a terminal"
-    elif "terminals" in lengths:
-        yield from faults_of_ends(members["terminals"])
 
 
 def faults_of_ends(terminals: np.ndarray) -> Iterator[tuple[str, str]]:
     """What is wrong with where episodes end."""
-    if terminals.ndim != 1 or not np.isin(terminals, (0, 1)).all():
+    if terminals.ndim != 1 or not len(terminals) or not np.isin(terminals, (0, 1)).all():
         return
     ends = np.flatnonzero(terminals)
     if not len(ends):
@@ -254,6 +282,8 @@ SHAPES: dict[str, Callable[[str, np.ndarray], Iterator[tuple[str, str]]]] = {
     "terminals": marked,
     "achieved_goals": vectors,
     "desired_goals": vectors,
+    "valids": marked,
+    "next_observations": observed,
 }
 
 

@@ -24,7 +24,8 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.envs.goal_task import Episode, GoalTask
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import UserError, nearest, require, shown
+from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goals import EVALUATED_GOALS, GoalBox
 from infogoal_jax.keys import from_seed
 
@@ -32,6 +33,10 @@ Places = int | slice | Sequence[int] | str
 """Places of the flattened observation, or the key of an observation that is a dictionary."""
 Reading = Places | Callable[[Any], jax.Array]
 """Where numbers are read: places of the observation, or a function of the environment's state."""
+WIDEST = 1e37
+"""Of a radius: float32 does not hold the goal space around a wider one."""
+MOST_STARTS = 4096
+"""Starts of one episode: more than any device begins beside each other for each of its environments."""
 GOALS_DRAWN = 4096
 """Goals that are drawn of an environment's own, to find how far they spread."""
 MARGIN = 0.05
@@ -140,20 +145,24 @@ def from_brax(
     Raises `UserError`, naming the argument, for what the environment does not have.
     """
     for name in ("reset", "step", "action_size"):
-        require(hasattr(env, name), "env", type(env).__name__, f"has no {name}: give an environment of brax")
-    checks.number(radius, "radius", 0.0)
+        there = checks.called(f"env.{name}", hasattr, env, name)
+        require(there, "env", type(env).__name__, f"has no {name}: give an environment of brax")
+    action_size = checks.whole(env.action_size, "env.action_size", 1, LARGEST_WHOLE)
+    checks.number(radius, "radius", 0.0, WIDEST)
     require(radius > 0, "radius", radius, "give a distance greater than 0")
-    checks.whole(episode_length, "episode_length", 1)
-    checks.whole(starts, "starts", 1)
+    checks.whole(episode_length, "episode_length", 1, LARGEST_WHOLE)
+    checks.whole(starts, "starts", 1, MOST_STARTS)
     checks.flag(ends_at_goal, "ends_at_goal")
+    checks.text(source, "source", "say what is simulated, in words")
     require((low is None) == (high is None), "high", high, "give both low and high, or neither")
-    state = checked_state(env)
+    state = checked_state(env, action_size)
     layout = Layout.of(state.obs)
     read_goal, told = layout.reader(goal, "goal")
     read_achieved, of_achieved = layout.reader(achieved, "achieved")
     goal_size, achieved_size = (
         sizes_of(read, state, name) for read, name in ((read_goal, "goal"), (read_achieved, "achieved"))
     )
+    require(goal_size > 0, "goal", "no numbers", "give a function that returns at least one")
     require(goal_size == achieved_size, "achieved", achieved_size, f"give as many numbers as goal has, {goal_size}")
     told = {*told, *layout.places(hidden, "hidden")}
     shown = tuple(place for place in range(layout.size) if place not in told)
@@ -170,7 +179,7 @@ def from_brax(
         shown=shown,
         own_goals=low is None and held_out is None,
         starts=starts,
-        action_size=int(env.action_size),
+        action_size=action_size,
         source=source or f"{type(getattr(env, 'unwrapped', env)).__name__}, simulated",
     )
     sampler = None
@@ -193,6 +202,8 @@ def from_playground(env: Any, *, config_overrides: dict[str, Any] | None = None,
     Raises `UserError` as `from_brax`, where Playground is not installed, and for a name that it does not have.
     """
     if isinstance(env, str):
+        by_name = config_overrides is None or isinstance(config_overrides, dict)
+        require(by_name, "config_overrides", config_overrides, "give a dictionary of values by their names")
         registry = imported("mujoco_playground", 'pip install "infogoal-jax[playground]"').registry
         known = [*registry.ALL_ENVS]
         require(env in known, "env", env, f"Playground has no such environment.{nearest(env, known)}")
@@ -322,13 +333,13 @@ class Layout:
         if isinstance(given, str):
             require(given in self.keys, field, given, f"the observation has the keys {', '.join(self.keys) or 'none'}")
             return self.keys[given]
-        if isinstance(given, slice):
-            return tuple(range(self.size)[given])
         remedy = f"give places of the observation, which has {self.size} numbers, or the key of a dictionary"
         try:
+            if isinstance(given, slice):
+                return tuple(range(self.size)[given])
             several = np.atleast_1d(np.asarray(given if np.ndim(given) == 0 else list(given)))
         except (TypeError, ValueError) as error:
-            raise UserError(f"{field} = {given!r}: {remedy}") from error
+            raise UserError(f"{field} = {shown(given)}: {remedy}") from error
         if not several.size:
             return ()
         require(several.dtype.kind in "iu" and several.ndim == 1, field, given, remedy)
@@ -365,7 +376,7 @@ def with_types(state: Any) -> Any:
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.result_type(leaf)), state)
 
 
-def checked_state(env: Any) -> Any:
+def checked_state(env: Any, action_size: int) -> Any:
     """The shapes of a state of the environment. Raises `UserError` for an environment that cannot be stepped over and
     over, and for one with training wrappers around it."""
     state = checks.traced("env.reset", lambda key: with_types(env.reset(key)), checks.Spec((2,), "uint32").struct)
@@ -374,7 +385,7 @@ def checked_state(env: Any) -> Any:
     wrappers = [name for name in WRAPPED if name in (getattr(state, "info", None) or {})]
     remedy = "has training wrappers, which reset to one cached start; give the environment itself"
     require(not wrappers, "env", type(env).__name__, remedy)
-    action = checks.Spec((int(env.action_size),), "float32").struct
+    action = checks.Spec((action_size,), "float32").struct
     again = checks.traced("env.step", lambda state, action: with_types(env.step(state, action)), copied(state), action)
     checks.same_shapes(without_types(again), without_types(state), "the state of env.step", "that of env.reset")
     return state

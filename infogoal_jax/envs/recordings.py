@@ -6,6 +6,7 @@ import dataclasses
 import jax
 import numpy as np
 
+from infogoal_jax import checks
 from infogoal_jax.data.archives import content_of
 from infogoal_jax.data.episodes import Episodes, load
 from infogoal_jax.envs.goal_task import GoalTask
@@ -22,6 +23,7 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     """
     require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
     require(isinstance(task, GoalTask), "task", type(task).__name__, "give a GoalTask")
+    checks.seed(seed)
     seen, size = jax.eval_shape(lambda key: task.observe(task.reset(key)), jax.random.key(0)), task.goals.shape[0]
     observations = task.recorded_observation(episodes.observations)
     require(

@@ -239,6 +239,7 @@ def names_of(config: TrainConfig) -> dict[str, str]:
 
 def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as load makes")
     names = names_of(config)
     own = registry[config.task].relabelling if config.task in registry else "none"
     whole = learners.registry[names["learner"]].method

@@ -8,7 +8,9 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import GoalTask, GoalTaskConfig
 from infogoal_jax.envs.recordings import recorded_in
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import checked
 from infogoal_jax.presets import plane, registry
+from infogoal_jax.presets.loading import check_preset
 from infogoal_jax.presets.preset import Preset
 from infogoal_jax.registry import Entry
 
@@ -30,8 +32,8 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
     """
     checks.text(name, "name", "give the task a name, such as my_maze")
     require(isinstance(env, GoalTask), "env", type(env).__name__, "give a GoalTask; see docs/guides/own_task.md")
-    checked = preset is None or isinstance(preset, Preset)
-    require(checked, "preset", preset, "give a presets.Preset, or None")
+    is_preset = preset is None or isinstance(preset, Preset)
+    require(is_preset, "preset", preset, "give a presets.Preset, or None")
     fields = {
         field.name: (field.type, getattr(env, field.name))
         for field in dataclasses.fields(GoalTaskConfig)
@@ -45,7 +47,7 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         frozen=True,
     )
     config.__qualname__ = f"{Configurations.__name__}.{name}"
-    config().check(None)
+    checked(config(), "env.").check(None)
     check_contract(env)
 
     def make(config: GoalTaskConfig) -> GoalTask:
@@ -55,9 +57,11 @@ def register(name: str, env: GoalTask, preset: Preset | None = None) -> None:
         recorded = bool(config.dataset) or env.recorded is not None
         return Traits(finite_goals=False, moves=env.discrete, recorded=recorded, ends_at_goal=config.ends_at_goal)
 
-    setattr(Configurations, name, config)
+    preset = default_preset(env) if preset is None else preset
+    check_preset(name, preset)  # Before anything is registered: a task without its preset would stay.
     envs.registry[name] = Entry(config, make, traits=traits)
-    registry[name] = default_preset(env) if preset is None else preset
+    setattr(Configurations, name, config)
+    registry[name] = preset
 
 
 def default_preset(env: GoalTask) -> Preset:

@@ -1,6 +1,7 @@
 """What a run came to, in words and a table: success, path quality and episode length over seeds, where the data is
 from, what went wrong."""
 
+import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -190,7 +191,7 @@ def typed_goal(space: GoalSpace, words: Sequence[str]) -> np.ndarray:
     """
     typed = " ".join(words)
     if space.finite:
-        is_number = typed not in space.names and typed.removeprefix("-").isdecimal()
+        is_number = typed not in space.names and re.fullmatch(r"-?[0-9]{1,18}", typed)
         return np.asarray(space.checked(int(typed) if is_number else typed, "goal", axes=0))
     (size,) = space.shape
     spans = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in zip(space.low, space.high, strict=True))

@@ -8,7 +8,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from infogoal_jax import checks
 from infogoal_jax.config import TrainConfig
+from infogoal_jax.errors import require
 from infogoal_jax.report.comparison_figures import draw_comparison
 from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.runs import diverged_seeds, table_of
@@ -16,6 +18,7 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import print_run
 from infogoal_jax.runner.executors import Outcome, run_here
 from infogoal_jax.runner.parts import Plan, run_parts, settings_of
+from infogoal_jax.runner.training import checked_seeds
 
 SHOWN = ("train_goal/success_rate", "validation_goal/success_rate", "test_goal/success_rate")
 
@@ -70,8 +73,16 @@ def sweep(
 
     Raises `UserError`, before anything is compiled or written, for what cannot be run.
     """
+    require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
+    checks.path(folder, "folder", "give the folder of the sweep")
+    checks.flag(resume, "resume")
+    checks.whole(seeds_at_once, "seeds_at_once", 0)
+    checks.function(execute, "execute", 2, "give an executor, such as runner.executors.run_here")
     named = {name.replace("__", "."): listed for name, listed in values.items()}
-    plan = Plan(settings_of(named), list(seeds), seeds_at_once)
+    for name, listed in named.items():
+        given = checks.array(listed, name, "numbers", ("N",), "give a list of numbers, such as [1e-4, 3e-4]")
+        require(len(given) > 0, name, listed, "give at least one value")
+    plan = Plan(settings_of(named), list(checked_seeds(seeds)), seeds_at_once)
     run_parts(config, plan, Path(folder), resume, execute)
     return SweepResult(Path(folder), plan)
 

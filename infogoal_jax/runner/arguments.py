@@ -11,7 +11,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.train.contracts import check_is_environment
 
 
-def check_run(config: Any, folder: Any, resume: Any, listeners: Any, env: Any, phase: Any) -> None:
+def check_run(config: Any, folder: Any, resume: Any, listeners: Any, env: Any, phase: Any, left: Any) -> None:
     """Raise `UserError` for arguments of `run` of other kinds than it declares, and for hyperparameters that are not
     one number each: seeds of a run share them."""
     require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as presets.load makes")
@@ -26,3 +26,4 @@ def check_run(config: Any, folder: Any, resume: Any, listeners: Any, env: Any, p
     if env is not None:
         check_is_environment(env)
     checks.function(phase, "phase", 2, "give a function of a name and a number of epochs")
+    checks.function(left, "left", 0, "give a function that returns seconds")

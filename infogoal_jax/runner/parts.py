@@ -12,6 +12,7 @@ on a Ray cluster.
 import contextlib
 import dataclasses
 import itertools
+import re
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
@@ -190,11 +191,12 @@ def run_parts(
     resume: go on in the folder, whose plan this is. Raises `UserError`, without a change on the disk, for a folder that
     holds something else, and for what cannot be run.
     """
-    if resume:
-        check(config, plan)
-    else:
+    if not resume:
         start(config, plan, folder)
+    check(config, plan)
     jobs = jobs_of(config, plan)
+    if resume and ((folder / NAME).exists() or not all(job.is_done(folder) for job in jobs)):
+        check_same_plan(folder, config, plan)
     outcome = execute(jobs, Place(folder, say=say))
     if all(job.is_done(folder) for job in jobs):
         with contextlib.suppress(BeingWrittenError), locked(folder / "join.lock", folder):
@@ -223,12 +225,24 @@ def read_plan(folder: Path) -> tuple[TrainConfig, Plan]:
     return from_dict(values["config"], place.within("config")), decode(Plan, values, place)
 
 
+def check_same_plan(folder: Path, config: TrainConfig, plan: Plan) -> None:
+    """Raise `UserError`, naming what differs, for another plan than that of the folder."""
+    planned, then = read_plan(folder)
+    checkpoint.check_same_config(folder / NAME, planned, config)
+    for field in dataclasses.fields(Plan):
+        before, now = getattr(then, field.name), getattr(plan, field.name)
+        require(before == now, field.name, now, f"{folder / NAME} has {shown(before)}; give the same, or a new folder")
+
+
 def join(folder: Path, seeds: list[int]) -> None:
     """Make one run of the parts in this folder, which then go. Nothing is lost if it is stopped on the way: the parts
     go last."""
     if not (folder / PARTS).exists():
         return
-    parts = sorted((folder / PARTS).iterdir(), key=lambda path: int(path.name.partition("-")[0]))
+    found = list((folder / PARTS).iterdir())
+    others = sorted(path.name for path in found if not re.fullmatch(r"[0-9]+-[0-9]+", path.name))
+    require(not others, str(folder / PARTS), others, "is of no part and would be lost; take it elsewhere")
+    parts = sorted(found, key=lambda path: int(path.name.partition("-")[0]))
     about = dataclasses.replace(configuration.read(parts[0]), seeds=seeds)
     configuration.write(folder, about)
     for table in tables.TABLES:

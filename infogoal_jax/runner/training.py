@@ -100,7 +100,10 @@ def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
     """The seeds, those of NumPy as numbers of Python. Raises `UserError` for what cannot be used. A range of them is
     not looked at one by one."""
     if not isinstance(seeds, range):
-        given = np.asarray(seeds)
+        try:
+            given = np.asarray(seeds)
+        except (TypeError, ValueError):  # Of several shapes.
+            given = np.zeros(())
         whole = given.ndim == 1 and (given.size == 0 or np.issubdtype(given.dtype, np.integer))
         require(whole, "seeds", seeds, "give a list of whole numbers, such as range(3)")
         seeds = given.tolist()
@@ -135,7 +138,7 @@ def run(
     folder that holds another run or is being written, a damaged checkpoint, or one of another configuration. Raises
     `Stopped` if a signal asked for it before the first checkpoint.
     """
-    check_run(config, folder, resume, listeners, env, phase)
+    check_run(config, folder, resume, listeners, env, phase, left)
     folder, seeds = Path(folder), checked_seeds(seeds)
     writes = distributed.is_writer()
     if writes and not resume:

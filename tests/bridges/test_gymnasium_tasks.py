@@ -115,6 +115,9 @@ def test_wrong_calls_are_explained(rooms):
         TaskGymnasium(hand_made_points.points())
     with pytest.raises(UserError, match="one shape"):
         rooms.compute_reward(np.zeros((2, 8)), np.zeros(8), {})
+    for bits in (np.eye(3), np.ones(1), [1]):  # Of another number of goals, such as a goal's own number.
+        with pytest.raises(UserError, match="achieved_goal"):
+            rooms.compute_reward(bits, bits, {})
 
 
 def test_a_batch_takes_no_actions_that_are_not_whole(vector):

@@ -115,6 +115,45 @@ def test_everything_that_is_wrong_is_said_in_one_pass(name, tmp_path):
     assert str(file) in str(refused.value) and "\n" not in str(refused.value)
 
 
+IN_MEMORY = {
+    "texts": ({"valids": np.array(["x"] * 12)}, "valids: is <U1; give numbers"),
+    "no axis": ({"valids": np.zeros(())}, "valids: has the shape []"),
+    "too few": ({"valids": np.zeros(5)}, "lengths: disagree: observations 12, actions 12, terminals 12, valids 5"),
+    "transitions of texts": ({"next_observations": np.array(["x"] * 12)}, "next_observations: is <U1; give numbers"),
+    "ends of no axis": ({"next_observations": SEEN, "terminals": np.zeros(())}, "terminals: has the shape []"),
+    "actions of no axis": ({"next_observations": SEEN, "actions": np.zeros(())}, "actions: has the shape []"),
+    "few actions": ({"next_observations": SEEN, "actions": np.zeros((3, 1))}, "lengths: disagree"),
+    "not finite": ({"next_observations": HOLE}, "next_observations[4]: is not finite"),
+}
+
+
+@pytest.mark.parametrize("name", IN_MEMORY)
+def test_layouts_in_memory_are_looked_at_before_they_are_taken_apart(name, tmp_path):
+    changes, said = IN_MEMORY[name]
+    with pytest.raises(UserError) as refused:
+        of_arrays(recorded(**changes))
+    assert str(refused.value).startswith(said)
+    np.savez(tmp_path / "walks.npz", **recorded(**changes))
+    assert any(said in f"{finding.where}: {finding.problem}" for finding in check_episodes(tmp_path / "walks.npz"))
+
+
+@pytest.mark.parametrize("values", [np.ma.masked_array(SEEN, SEEN > 3), [[0.5], [0.5, 0.5]]], ids=["masked", "ragged"])
+def test_masks_and_ragged_lists_are_not_filled_in(values):
+    with pytest.raises(UserError, match="observations.*(without a mask|of several shapes)"):
+        of_arrays(recorded(observations=values))
+
+
+@pytest.mark.parametrize("path", [None, 5, "", "a\0b"])
+def test_what_is_no_path_is_refused(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for what in (lambda: load(path), lambda: save(path, of_arrays(recorded()))):
+        with pytest.raises(UserError, match="(dataset|path) = "):
+            what()
+    with pytest.raises(UserError, match="episodes = 'int'"):
+        save("walks.npz", 5)
+    assert check_episodes(path)[0].severity == "error" and not list(tmp_path.iterdir())
+
+
 def test_pickled_arrays_are_refused_and_what_is_no_npz(tmp_path):
     file = tmp_path / "walks.npz"
     np.savez(file, **recorded(actions=np.array([{}] * 12, object)))
@@ -195,6 +234,9 @@ def test_minari_s_vectors_dictionaries_and_images_are_read():
         (lambda steps: numbers(steps, steps), None, "episodes of different shapes"),
         (lambda steps: {"a": numbers(steps, 8, 8, 3).astype(np.uint8), "b": numbers(steps, 2)}, None, "give vectors"),
         (lambda steps: np.array(["text"] * (steps + 1)), None, "observations = '<U4': give numbers"),
+        (lambda steps: [[0.0], [0.0, 0.0]] * steps, None, "observations: give an array, not list of several shapes"),
+        (lambda steps: numbers(steps, 3), lambda steps: {"a": 0}, "actions = 'object': give numbers"),
+        (lambda steps: {"achieved_goal": 0, "desired_goal": 0}, None, "achieved_goals = 'int64': give numbers"),
     ],
 )
 def test_what_cannot_be_read_of_minari_is_one_line(make_observations, actions, said):

@@ -228,8 +228,11 @@ def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsy
     assert main(["data", "build", "cube", str(path), "--seed", "5", "--physical-limits"]) == 0
     assert "6 frames" in capsys.readouterr().out
     assert frames.load(path).about["seed"] == 5 and frames.load(path).about["physical_limits"] is True
+    (tmp_path / "nowhere.npz").symlink_to(tmp_path / "elsewhere.npz")  # It was refused after minutes of drawing.
     mistakes = {
         ("cube", str(path)): "is there already",
+        ("cube", str(tmp_path / "nowhere.npz")): "is there already",
+        ("house", str(tmp_path / "nowhere.npz")): "is there already and not empty",
         ("cube", "cube"): "path = 'cube': an image dataset is one file, an npz; let it end in .npz",
         ("castle",): "Known: house, cube",
     }

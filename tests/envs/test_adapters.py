@@ -4,6 +4,7 @@ not tell the goal, and ends of an episode are told apart."""
 import dataclasses
 import functools
 import importlib
+import math
 import sys
 
 import jax
@@ -174,6 +175,14 @@ class Changing(Line):
         return state.replace(info=state.info | {"goal": jnp.zeros(2)})
 
 
+class Sizeless(Line):
+    """Its actions have no size."""
+
+    @property
+    def action_size(self):
+        raise RuntimeError("there is no model")
+
+
 @pytest.mark.parametrize(
     ("env", "arguments", "said"),
     [
@@ -185,6 +194,13 @@ class Changing(Line):
         (Line(), {"goal": [5]}, "goal = [5]: give places of the observation, which has 5 numbers"),
         (Line(), {"goal": []}, "goal = []: give at least one place"),
         (Line(), {"goal": 0.5}, "goal = 0.5: give places"),
+        (Line(), {"goal": slice("a", None)}, "goal = slice('a', None, None): give places"),
+        (Line(), {"goal": slice(0, 2, 0)}, "goal = slice(0, 2, 0): give places"),
+        (Line(), {"goal": lambda state: jnp.zeros(0), "achieved": lambda state: jnp.zeros(0)}, "goal = 'no numbers'"),
+        (Sizeless(), {}, "env.action_size: raised RuntimeError when it was traced: there is no model"),
+        (Line(), {"source": 5}, "source = 5: say what is simulated"),
+        (Line(), {"episode_length": 2**31}, "episode_length = 2147483648"),
+        (Line(), {"starts": 10**9}, "starts = 1000000000: give a whole number from 1 to 4096"),
         (Line(), {"goal": [[0], [1, 2]]}, "goal = [[0], [1, 2]]: give places"),
         (Line(), {"achieved": "pair"}, "achieved = 2: give as many numbers as goal has, 1"),
         (Line(), {"achieved": lambda state: state.place}, "achieved: raised AttributeError"),
@@ -226,6 +242,22 @@ def test_a_registered_task_is_configured_by_its_name(line):
         make_train(presets.load(line, "her", agent=DQNConfig(num_steps=1)))
 
 
+@pytest.mark.parametrize("name", ["__dict__", "__name__", "_line", "a/b"])
+def test_a_name_of_pythons_own_registers_nothing(name):
+    with pytest.raises(UserError, match="give a name of letters"):
+        presets.register(name, TASK)
+    assert name not in envs.registry and name not in presets.registry
+
+
+@pytest.mark.parametrize("changes", [{"radius": math.nan}, {"episode_length": 2**40}, {"episode_length": 2.5}])
+def test_a_task_out_of_range_or_with_a_wrong_preset_registers_nothing(changes):
+    with pytest.raises(UserError, match=f"env.{next(iter(changes))} = "):
+        presets.register("line", TASK.replace(**changes))
+    with pytest.raises(UserError, match="preset of line: training"):
+        presets.register("line", TASK, presets.Preset("td3", 5, {}, {}, {}, {}, ""))
+    assert "line" not in envs.registry and "line" not in presets.registry
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("agent", ["td3", "sac", "crl"])
 def test_every_agent_for_vectors_trains_on_it(line, agent):
@@ -242,6 +274,7 @@ def test_every_agent_for_vectors_trains_on_it(line, agent):
             lambda: envs.from_jaxgcrl("ants", radius=1.0),
             "name = 'ants': no such environment. Did you mean 'ant'? Known: reacher, ant",
         ),
+        (lambda: envs.from_playground("FishSwim", config_overrides=5, **ARGUMENTS), "config_overrides = 5: give"),
         (lambda: envs.from_playground(Line(), config_overrides={"impl": "jax"}, **ARGUMENTS), "give env by its name"),
     ],
 )

@@ -4,6 +4,7 @@ figures over the goal space."""
 import io
 import json
 
+import hand_made
 import hand_made_points
 import jax
 import jax.numpy as jnp
@@ -66,6 +67,14 @@ def test_a_typed_goal_that_is_none_is_refused_in_one_line(words, said, maze):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("word", ["1" * 5000, "9" * 18, "-1", "nan", "", "0 0"])
+def test_a_number_of_any_length_is_a_goal_of_a_list_or_none(word):
+    """Python reads numbers of 4,300 digits at most."""
+    with pytest.raises(UserError, match="^goal = .*(no goal|the task has the goals 0 to)") as error:
+        typed_goal(hand_made.environment().goals, word.split(" "))
+    assert len(str(error.value)) < 500 and "\n" not in str(error.value)
+
+
 def test_typed_goals_are_evaluated_as_the_public_function_does(folder, maze, capsys):
     """A row for each goal with its use, and the numbers of every seed in a file."""
     words = [("0.5", "0.5"), ("2.5", "0.4")]

@@ -158,6 +158,39 @@ def test_a_folder_that_holds_a_run_is_left_alone(tmp_path):
     assert before == {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
 
 
+@pytest.mark.parametrize(
+    ("config", "plan", "said"),
+    [
+        (CONFIG, Plan([{}], [0, 1, 2], 1), "seeds = [0, 1, 2]: "),
+        (CONFIG, Plan([{}], [0, 1], 2), "seeds_at_once = 2: "),
+        (CONFIG, Plan([{"discount": 0.5}], [0, 1], 1), "settings = [{'discount': 0.5}]: "),
+        (hand_made.config("none", num_epochs=6, epochs_per_evaluation=2), Plan([{}], [0, 1], 1), "num_epochs"),
+    ],
+)
+def test_a_folder_goes_on_with_its_own_plan_alone(config, plan, said, tmp_path):
+    """Another one was trained beside it, and their runs were joined."""
+    parts.start(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run")
+    with pytest.raises(UserError) as refused:
+        run_parts(config, plan, tmp_path / "run", resume=True)
+    assert said in str(refused.value) and "sweep.json" in str(refused.value)
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["sweep.json"]
+    with pytest.raises(UserError, match=r"holds no sweep.json"):
+        run_parts(CONFIG, plan, tmp_path / "nowhere", resume=True)
+    assert not (tmp_path / "nowhere").exists()
+
+
+def test_what_is_of_no_part_is_not_deleted(tmp_path):
+    def with_notes(words: str) -> None:
+        (tmp_path / "run" / PARTS).mkdir(parents=True, exist_ok=True)
+        (tmp_path / "run" / PARTS / "notes.txt").write_text("mine")
+
+    with pytest.raises(UserError, match=r"parts = \['notes.txt'\]: is of no part"):
+        run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", say=with_notes)
+    (tmp_path / "run" / PARTS / "notes.txt").unlink()
+    run_parts(CONFIG, Plan([{}], [0, 1], 1), tmp_path / "run", resume=True, say=lambda words: None)
+    assert configuration.read(tmp_path / "run").seeds == [0, 1]
+
+
 def test_parts_are_written_through_no_link(tmp_path):
     plan = Plan([{}], [0, 1], 1)
     (tmp_path / "elsewhere").mkdir()

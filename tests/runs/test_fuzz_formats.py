@@ -2,8 +2,11 @@
 `UserError`, at once and without a change of any file. The files of runs are in test_fuzz.py."""
 
 import contextlib
+import importlib
+import inspect
 import io
 import json
+import pkgutil
 import sys
 import zipfile
 from pathlib import Path
@@ -24,11 +27,13 @@ from places import ROOT
 
 from infogoal_drone import figures as flights
 from infogoal_drone import mission, records
+from infogoal_jax import data, presets
 from infogoal_jax.data import (
     active_vision,
     archives,
     backgrounds,
     check,
+    episodes,
     frames,
     frames_import,
     goal_images,
@@ -37,6 +42,7 @@ from infogoal_jax.data import (
 )
 from infogoal_jax.errors import UserError
 from infogoal_jax.report import export
+from infogoal_jax.runner import parts
 from infogoal_jax.runs import checkpoint, configuration, folder, low_level, tables
 from infogoal_paper import files, numbers
 
@@ -140,6 +146,29 @@ def policy_members() -> dict[str, np.ndarray]:
         about, goals = whole["about"], whole["goals"]
     members = {f"constant_{number}": value for number, value in enumerate(constants)}
     return members | {"about": about, "program": np.array(json.dumps(program)), "goals": goals}
+
+
+def walk_members(**others: np.ndarray) -> dict[str, np.ndarray]:
+    """Recorded episodes of two and three steps."""
+    draw = np.random.default_rng(0)
+    members = {
+        "observations": draw.normal(size=(7, 4)).astype(np.float32),
+        "actions": draw.uniform(-1, 1, (7, 2)).astype(np.float32),
+        "terminals": np.eye(7, dtype=np.float32)[[2, 6]].sum(0),
+    }
+    return members | others
+
+
+def read_walks(path: Path) -> None:
+    """What can be read has no fault, and what has one cannot be read."""
+    faults = [finding for finding in episodes.check_episodes(path) if finding.severity == "error"]
+    try:
+        found = episodes.load(path)
+    except UserError:
+        assert faults
+        raise
+    assert not faults and found.lengths.sum() == len(found.observations) - len(found.lengths)
+    assert np.isfinite(found.actions).all() and episodes.describe(found)
 
 
 def read_policy(path: Path) -> None:
@@ -276,6 +305,12 @@ def packed_run(path: Path) -> bytes:
     return (path.parent / "run.zip").read_bytes()
 
 
+def plan_of_sweep(path: Path) -> bytes:
+    """What is to be run by a sweep."""
+    parts.start(presets.load("point_maze"), parts.Plan([{"discount": 0.9}, {"discount": 0.5}], [0, 1, 2], 2), path)
+    return (path / parts.NAME).read_bytes()
+
+
 @st.composite
 def damaged_zip(draw, content: bytes) -> bytes:
     """The zip of a packed run, of which a file is damaged, gone, or packed in another way."""
@@ -324,6 +359,10 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
             of("Home_101_1/annotations.json", annotations, read_scenes),
             of("all_instance_id_map.txt", instances, read_scenes),
             npz("low_level.npz", low_level_members(), read_low_level),
+            npz("walks.npz", walk_members(achieved_goals=np.zeros((7, 2), np.float32)), read_walks),
+            npz("transitions.npz", walk_members(next_observations=np.zeros((7, 4), np.float32)), read_walks),
+            npz("compact.npz", walk_members(valids=np.eye(7)[[2, 6]].sum(0) == 0), read_walks),
+            of("sweep.json", plan_of_sweep(place / "sweep"), lambda path: parts.read_plan(path.parent)),
             Format("run.zip", zipped := packed_run(place / "run"), damaged_zip(zipped), folder.find_run),
         ]
         return {format.name: format for format in found}
@@ -332,8 +371,24 @@ def formats(tmp_path_factory, tiny_house) -> dict[str, Format]:
 NAMES = [
     "policy.npz", "frames.npz", "bank.npz", "texts.npz", backgrounds.CROPS_FILE, "run.npz", "paper.npz",
     "flight.jsonl", "moves.csv", "split.json", "questions.json", "Home_101_1/annotations.json",
-    "all_instance_id_map.txt", "low_level.npz", "run.zip",
+    "all_instance_id_map.txt", "low_level.npz", "walks.npz",
+    "transitions.npz", "compact.npz", "sweep.json", "run.zip",
 ]  # fmt: skip
+READERS = {
+    "active_vision": "all_instance_id_map.txt", "backgrounds": backgrounds.CROPS_FILE, "episodes": "walks.npz",
+    "frames": "frames.npz", "goal_images": "bank.npz", "splits": "split.json", "text": "texts.npz",
+}  # fmt: skip
+"""A file of each module of data that reads any."""
+
+
+def test_every_reader_of_data_is_fuzzed(formats):
+    found = set()
+    for module in pkgutil.iter_modules(data.__path__):
+        names = vars(importlib.import_module(f"{data.__name__}.{module.name}"))
+        if any(name.split("_")[0] == "load" and inspect.isfunction(names[name]) for name in names):
+            found.add(module.name)
+    found.remove("sentence_encoder")  # It reads the folder of another library.
+    assert found == {*READERS} and {*READERS.values()} <= {*NAMES} == {*formats}
 
 
 @pytest.mark.filterwarnings("ignore:Generating overly large repr")
