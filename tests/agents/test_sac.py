@@ -115,7 +115,8 @@ def test_policy_is_drawn_from_unless_there_is_no_noise():
     assert abs(uniform.mean()) < 0.03 and uniform.std() == pytest.approx(1 / np.sqrt(3), abs=0.02)
 
 
-@pytest.mark.parametrize("bounded", [False, pytest.param(True, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("bounded", [False, True])
 def test_learns_where_to_go_on_a_line(bounded):
     agent = agents.registry.entry("sac").make(
         sac.SACConfig(hidden=(32, 32), layer_norm=True, bounded=bounded), vector_agents.env(1)

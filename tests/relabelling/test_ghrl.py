@@ -178,7 +178,7 @@ def test_share_of_the_transitions_before_the_hit():
     np.testing.assert_allclose([(goals == goal).mean() for goal in (A, 8, 0)], [0.5, 0.2, 0.3], atol=0.06)
 
 
-@pytest.mark.parametrize("several", [1, 3])
+@pytest.mark.parametrize("several", [pytest.param(1, marks=pytest.mark.long), 3])
 def test_first_occurrences_are_given_to_what_lies_before_them(several):
     """`first_occurrence`: each goal of the episode is equally likely, and a transition that comes after its first
     occurrence keeps its own, even if the goal is achieved again."""

@@ -102,7 +102,7 @@ def test_relabelled_transitions_end_at_the_first_hit(name, config, several):
     assert batch.terminated.any() and not batch.terminated.all() and (several > 1 or (goal == 0).any())
 
 
-@pytest.mark.parametrize("several", [1, 2])
+@pytest.mark.parametrize("several", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_prefixes_come_up_as_often_as_they_should(several):
     """Each goal of an episode is equally likely, then each of its occurrences; only what lies before that occurrence is
     given the goal."""

@@ -245,6 +245,7 @@ def test_orbax_reads_the_parameters(shelf, tmp_path):
         export.export_orbax(shelf.params, tmp_path / "seed.orbax")
 
 
+@pytest.mark.long
 def test_orbax_on_a_disk_that_refuses_leaves_nothing(tmp_path):
     """With a limit on file sizes as the disk; a limit cannot be taken back, so it is that of another process."""
     pytest.importorskip("orbax.checkpoint")

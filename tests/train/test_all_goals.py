@@ -186,7 +186,7 @@ def test_an_environment_with_goals_by_number_can_be_given_again():
 
 
 @pytest.mark.parametrize("norm", [pytest.param(False, marks=pytest.mark.long), True])
-@pytest.mark.parametrize("kind", ["product", "concatenated"])
+@pytest.mark.parametrize("kind", ["product", pytest.param("concatenated", marks=pytest.mark.long)])
 def test_settings_of_the_head_reach_its_network(kind, norm):
     """Of DQN and of HRAC: normalised layers have parameters, and bounded values begin in the middle, which HRAC has for
     products alone."""

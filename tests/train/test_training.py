@@ -100,6 +100,7 @@ def test_a_seed_driven_to_nan_leaves_the_bits_of_the_others_alone(train, sweep, 
         )
 
 
+@pytest.mark.long
 def test_vmapped_seeds_start_like_single_runs_bit_by_bit(train):
     keys = jax.random.split(jax.random.key(5), 3)
     together = jax.jit(jax.vmap(lambda key: train.initial(key, train.config.hyper, train.env)))(keys)
