@@ -1,5 +1,6 @@
 """The synthetic house: the same seed gives the same house, moves can be undone, and the task is not too easy."""
 
+import functools
 import shutil
 
 import cv2
@@ -19,9 +20,12 @@ from infogoal_jax.stand_ins import house, house_layout
 SEEDS = (0, 1, 2, 100, 101)
 
 
+layout = functools.cache(house_layout.layout)
+
+
 @pytest.fixture(scope="module", params=SEEDS)
 def plan(request):
-    return house_layout.layout(request.param)
+    return layout(request.param)
 
 
 def files_of(root):
@@ -35,7 +39,7 @@ def test_the_same_seed_writes_the_same_bytes(tiny_house, tmp_path):
 
 
 def test_another_seed_is_another_house():
-    first, second = house_layout.layout(0), house_layout.layout(1)
+    first, second = layout(0), layout(1)
     assert first.nodes.shape != second.nodes.shape or not np.allclose(first.nodes, second.nodes)
 
 
