@@ -144,12 +144,13 @@ class ProgramJob:
         report_failure([run for run in self.members if to_do(run, work)], error, work)
 
     def outcome(self, folder: Path) -> Outcome:
-        """Which of its runs are finished and which failed."""
+        """Which of its runs are finished, but for measures that the clock left no time for, and which failed."""
         found = Outcome()
         for run in self.members:
-            if files.has_failed(folder, run):
+            status, why = files.status_of(folder, run, config_of(run, self.goal_images))
+            if status == "failed":
                 found.failed.append(run)
-            elif files.status_of(folder, run, config_of(run, self.goal_images))[0] in TRAINED:
+            elif status in TRAINED and why != plan.NO_TIME:
                 found.finished.append(run)
         return found
 

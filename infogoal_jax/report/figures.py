@@ -173,7 +173,7 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
 
 def evaluated_mask(goals: GoalSpace, group: str) -> np.ndarray:
     """Which of the evaluated goals belong to this group, bool [M]."""
-    return np.asarray(goals.in_groups())[goals.groups.index(group)]
+    return np.asarray(jit(type(goals).in_groups)(goals))[goals.groups.index(group)]
 
 
 def success_within(first_reached: np.ndarray, mask: np.ndarray, longest: int) -> np.ndarray:

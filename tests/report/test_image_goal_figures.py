@@ -3,8 +3,10 @@ videos of episodes, files that are whole or not there."""
 
 import dataclasses
 import io
+import itertools
 import json
 import math
+import re
 import subprocess
 import sys
 
@@ -48,8 +50,11 @@ def points_subject(points):
 
 
 def rows_of(text: str) -> list[list[str]]:
-    """The first two cells of each row of a table."""
-    return [[cell.strip() for cell in line.split("│")[1:3]] for line in text.splitlines() if line.startswith("│")]
+    """The first two cells of each row of the table, which stands below a line."""
+    lines = iter(text.splitlines())
+    while not next(lines).startswith("─"):
+        pass
+    return [re.split(r"  +", line)[:2] for line in itertools.takewhile(lambda line: "±" in line, lines)]
 
 
 @pytest.mark.long

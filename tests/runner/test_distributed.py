@@ -44,13 +44,13 @@ assert len(hosts) == 1 and hosts.pop().endswith("0100007F")  # 127.0.0.1 alone, 
 def stop(progress):
     if os.environ.get("STOP") == str(progress.epoch):
         os.kill(os.getpid(), 15)
-def compiling():
-    if os.environ.get("STOP") == f"compiling {number}":
+def phase(name, epoch):
+    if name == "compiling" and os.environ.get("STOP") == f"compiling {number}":
         os.kill(os.getpid(), 15)
 try:
     config = hand_made.config("none", num_epochs=int(epochs), epochs_per_evaluation=1, updates_per_epoch=3)
     env = hand_made.environment()
-    sweep = training.run(config, range(int(seeds)), Path(folder), resume == "True", (stop,), env, compiling)
+    sweep = training.run(config, range(int(seeds)), Path(folder), resume == "True", (stop,), env, phase)
 except UserError as error:
     sys.exit(str(error))
 except Stopped as stopped:
