@@ -14,12 +14,14 @@ them is replaced by what the numbers of the source give. Sources:
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
     drone     the flights of drone_flights.py and drone_faults.py, in drone.json
-    positions Fetch with continuous goals, positions.py, in positions.csv.gz and transfer.jsonl
+    positions Fetch with continuous goals, positions.py, in positions.csv.gz, transfer.jsonl and
+              sb3_her/reference.csv.gz
+    continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
---pictures draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png and
-all_goals.png, too.
+--pictures draws docs/results/learning.png, the picture of the README, sb3_her/learning.png, noise.png,
+all_goals.png and continuous_*.png, too.
 """
 
 import argparse
@@ -38,7 +40,17 @@ from PIL import Image
 
 from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
-from infogoal_paper import all_goals, noise_numbers, numbers, positions, scores, trial_numbers, trials, tuning
+from infogoal_paper import (
+    all_goals,
+    continuous,
+    noise_numbers,
+    numbers,
+    positions,
+    scores,
+    trial_numbers,
+    trials,
+    tuning,
+)
 from infogoal_paper.manifest import PROTOCOLS
 from infogoal_paper.table_formats import markdown_lines
 
@@ -289,6 +301,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),
     "positions": positions.tables,
+    "continuous": continuous.tables,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 
@@ -347,7 +360,7 @@ def main():
             draw_sb3(sb3_curves(), SB3_HER / "learning.png")
             save(noise_numbers.figure(noise_numbers.read()), RESULTS / "noise.png")
         all_goals.draw_figure(numbers.load(RESULTS), RESULTS / "all_goals.png")
-        for path in (picture, RESULTS / "noise.png"):
+        for path in (picture, RESULTS / "noise.png", *continuous.draw_all()):
             Image.open(path).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(path, optimize=True)
 
 

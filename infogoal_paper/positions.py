@@ -1,18 +1,25 @@
 """Fetch with continuous goals: how soon it is solved, and what its policies reach in the reference.
 
-    python -m infogoal_paper.positions [--runs RUN ...] [--transfers FILE ...]
+    python -m infogoal_paper.positions [--runs RUN ...] [--transfers FILE ...] [--peers FILE ...]
 
 `--runs` puts the evaluations of runs of `infogoal train fetch_*_positions` into docs/results/positions.csv.gz,
-`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl, each in place
-of what was there of the same task, learner and agent, or of the same policy. `pages.py positions` writes the tables of
-docs/reference/vectors.md.
+`--transfers` the files that benchmarks/fidelity/fetch_transfer.py wrote into docs/results/transfer.jsonl, `--peers` the
+numbers.csv of benchmarks/peers/fetch_sb3_her.py with --reference into docs/results/sb3_her/reference.csv.gz, each in
+place of what was there of the same task, learner and agent, of the same policy, or of the same task and seed.
+`pages.py positions` writes the tables of docs/reference/vectors.md.
+
+A run whose folder has log.txt, what `infogoal train ... 2>&1 | ts -s %.s` printed, has seconds since its process began:
+those of the line of each evaluation, with importing, tracing and compiling.
 """
 
 import argparse
 import json
+import re
 from itertools import groupby
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
@@ -21,6 +28,7 @@ from infogoal_paper.trial_numbers import Row
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 NUMBERS, TRANSFERS = RESULTS / "positions.csv.gz", RESULTS / "transfer.jsonl"
+PEERS = RESULTS / "sb3_her" / "reference.csv.gz"
 KEY = "task", "learner", "agent"
 TITLES = {
     "fetch_reach_positions": "Reach",
@@ -31,17 +39,26 @@ TITLES = {
 """The tasks, in the order of the tables."""
 NAMES = {"none": "", "infogoal": " + InfoGoal"}
 ENOUGH = 0.9
+SOON = (0.9, 0.95)
+"""Mean success over the seeds until which seconds are shown."""
+EVALUATED = re.compile(r"^([\d.]+) epoch (\d+)/", re.M)
+"""A line of progress behind the seconds of a clock."""
+MANY = 1_000_000
+"""Steps whose hours are shown of a peer that was cut off."""
 
 
 def rows_of_run(folder: Path) -> list[Row]:
     """A row for each evaluation of each seed."""
     about = json.loads((folder / "config.json").read_text())
+    log = folder / "log.txt"
+    seconds = {epoch: when for when, epoch in EVALUATED.findall(log.read_text())} if log.exists() else {}
     config, machine = about["config"], f"1 x {about['device']}, jax {about['versions']['jax']}"
     parts = {"task": config["task"], "learner": config["learner"]["name"], "agent": config["agent"]["name"]}
     return [
         parts
         | {name: row[name] for name in ("seed", "epoch", "env_steps")}
-        | {"success": f"{float(row['train_goal/success_rate']):.4g}", "machine": machine}
+        | {"success": f"{float(row['train_goal/success_rate']):.4g}", "seconds": seconds.get(row["epoch"], "")}
+        | {"machine": machine}
         for row in trial_numbers.read(folder / "evaluations.csv")
     ]
 
@@ -69,6 +86,19 @@ def take_transfers(files: list[Path]) -> None:
     TRANSFERS.write_text("".join(json.dumps(row) + "\n" for _, row in sorted(rows.items())))
 
 
+def take_peers(files: list[Path]) -> None:
+    """Put the evaluations of Stable-Baselines3 into the numbers."""
+    new = [row for file in files for row in trial_numbers.read(file)]
+    replaced = {(row["task"], row["seed"]) for row in new}
+    rows = [row for row in read_peers() if (row["task"], row["seed"]) not in replaced] + new
+    trial_numbers.write(sorted(rows, key=lambda row: (row["task"], int(row["seed"]), int(row["env_steps"]))), PEERS)
+
+
+def read_peers() -> list[Row]:
+    """The rows so far."""
+    return trial_numbers.read(PEERS) if PEERS.exists() else []
+
+
 def read_transfers() -> list[dict[str, Any]]:
     """The rows so far."""
     return [json.loads(line) for line in TRANSFERS.read_text().splitlines()] if TRANSFERS.exists() else []
@@ -86,6 +116,38 @@ def solved(rows: list[Row]) -> list[str]:
         mean_interval([float(own[-1]["success"]) for own in seeds]).show(2),
         f"{int(seeds[0][-1]['env_steps']) / 1e6:.2f}",
         f"{there} ({len(reached)} of {len(seeds)} seeds)" if 0 < len(reached) < len(seeds) else there,
+        seconds_until(seeds),
+        rows[0]["machine"].removeprefix("1 x NVIDIA ").split()[0].rstrip(","),
+    ]
+
+
+def seconds_until(seeds: list[list[Row]]) -> str:
+    """Seconds from the start of the process until the mean over the seeds was that of `SOON`; nothing without a log."""
+    seconds = [float(row.get("seconds") or "nan") for row in seeds[0]]
+    if np.isnan(seconds).any():
+        return ""
+    mean = np.mean([[float(row["success"]) for row in own] for own in seeds], 0)
+    first = (next((when for when, now in zip(seconds, mean, strict=True) if now >= least), None) for least in SOON)
+    return ", ".join("never" if when is None else f"{when:.0f}" for when in first)
+
+
+def peer(rows: list[Row], ours: list[Row]) -> list[str]:
+    """The line of one task of Stable-Baselines3, beside our SAC."""
+    seeds = [list(own) for _, own in groupby(rows, key=lambda row: row["seed"])]
+    last = [own[-1] for own in seeds]
+    rate = np.mean([int(row["env_steps"]) / float(row["wall_seconds"]) for row in last])
+    first = [next((float(r["wall_seconds"]) for r in own if float(r["success_rate"]) >= ENOUGH), None) for own in seeds]
+    reached = sorted(when for when in first if when is not None)
+    of_ours = [list(own) for _, own in groupby(ours, key=lambda row: row["seed"])]
+    return [
+        TITLES[f"{rows[0]['task']}_positions"],
+        str(len(seeds)),
+        "GPU" if "cuda" in rows[0]["machine"] else "CPU",
+        f"{rate:.0f}",
+        f"{reached[0]:.0f} to {reached[-1]:.0f}" if reached else "never",
+        f"{np.mean([float(row['success_rate']) for row in last]):.2f} after {float(last[0]['wall_seconds']):.0f} s",
+        "" if reached else f"{MANY / rate / 3600:.1f}",
+        seconds_until(of_ours).split(",")[0] if of_ours else "",
     ]
 
 
@@ -95,11 +157,25 @@ def tables() -> dict[str, str]:
     rows = sorted(read(), key=lambda row: (order.index(row["task"]), row["agent"] != "sac", row["learner"] != "none"))
     lines = [solved(list(own)) for _, own in groupby(rows, key=lambda row: tuple(row[name] for name in KEY))]
     head = ["task", "agent", "success at the end", "million steps in all", f"until {ENOUGH}"]
+    head += ["seconds to " + ", ".join(map(str, SOON)), "GPU"]
     found = {"success": markdown_lines(head, lines)} if rows else {}
-    if transfers := sorted(read_transfers(), key=lambda row: order.index(row["task"])):
+    if transfers := sorted(read_transfers(), key=lambda row: (order.index(row["task"]), row["faithful"])):
         found["transfer"] = markdown_lines(
-            ["task", "policies", "ours", "Gymnasium-Robotics", "difference"],
-            [transferred(list(own)) for _, own in groupby(transfers, key=lambda row: row["task"])],
+            ["task", "our physics", "policies", "ours", "reference", "difference", "difference at the end"],
+            [
+                transferred(list(own))
+                for _, own in groupby(transfers, key=lambda row: (row["task"], row["faithful"], row["episodes"]))
+            ],
+        )
+    if peers := sorted(read_peers(), key=lambda row: order.index(f"{row['task']}_positions")):
+        alone = [row for row in rows if (row["learner"], row["agent"]) == ("none", "sac")]
+        head = ["task", "seeds", "on", "steps/s", f"seconds to {ENOUGH}", "success at the end"]
+        found["peer"] = markdown_lines(
+            [*head, f"hours for {MANY:,} steps", f"ours, seconds to {ENOUGH}"],
+            [
+                peer(list(own), [row for row in alone if row["task"] == f"{task}_positions"])
+                for task, own in groupby(peers, key=lambda row: row["task"])
+            ],
         )
     return found
 
@@ -107,9 +183,10 @@ def tables() -> dict[str, str]:
 def transferred(rows: list[dict[str, Any]]) -> list[str]:
     """The line of one task: success within an episode of policies of several seeds, here and in the reference."""
     ours, reference = ([row["reached"][where]["mean"] for row in rows] for where in ("ours", "reference"))
-    differences = [row["reached"]["difference"] for row in rows]
-    intervals = (mean_interval(values).show(3) for values in (ours, reference, differences))
-    return [TITLES[rows[0]["task"]], str(len(rows)), *intervals]
+    differences = ([row[when]["difference"] for row in rows] for when in ("reached", "at_end"))
+    intervals = (mean_interval(values).show(3) for values in (ours, reference, *differences))
+    physics = "faithful" if rows[0]["faithful"] else "fast"
+    return [TITLES[rows[0]["task"]], physics, f"{len(rows)} x {rows[0]['episodes']}", *intervals]
 
 
 def main() -> None:
@@ -117,11 +194,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", nargs="*", type=Path, default=[], metavar="RUN")
     parser.add_argument("--transfers", nargs="*", type=Path, default=[], metavar="FILE")
+    parser.add_argument("--peers", nargs="*", type=Path, default=[], metavar="FILE")
     arguments = parser.parse_args()
     if arguments.runs:
         take(arguments.runs)
     if arguments.transfers:
         take_transfers(arguments.transfers)
+    if arguments.peers:
+        take_peers(arguments.peers)
 
 
 if __name__ == "__main__":

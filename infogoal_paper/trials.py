@@ -60,48 +60,6 @@ which seeds learn is chance."""
 PROBED = "fetch_reach"
 """The task of which the probe is shown: on the others no question rests on it."""
 SHOWN = {
-    "cube": (
-        "cube_her/",
-        "cube_infogoal_her_window_1/",
-        "cube_infogoal_her_small_subgoals/threshold 0.99",
-        "cube_infogoal_window_1/",
-        "cube_infogoal_her_window_1_relative/margin 0.0005",
-        "cube_her_norm/",
-        "cube_infogoal_her_norm/",
-        "cube_infogoal_norm/",
-        "cube_infogoal_privileged/",
-        "cube_infogoal_known_goals/",
-        "cube_her_privileged/",
-        "cube_infogoal_her_privileged/",
-    ),
-    "fetch": (
-        "pick_and_place_her/",
-        "pick_and_place_her_corruption/",
-        "pick_and_place_infogoal/",
-        "pick_and_place_infogoal_her/",
-        "pick_and_place_infogoal_her_relative/margin 0.0005",
-        "reach_her/",
-        "reach_infogoal/threshold 0.96",
-        "reach_infogoal_her/",
-        "reach_infogoal_her_window_1/threshold 0.99",
-        "reach_infogoal_her_relative_finest/",
-        "push_infogoal/",
-        "push_infogoal_her/",
-    ),
-    "shelf": (
-        "shelf_infogoal/",
-        "shelf_infogoal_by_name/threshold 0.999",
-        "shelf_cql/",
-        "shelf_cql_by_name/",
-        "shelf_infogoal_relative_finest/",
-    ),
-    "house": (
-        "house_gcb/",
-        "house_infobot/reward 0.1, beta",
-        "house_sse_db/preset",
-        "house_sse_db/no explorer",
-        "house_sse_db/weight 0.1, bonus 0.3",
-    ),
     "house_goals": (
         "house_goals_her/",
         "house_goals_leo/",

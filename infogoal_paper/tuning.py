@@ -203,12 +203,12 @@ def cell(search: Search) -> str:
 
 
 def made_on(task: str, found: dict[str, Search]) -> str:
-    """Goals, epochs, trials, seeds, devices and data of a task's searches."""
+    """Goals, epochs, trials, seeds and devices of a task's searches."""
     one = next(iter(found.values()))
     devices = " and ".join(dict.fromkeys(search["device"] for search in found.values()))
     return (
         f"- {TITLES[task]}: {one['goals']} goals, {one['epochs'][-1]} epochs, {len(one['trials'])} trials, seeds "
-        f"{one['seeds'][0]} to {one['seeds'][-1]}; {devices}; {one['data'].partition('; ')[0]}."
+        f"{one['seeds'][0]} to {one['seeds'][-1]}; {devices}."
     )
 
 

@@ -4,12 +4,13 @@ are. A study is a list of settings; its file holds every seed, and settings that
     python -m benchmarks.goals.continuous causes --out causes.json        # what of InfoGoal costs success, in the maze
     python -m benchmarks.goals.continuous methods --out methods.json      # InfoGoal, VAE, COGOAL and no learner
     python -m benchmarks.goals.continuous negatives --out negatives.json  # three ways to find dissimilar goals
-    python -m benchmarks.goals.continuous --show negatives.json --figure negatives.png
+    python -m benchmarks.goals.continuous --show negatives.json
+
+`python -m infogoal_paper.continuous FILE ...` puts them into docs/results, for docs/research/continuous_goals.md.
 """
 
 import argparse
 import dataclasses
-import itertools
 import json
 import time
 from pathlib import Path
@@ -24,16 +25,6 @@ from scipy.sparse.csgraph import dijkstra
 from infogoal_jax import envs, make_train, presets
 from infogoal_jax.envs import plane
 from infogoal_jax.hyperparameters import with_values
-from infogoal_jax.report.canvas import (
-    ROOM_COLOURS,
-    USE_TITLES,
-    draw_curve,
-    empty_figure,
-    figure_style,
-    finish_share_axis,
-    save,
-    seeds_in_words,
-)
 from infogoal_jax.report.statistics import describe_machine, mean_interval
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.sampling import sample_pairs
@@ -288,32 +279,6 @@ def show(path: Path) -> None:
         print(f"| {each['name']} | " + " | ".join(cells) + " |")
 
 
-def draw(path: Path, figure_path: Path) -> None:
-    """Draw success over training for each setting of a study, a panel for each group of goals; and, where it is about
-    negatives, what share of them is false."""
-    study = json.loads(path.read_text())["settings"]
-    groups = [group for group in GROUPS if any(group in each for each in study)]
-    wrong = [each["false_negatives"] for each in study if "false_negatives" in each]
-    with figure_style():
-        below = "mean of the seeds" + seeds_in_words({each["seeds"] for each in study})
-        figure = empty_figure(path.stem.replace("_", " "), (below,), (3.6 * (len(groups) + bool(wrong)), 3.6))
-        panels = figure.subplots(1, len(groups) + bool(wrong), squeeze=False)[0]
-        for axes, group in zip(panels, groups, strict=False):
-            for colour, each in zip(itertools.cycle(ROOM_COLOURS), study, strict=False):
-                values = np.asarray(each[group])
-                steps = each["env_steps"] * np.arange(1, values.shape[1] + 1) / values.shape[1]
-                draw_curve(axes, steps, values, colour, each["name"])
-            axes.set(title=USE_TITLES[group], xlabel="environment steps")
-            finish_share_axis(axes, "success")
-        if wrong:
-            for place, (colour, values) in enumerate(zip(itertools.cycle(ROOM_COLOURS), wrong, strict=False)):
-                panels[-1].bar(place, 100 * np.mean(values), color=colour, alpha=0.5)
-                panels[-1].plot([place] * len(values), 100 * np.asarray(values), "k.", markersize=3)
-            panels[-1].set(title="false negatives", xticks=[], ylabel="% of the negatives")
-        panels[0].legend(fontsize="x-small")
-        save(figure, figure_path)
-
-
 def main() -> None:
     """Train what a study lacks, or print tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -323,12 +288,9 @@ def main() -> None:
     parser.add_argument("--num-epochs", type=int, help="in place of the presets'")
     parser.add_argument("--only", default="", help="settings whose names hold this alone")
     parser.add_argument("--show", type=Path, nargs="+", default=[], help="print the tables of these files")
-    parser.add_argument("--figure", type=Path, help="draw the first of them")
     arguments = parser.parse_args()
     for path in arguments.show:
         show(path)
-    if arguments.figure is not None:
-        draw(arguments.show[0], arguments.figure)
     if arguments.study is None:
         return
     if arguments.out is None:
