@@ -284,6 +284,13 @@ class Line:
         return state.replace(obs=state.obs.at[:2].add(action))
 
 
+def stepped(actions):
+    """What a step of a batch of three rooms returns."""
+    batch = gymnasium.TaskVector(ENV, 3)
+    batch.reset(seed=0)
+    return batch.step(actions)
+
+
 LINE = Line()
 RECORDED = {"observations": np.zeros((3, 4)), "actions": np.zeros((3, 2)), "terminals": [0, 0, 1]}
 MAZE = envs.load("point_maze", PlaneConfig(held_out=False))
@@ -484,6 +491,11 @@ CALLS = {
         {"learner": CONFIG.learner, "agent": CONFIG.agent},
         {"learner": never, "agent": never},
     ),
+    "step of a batch": Call(
+        stepped,
+        {"actions": np.zeros(3, int)},
+        {"actions": lambda value: str(value) in ("[0 1 2]", "[0, 2, 5]") and not isinstance(value, str)},
+    ),
     "compute_reward of bits": Call(
         ROOMS.compute_reward,
         {"achieved_goal": np.eye(8)[:1], "desired_goal": np.eye(8)[1:2], "info": {}},
@@ -601,7 +613,7 @@ SURE = ["rollout", "evaluate", "GoalSet.of", "presets.load", "envs.load", "mean_
 SURE += ["GoalBox.checked", "rollout of vectors", "evaluate vectors", "presets.register", "Preset"]
 SURE += ["run", "sweep", "envs.from_brax", "envs.from_playground", "of_arrays", "of_arrays of transitions"]
 SURE += ["with_recordings", "presets.method_named", "presets.name_of", "presets.default_hyperparameters"]
-SURE += ["compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
+SURE += ["step of a batch", "compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
 """Functions that work as they are called here."""
 
 

@@ -193,10 +193,9 @@ def action_of(env: Environment, action: Any, field: str, axes: tuple[int, ...] =
         most = env.action_size - 1
         if not axes:
             return jnp.asarray(checks.whole(action, field, 0, most, f"give 0 to {most}"), jnp.int32)
-        given = np.asarray(action)
-        whole = np.issubdtype(given.dtype, np.integer) and given.shape == axes
-        fits = whole and ((given >= 0) & (given <= most)).all()
-        require(fits, field, action, f"give {axes[0]} whole numbers from 0 to {most}")
+        remedy = f"give {axes[0]} whole numbers from 0 to {most}"
+        given = np.asarray(checks.array(action, field, "whole numbers", axes, remedy))
+        require(bool(((given >= 0) & (given <= most)).all()), field, action, remedy)
         return jnp.asarray(given, jnp.int32)
     shape = (*axes, env.action_size)
     remedy = f"give {' x '.join(map(str, shape))} numbers in [-1, 1]"

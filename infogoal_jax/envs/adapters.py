@@ -334,6 +334,7 @@ class Layout:
             require(given in self.keys, field, given, f"the observation has the keys {', '.join(self.keys) or 'none'}")
             return self.keys[given]
         remedy = f"give places of the observation, which has {self.size} numbers, or the key of a dictionary"
+        require(not isinstance(given, np.ma.MaskedArray), field, "a masked array", remedy)
         try:
             if isinstance(given, slice):
                 return tuple(range(self.size)[given])

@@ -104,7 +104,8 @@ def checked_seeds(seeds: Sequence[int]) -> Sequence[int]:
             given = np.asarray(seeds)
         except (TypeError, ValueError):  # Of several shapes.
             given = np.zeros(())
-        whole = given.ndim == 1 and (given.size == 0 or np.issubdtype(given.dtype, np.integer))
+        masked = isinstance(seeds, np.ma.MaskedArray)
+        whole = not masked and given.ndim == 1 and (given.size == 0 or np.issubdtype(given.dtype, np.integer))
         require(whole, "seeds", seeds, "give a list of whole numbers, such as range(3)")
         seeds = given.tolist()
         require(len(set(seeds)) == len(seeds), "seeds", seeds, "give different seeds")
