@@ -64,11 +64,10 @@ class Setting:
 def studies() -> dict[str, list[Setting]]:
     """The settings of each study."""
     held_out = {"point_maze": {}, "reacher": {}, "fetch_reach_positions": {"held_out": "octant"}}
-    lanes = {f"alpha {alpha}": {"learner.beta_threshold": alpha} for alpha in (0.96, 0.99, 0.997)}
-    lanes |= {"beta 0": {"learner.beta_step": 0.0}}
-    lanes = {f"{name}, weight 1.0": hyper | {"learner_weight": 1.0} for name, hyper in lanes.items()} | {
-        f"{name}, weight 0.1": lanes[name] | {"learner_weight": 0.1} for name in ("alpha 0.96", "beta 0")
-    }
+    rules = {f"alpha {alpha}": {"learner.beta_threshold": alpha} for alpha in (0.96, 0.99, 0.997)}
+    rules["beta 0"] = {"learner.beta_step": 0.0}
+    weighed = [(name, 1.0) for name in rules] + [("alpha 0.96", 0.1), ("beta 0", 0.1)]
+    lanes = {f"{name}, weight {weight}": rules[name] | {"learner_weight": weight} for name, weight in weighed}
     causes = []
     for task, env in held_out.items():
         causes.append(Setting(f"{task} none", task, "none", env=env))

@@ -41,16 +41,6 @@ REFERENCES = {
     "fetch_slide": "FetchSlide-v4",
 }
 """Gymnasium-Robotics' names of the tasks."""
-BRIDGED = {
-    "learning_rate": 1e-3,
-    "buffer_size": 100_000,
-    "learning_starts": 1000,
-    "batch_size": 256,
-    "gamma": 0.95,
-    "tau": 0.05,
-    "policy_kwargs": {"net_arch": [64, 64]},
-}
-"""Of tasks of ours: sizes and rates as in RL Zoo's FetchReach."""
 ZOO_REACH = {
     "learning_rate": 1e-3,
     "buffer_size": 1_000_000,
@@ -59,6 +49,8 @@ ZOO_REACH = {
     "gamma": 0.95,
     "policy_kwargs": {"net_arch": [64, 64]},
 }
+BRIDGED = ZOO_REACH | {"buffer_size": 100_000, "tau": 0.05}
+"""Of tasks of ours: nearly RL Zoo's of FetchReach."""
 ZOO_OBJECT = {
     "learning_rate": 1e-3,
     "buffer_size": 1_000_000,

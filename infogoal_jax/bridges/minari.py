@@ -18,7 +18,7 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.data.archives import new_folder
-from infogoal_jax.data.episodes import Episodes
+from infogoal_jax.data.episodes import Episodes, as_array
 from infogoal_jax.data.frames import FrameDataset
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import MOST_CHANNELS
@@ -178,7 +178,7 @@ def episodes_of(dataset: Any) -> Episodes:
                 columns.setdefault(f"{name}s", []).append(goals.astype(np.float32))
             require("observation" in observations, "observations", sorted(observations), "give an `observation` too")
             observations = observations["observation"]
-        seen = as_array(observations)
+        seen = as_observations(observations)
         require(
             actions.ndim == 2 and len(seen) == len(actions) + 1,
             "actions",
@@ -193,10 +193,10 @@ def episodes_of(dataset: Any) -> Episodes:
     return Episodes(**{name: np.concatenate(parts) for name, parts in columns.items()})
 
 
-def as_array(observations: Any) -> np.ndarray:
+def as_observations(observations: Any) -> np.ndarray:
     """The observations of an episode as one array: vectors [T, F], or images [T, H, W, C]."""
     if isinstance(observations, dict):
-        parts = [as_array(observations[name]) for name in sorted(observations)]
+        parts = [as_observations(observations[name]) for name in sorted(observations)]
         vectors = all(part.ndim == 2 for part in parts)
         require(vectors, "observations", sorted(observations), "give vectors, or images alone, under their keys")
         return np.concatenate(parts, 1)
@@ -209,10 +209,7 @@ def as_array(observations: Any) -> np.ndarray:
 
 def as_numbers(values: Any, field: str) -> np.ndarray:
     """The values of an episode, [T, ...], as an array of numbers. Raises `UserError`, naming the field, for others."""
-    try:
-        found = np.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{field}: give an array, not {type(values).__name__} of several shapes") from error
+    found = as_array(field, values)
     require(found.dtype.kind in "fiub" and found.ndim > 0, field, str(found.dtype), "give numbers for each step")
     return found
 
