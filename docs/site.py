@@ -129,23 +129,12 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
     return "\n\n".join(parts), pictures
 
 
-def with_badge(text: str, name: str, repository: str) -> str:
-    """The text of a notebook with a button below its title that opens it in Colab, if GitHub has the repository."""
-    on_github = re.fullmatch(r"https://github\.com/([^/]+/[^/]+?)/?", repository)
-    if not on_github:
-        return text
-    address = f"https://colab.research.google.com/github/{on_github[1]}/blob/main/notebooks/{name}"
-    title, _, rest = text.partition("\n")
-    return f"{title}\n\n[Open in Colab]({address}){{ .md-button }}\n{rest}"
-
-
 def on_files(files, config):
     """Add the pages that lie outside of docs/."""
     for name, page in PAGES.items():
         files.append(File.generated(config, page, content=(ROOT / name).read_text()))
     for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
         text, pictures = notebook_page(notebook)
-        text = with_badge(text, notebook.name, config.repo_url or "")
         files.append(File.generated(config, place_on_site(notebook), content=text))
         for name, content in pictures.items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))

@@ -8,7 +8,8 @@ environment that was loaded, or made by hand, `traits_seen` reads them off.
 """
 
 import dataclasses
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -35,14 +36,26 @@ def make_train(config: TrainConfig, env: Any = None, callback: Any = None) -> Tr
 
     env: an environment already loaded; None loads the one that the configuration names.
     callback: called with the epoch and the metrics of each evaluation while the compiled program runs; under `jax.vmap`
-        for each seed by itself. None: there is nothing of it in the program.
+        for each seed, one after the other. None: there is nothing of it in the program.
 
     Raises `UserError` for what cannot be trained.
     """
     if callback is not None:
         checks.function(callback, "callback", 2, "give a function of an epoch and metrics, or None")
+        callback = one_at_a_time(callback)
     train = program.make_train(config, load_environment(config, env), partial(check_environment, config))
     return dataclasses.replace(train, callback=callback)
+
+
+def one_at_a_time(function: Callable) -> Callable:
+    """The function, which a thread calls when no other thread is in it: JAX calls from several at once."""
+    lock = threading.Lock()
+
+    def call(*arguments):
+        with lock:
+            function(*arguments)
+
+    return call
 
 
 def traits_declared(config: TrainConfig) -> Traits | None:

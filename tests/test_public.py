@@ -49,6 +49,7 @@ from infogoal_jax.report.figures import draw_figures
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.report.video import write_video
 from infogoal_jax.runner import parts, training
+from infogoal_jax.runner.listeners import print_success
 from infogoal_jax.runner.training import run
 
 SHORT, LONG = 150, 5000
@@ -351,6 +352,11 @@ CALLS = {
             "env": lambda value: none(value) or value is ENV,
             "callback": lambda value: none(value) or callable(value),
         },
+    ),
+    "print_success": Call(
+        print_success,
+        {"num_epochs": 2, "num_seeds": 3},
+        {"num_epochs": lambda value: whole(value, 1), "num_seeds": lambda value: whole(value, 1)},
     ),
     "mean_interval": Call(mean_interval, {"values": [1.0]}, {"values": seeds}),
     "paired_difference": Call(

@@ -9,6 +9,7 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from infogoal_jax import presets
+from infogoal_jax.checks import whole
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.runner import training
@@ -30,6 +31,25 @@ class Listeners(NamedTuple):
     progress: tuple[training.Listener, ...]
     end_progress: Callable[[], None]
     pictures: Callable[[Sequence[Path]], None]
+
+
+def print_success(num_epochs: int, num_seeds: int = 1) -> Callable[[Any, dict[str, Any]], None]:
+    """A callback for `make_train`, which prints a line after each evaluation of a compiled program: the epoch of so
+    many, and the mean success of these seeds, which `jax.vmap` trains side by side."""
+    whole(num_epochs, "num_epochs", 1)
+    whole(num_seeds, "num_seeds", 1)
+    heard: dict[int, list[dict[str, float]]] = {}  # Of one epoch at a time: seeds advance together.
+
+    def advance(epoch, metrics):
+        of_epoch = [*heard.get(int(epoch), []), {label: metrics[name] for name, label in SHOWN.items()}]
+        heard.clear()
+        if len(of_epoch) < num_seeds:
+            heard[int(epoch)] = of_epoch
+            return
+        numbers = [f"{label} {fmean(float(one[label]) for one in of_epoch):.2f}" for label in SHOWN.values()]
+        print("  ".join([f"epoch {int(epoch)}/{num_epochs}", *numbers]))
+
+    return advance
 
 
 def seed_means(rows: list[dict]) -> dict[str, float]:

@@ -9,6 +9,8 @@ import io
 import json
 import os
 import re
+import runpy
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+import nbformat
 import pytest
 import words
 import yaml
@@ -240,20 +243,38 @@ def test_every_page_and_every_notebook_is_in_the_navigation():
     )
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").glob("*.ipynb")), ids=lambda path: path.stem)
-def test_one_line_gives_notebooks_a_button_for_colab(path):
-    """The address of the repository in mkdocs.yml, where the notebook then is to be installed from. The site's own code
-    needs what builds it."""
-    pytest.importorskip("mkdocs")
-    spec = importlib.util.spec_from_file_location("site_hook", ROOT / "docs" / "site.py")
-    hook = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hook)
-    text, _ = hook.notebook_page(path)
-    shown = hook.with_badge(text, path.name, "https://github.com/somebody/infogoal-jax")
-    address = "https://colab.research.google.com/github/somebody/infogoal-jax/blob/main/notebooks"
-    assert shown.splitlines()[2] == f"[Open in Colab]({address}/{path.name}){{ .md-button }}"
-    assert hook.with_badge(text, path.name, "") == text
-    assert f'SOURCE = "git+{configuration().get("repo_url", "...")}"' in text
+@pytest.mark.parametrize("before", ["", "https://github.com/nobody/a.b"])
+def test_one_line_points_all_files_at_the_address(before, tmp_path):
+    """Whatever address they had: pages, the site, and the notebooks with their links to Colab."""
+    for name in ("README.md", "mkdocs.yml", "docs/start", "notebooks"):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        copy(ROOT / name, tmp_path / name)
+    write = runpy.run_path(str(ROOT / "tools" / "address.py"))["write"]
+    for address in filter(None, (before, "https://github.com/somebody/infogoal-jax")):
+        write(tmp_path, address)
+    assert yaml.load((tmp_path / "mkdocs.yml").read_text(), Configuration)["repo_url"] == address
+    for page in ("README.md", "docs/start/install.md"):
+        assert (tmp_path / page).read_text().count(f"\nREPOSITORY={address} ") == 1
+    colab = "https://colab.research.google.com/github/somebody/infogoal-jax/blob/main/notebooks"
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        notebook = nbformat.read(tmp_path / "notebooks" / path.name, as_version=4)
+        nbformat.validate(notebook)
+        title, install = notebook.cells[:2]
+        assert title.source.splitlines()[2:4] == [f"[Open in Colab]({colab}/{path.name})", ""]
+        assert f'SOURCE = "git+{address}"' in install.source
+        saved = nbformat.read(path, as_version=4)
+        assert title.source.splitlines()[4:] == saved.cells[0].source.splitlines()[2:]
+        assert notebook.cells[2:] == saved.cells[2:] and "nobody" not in title.source
+
+
+def test_no_file_has_an_address_that_the_others_have_not():
+    """The site's, where there is one, is the pages' and the notebooks'."""
+    address = configuration().get("repo_url", "...")
+    for page in ("README.md", "docs/start/install.md"):
+        assert f"\nREPOSITORY={address} " in (ROOT / page).read_text()
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        assert f'SOURCE = \\"git+{address}\\"' in path.read_text()
 
 
 def test_the_api_has_everything_that_the_package_exports():

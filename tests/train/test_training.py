@@ -1,6 +1,7 @@
 """`make_train(config)` returns a pure function of a key that can be jitted, vmapped over seeds and compiled once."""
 
 import dataclasses
+import time
 
 import hand_made
 import jax
@@ -10,20 +11,29 @@ import pytest
 
 from infogoal_jax import Hyperparameters, UserError, make_train, pairs, replay
 from infogoal_jax.agents.cql import CQLConfig
+from infogoal_jax.runner.listeners import print_success
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.sampling import sample_pairs
 
 
 @pytest.fixture(scope="module")
 def heard() -> list:
-    """What the callback of `train` heard: epoch and metrics."""
+    """What the callback of `train` heard: epoch, metrics, and how many calls were going on."""
     return []
 
 
 @pytest.fixture(scope="module")
 def train(heard):
     config = hand_made.config(rollout_steps=20, updates_per_epoch=5)
-    return make_train(config, hand_made.environment(), lambda epoch, metrics: heard.append((int(epoch), metrics)))
+    inside = []
+
+    def hear(epoch, metrics):
+        inside.append(epoch)
+        time.sleep(0.01)
+        heard.append((int(epoch), metrics, len(inside)))
+        inside.pop()
+
+    return make_train(config, hand_made.environment(), hear)
 
 
 @pytest.fixture(scope="module")
@@ -223,11 +233,19 @@ def test_no_pair_carries_weight_before_any_goal_was_achieved(train):
 def test_a_callback_hears_of_each_evaluation_of_each_seed(sweep, heard):
     jax.effects_barrier()
     name = "train_goal/episode_length"
-    found = sorted((epoch, float(metrics[name])) for epoch, metrics in heard[:6])
+    found = sorted((epoch, float(metrics[name])) for epoch, metrics, _ in heard[:6])
     expected = sorted(
         (epoch, float(value)) for row in sweep.metrics[name] for epoch, value in zip((2, 4), row, strict=True)
     )
     assert found == expected and len({*found}) == 6
+    assert [inside for *_, inside in heard[:6]] == [1] * 6  # Never two at once: their lines would run together.
+
+
+def test_a_line_is_printed_for_all_seeds_of_an_evaluation(capsys):
+    show = print_success(20, num_seeds=2)
+    for epoch, success in ((10, 0.2), (10, 0.4), (20, 0.9), (10, 0.0), (10, 1.0)):  # The third was interrupted.
+        show(np.int32(epoch), {"train_goal/success_rate": np.float32(success), "test_goal/success_rate": np.float32(0)})
+    assert capsys.readouterr().out == "epoch 10/20  train 0.30  test 0.00\nepoch 10/20  train 0.50  test 0.00\n"
 
 
 def test_a_callback_leaves_nothing_in_a_program_without_it():
