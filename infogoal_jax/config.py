@@ -114,6 +114,9 @@ class TrainConfig:
     known_goals: KnownGoals = "visited"
     """Goals that may enter relabelling and representation learning: training goals; goals achieved so far (`visited`),
     also with validation and test goals held out (`held_out`); or all. One protocol for every method."""
+    desired_goals: Literal["training", "all"] = "training"
+    """Goals that are desired while a finite task is acted in: training goals; or all of training, validation and tests,
+    so that no goal is unseen (a reading of the paper, docs/reference/infogoal.md)."""
     training_corruption: float = 0.0
     """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
     test_corruption: float = 0.4
@@ -159,6 +162,12 @@ class TrainConfig:
             "buffer_steps",
             self.buffer_steps,
             f"must hold at least one epoch: num_envs x rollout_steps = {self.num_envs * self.rollout_steps}",
+        )
+        require(
+            self.desired_goals == "training" or self.known_goals in ("visited", "all"),
+            "desired_goals",
+            self.desired_goals,
+            f"known_goals = {self.known_goals} keeps test goals out of training: give training, or known_goals visited",
         )
         positions = self.buffer_epochs * self.num_envs * (self.rollout_steps + 1)
         require(

@@ -58,7 +58,7 @@ def axes_of(goals: jax.Array) -> tuple[int, ...]:
 @flax.struct.dataclass
 class GoalSet:
     """A finite goal space: N goals, their inputs and their uses. Only training goals are desired goals while
-    training."""
+    training, unless `desired` says otherwise."""
 
     inputs: jax.Array
     """[M, *input] what the goal encoder sees: vectors float32 [M, D], such as text embeddings, or images uint8
@@ -86,6 +86,8 @@ class GoalSet:
     """int32 [N], row of `inputs` for each goal, where a dataset has more images than goals; None: row n is goal n."""
     by_index: bool = flax.struct.field(pytree_node=False, default=False)
     """Whether goals are shown to the goal encoder as their numbers alone."""
+    desired: jax.Array | None = None
+    """int32, the goals that are desired in training; None: the training goals."""
 
     finite = True
     shape = ()
@@ -138,6 +140,23 @@ class GoalSet:
     def examples(self) -> jax.Array:
         """Goals that are desired in training, [M]: here all of them."""
         return self.training_goals
+
+    @property
+    def desired_goals(self) -> jax.Array:
+        """Goals that are desired in training, int32."""
+        return self.training_goals if self.desired is None else self.desired
+
+    @property
+    def desired_mask(self) -> jax.Array:
+        """Whether a goal is desired in training, bool [N]."""
+        if self.desired is None:
+            return self.train_mask
+        return jnp.zeros_like(self.train_mask).at[self.desired].set(True)
+
+    @property
+    def listed_mask(self) -> jax.Array:
+        """Whether a goal is a training, validation or test goal, bool [N]."""
+        return self.train_mask | self.validation_mask | self.test_mask
 
     def usable_mask(self, known_goals: str) -> jax.Array:
         """Goals that may enter relabelling and representation learning once they are achieved, bool [N], under this

@@ -136,6 +136,9 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     explorer = exploration.registry.name_of(config.explorer)
     if explorer != "none":
         yield from refusals_of_explorer(explorer, config.agent, traits)
+    if config.desired_goals != "training" and (traits.recorded or not traits.finite_goals):
+        reason = "what is recorded has its goals" if traits.recorded else "the goals of the task are no finite set"
+        yield Refusal("desired_goals", config.desired_goals, reason, "give training")
     if config.training_corruption and not traits.image_goals:
         yield Refusal(
             "training_corruption",
@@ -169,6 +172,7 @@ def refusals_of_continuous_goals(config: TrainConfig) -> Iterator[Refusal]:
         "relabelling.strategy": (getattr(config.relabelling, "strategy", None), "prefix", "future or soon"),
         "learner": (learner, make_learner(config).by_index, "another learner"),
         "learner.reward": (getattr(config.learner, "reward", None), spec.first_seen, "rarity"),
+        "learner.positives": (getattr(config.learner, "positives", None), spec.radius is not None, "trajectory"),
     }
     for field, (value, refused, remedy) in finite.items():
         if refused is True or refused == value:
@@ -319,8 +323,16 @@ def load_environment(config: TrainConfig, env: Any = None):
         check_goals(env)
     if make_learner(config).by_index and env.goals.finite:
         env = env.with_goals(env.goals.replace(by_index=True))
+    if config.desired_goals == "all" and env.goals.finite:
+        env = env.with_goals(env.goals.replace(desired=env.goals.evaluated))
     check_combination(config, env)
     check_hyperparameters(config, config.hyper)
+    require(
+        make_learner(config).sample_spec.radius is None or env.goal_positions is not None,
+        "learner.positives",
+        getattr(config.learner, "positives", None),
+        f"{config.task} does not say where its goals lie: give trajectory",
+    )
     if steers(config.agent) and not isinstance(env, target_states.SubgoalEnv):
         return steer(env, config.agent)
     return env

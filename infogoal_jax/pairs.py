@@ -42,6 +42,13 @@ def initial_dissimilarity(num_goals: int) -> jax.Array:
     return ~jnp.eye(num_goals, dtype=bool)
 
 
+def dissimilarity_by_distance(positions: jax.Array, radius: float) -> jax.Array:
+    """G_neg where goals at these positions [N, D] are dissimilar if they lie farther apart than the radius, bool
+    [N, N]."""
+    squared = sum((column[:, None] - column[None, :]) ** 2 for column in positions.T)
+    return squared > radius**2
+
+
 def remove_similar(dissimilarity: jax.Array, goals: jax.Array, episode: jax.Array, window: int) -> jax.Array:
     """Remove pairs achieved within `window` steps of each other from G_neg (line 19). The matrix stays symmetric and
     only loses entries.

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.hyperparameters import values_of
+from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.loading import load_environment, make_train
 from infogoal_jax.runner import memory
 from infogoal_jax.runner.compilation import jit
@@ -164,17 +164,20 @@ def shape_of(env: Any) -> tuple:
     return tree, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
 
 
-def batches_of(runs: list[Run], goal_images: Path | None, most_lanes: int) -> list[Batch]:
-    """The runs of one program as batches: goal sets whose arrays have the same shapes and which need the same lanes go
-    together, but for `ONE_SET_AT_A_TIME`. As many lanes at once as fit into the device's memory, `most_lanes` at most;
-    the seeds of a run are never cut."""
+def batches_of(
+    runs: list[Run], goal_images: Path | None, most_lanes: int, settings: dict[str, Any] | None = None
+) -> list[Batch]:
+    """The runs of one program, with these settings in place of the preset's, as batches: goal sets whose arrays have
+    the same shapes and which need the same lanes go together, but for `ONE_SET_AT_A_TIME`. As many lanes at once as fit
+    into the device's memory, `most_lanes` at most; the seeds of a run are never cut."""
     sets = sorted({run.goal_set for run in runs})
     lanes = {number: tuple(run for run in runs if run.goal_set == number) for number in sets}
     configs, envs = {}, {}
     for number in sets:
         build_data(lanes[number][0])
         # A lane says what differs from the preset: the first one's floats are not those of the others.
-        configs[number] = config_of(dataclasses.replace(lanes[number][0], lane=Lane(*PRESET)), goal_images)
+        preset = config_of(dataclasses.replace(lanes[number][0], lane=Lane(*PRESET)), goal_images)
+        configs[number] = with_values(preset, settings or {})
         envs[number] = load_environment(configs[number])
     envs = dict(zip(envs, with_one_shape(list(envs.values())), strict=True))
     together: dict[Any, list[int]] = {}

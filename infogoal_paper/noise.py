@@ -1,15 +1,18 @@
 """Equal noise at test: success of every method against the probability of a random action, on sampled codes and on
 their means.
 
-    python -m infogoal_paper.noise --out FOLDER [--tasks ...] [--methods ...] [--minutes M]
+    python -m infogoal_paper.noise --list
+    python -m infogoal_paper.noise --out FOLDER [--part A | --tasks ... --methods ...] [--minutes M]
     python -m infogoal_paper.noise --merge FOLDER
 
 A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
 on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
 and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows,
-but on the held-out cube, where half of the updates are evaluated, three quarters, and all.
---merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the same tasks and
-methods; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says what came of it.
+but on cubes of the studies beside, where half of the updates are evaluated, three quarters, and all. --list prints the
+queue, `noise_numbers.PARTS`, which names what is to be run in order of what it would tell; --part runs what is missing
+of one of its parts. --merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the
+same tasks, methods and data sets; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says
+what came of it.
 """
 
 import argparse
@@ -19,6 +22,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +40,7 @@ from infogoal_jax.runs.folder import BeingWrittenError, locked
 from infogoal_jax.stopping import StopRequest, stop_on_signal
 from infogoal_paper import batches, noise_numbers, tuning
 from infogoal_paper.manifest import PRESET, Lane, Run
-from infogoal_paper.noise_numbers import CARRYING, DATA_SETS, EPSILONS, HELD_OUT, METHODS, NUMBERS, SEEDS, methods_of
+from infogoal_paper.noise_numbers import DATA_SETS, EPSILONS, HELD_OUT, NUMBERS, PARTS, SEEDS, methods_of
 from infogoal_paper.plan import config_of
 from infogoal_paper.trial_numbers import Row
 
@@ -44,14 +48,16 @@ CHUNKS = 4
 """Of an equal number of updates, after each of which there is an evaluation."""
 HALF = 2
 """The chunk from which on the held-out cube is evaluated at every noise; the others are at their end alone."""
+UNFINISHED = (HELD_OUT, "object_manipulation+read")
+"""Tasks whose runs are shown as far as they came."""
 GROUPS = ("train", "validation", "test")
 
 
 def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
     """A method of `methods_of` on a data set, with its seeds."""
     name, *protocol = task.split("+")
-    learner, *added = method.split("+")
-    agent, known_goals = protocol or (None, "visited")
+    learner, *added = method.partition("@")[0].split("+")
+    agent, known_goals = protocol if len(protocol) == 2 else (None, "visited")
     floats = noise_numbers.FLOATS.get((task, method), {})
     lane = Lane(method, tuple(floats.items())) if floats else Lane(*PRESET)
     seeds = tuple(range(2 if toy else SEEDS))
@@ -60,22 +66,23 @@ def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
 
 
 def to_its_end(config: TrainConfig, run: Run) -> TrainConfig:
-    """The configuration of a run, trained as long as its preset says."""
+    """The configuration of a run, trained for as many updates as its preset says."""
     if run.toy:
         return config
-    epochs = run.preset().num_epochs
+    preset = run.preset()
+    epochs = preset.num_epochs * preset.updates_per_epoch // config.updates_per_epoch
     return dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs // CHUNKS)
 
 
-def batches_on(runs: list[Run], folder: Path) -> list[batches.Batch]:
-    """The batches of a method on data sets of a task. The house of the tuning has a batch of its own, as its goals are
-    split differently; it is built in FOLDER unless it is there."""
+def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any]) -> list[batches.Batch]:
+    """The batches of a method on data sets of a task, with these settings in place of its preset's. The house of the
+    tuning has a batch of its own, as its goals are split differently; it is built in FOLDER unless it is there."""
     others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
-    found = batches.batches_of(others, None, most_lanes=64) if others else []
+    found = batches.batches_of(others, None, most_lanes=64, settings=settings) if others else []
     for run in set(runs) - set(others):
         _, dataset, _, split = tuning.tuning_house(folder)
         config = with_values(
-            config_of(dataclasses.replace(run, goal_set=0)), {"env.dataset": dataset, "env.split": split}
+            config_of(dataclasses.replace(run, goal_set=0)), settings | {"env.dataset": dataset, "env.split": split}
         )
         lanes = tuple((run.lane, seed) for seed in run.seeds)
         found.append(batches.Batch(config, (load_environment(config),), lanes, {(0, run.lane): run}))
@@ -114,7 +121,7 @@ class Watch(Callback):
             if (name := f"{self.learner}/{metric}") in sweep.learned:
                 self.learned.setdefault(metric, []).append(np.asarray(sweep.learned[name]))
         print(f"{self.name}: chunk {sweep.evaluations} in {sweep.last_seconds:.0f} s", flush=True)
-        if sweep.finished or (self.task == HELD_OUT and sweep.evaluations >= HALF):
+        if sweep.finished or (self.task in UNFINISHED and sweep.evaluations >= HALF):
             self.rows += rows_of(self, sweep.evaluations * sweep.config.epochs_per_evaluation)
             with open(self.partial, "w", newline="") as file:
                 table = csv.DictWriter(file, self.rows[0])
@@ -186,14 +193,14 @@ def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, 
     """Train and evaluate a method on data sets of a task, and write its file."""
     runs, rows = [run_of(task, method, number, toy) for number in sets], []
     partial = path.with_suffix(".partial")
-    for batch in batches_on(runs, path.parent):
+    for batch in batches_on(runs, path.parent, {} if toy else noise_numbers.settings_of(task, method)):
         training = batches.begin(batch)
         watch = Watch(task, method, training, deadline, rows, partial)
         train_sweep(training.sweep, watch, stop)
         if not watch.ended:
             print(f"{watch.name}: no time was left", flush=True)
             break
-    if rows and (watch.ended or task == HELD_OUT):
+    if rows and (watch.ended or task in UNFINISHED):
         partial.rename(path)
         print(f"{task} {method}: written", flush=True)
 
@@ -203,8 +210,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--tasks", nargs="*", choices=DATA_SETS, default=list(DATA_SETS))
-    parser.add_argument("--methods", nargs="*", choices=METHODS | CARRYING, help="left out: those of the task")
+    parser.add_argument("--methods", nargs="*", help="left out: those of the task")
     parser.add_argument("--data-sets", nargs="*", type=int, help="numbers; left out: those of the study")
+    parser.add_argument("--part", nargs="*", choices=PARTS, help="parts of the queue, in place of tasks and methods")
+    parser.add_argument("--list", action="store_true", help="print the queue, what is missing of it, and stop")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
     parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the rows of this folder into the numbers")
@@ -212,23 +221,40 @@ def main():
     if arguments.merge is not None:
         print(f"{NUMBERS.name}: {', '.join(noise_numbers.merge(arguments.merge))}")
         return
+    kept = {noise_numbers.run_key(row) for row in noise_numbers.read()}
+    if arguments.list:
+        for name, part in PARTS.items():
+            lacking = [run for run in part.runs if not all((*run[:2], number) in kept for number in run[2])]
+            print(f"{name}, {part.processes} processes: {len(lacking)} of {len(part.runs)} are to be run")
+            print("\n".join(f"    {task} {method} {' '.join(map(str, sets))}" for task, method, sets in lacking))
+        return
     if arguments.out is None:
-        parser.error("give --out FOLDER or --merge FOLDER")
+        parser.error("give --out FOLDER, --merge FOLDER or --list")
+    unknown = set(arguments.methods or ()) - {method for task in DATA_SETS for method in methods_of(task)}
+    if unknown:
+        parser.error(f"--methods {' '.join(sorted(unknown))}: no task has them")
     use_compilation_cache()
     arguments.out.mkdir(parents=True, exist_ok=True)
     deadline = time.time() + 60 * arguments.minutes
+    if arguments.part:
+        asked = [run for name in arguments.part for run in PARTS[name].runs]
+        asked = [run for run in asked if not all((*run[:2], number) in kept for number in run[2])]
+    else:
+        asked = [
+            (task, method, tuple(arguments.data_sets or DATA_SETS[task]))
+            for task in arguments.tasks
+            for method in arguments.methods or methods_of(task)
+        ]
     with stop_on_signal() as stop:
-        for task in arguments.tasks:
-            for method in arguments.methods or methods_of(task):
-                sets = tuple(arguments.data_sets or DATA_SETS[task])
-                path = arguments.out / f"{'_'.join([task, method, *map(str, sets)])}.csv"
-                with contextlib.suppress(BeingWrittenError), locked(path.with_suffix(".lock"), arguments.out):
-                    if path.exists() or time.time() >= deadline or stop.requested:
-                        continue
-                    try:
-                        run(task, method, path, deadline, stop, sets, arguments.toy)
-                    except UserError as error:  # A part's own check refuses the task; the others go on.
-                        print(f"{task} {method}: {error}", flush=True)
+        for task, method, sets in asked:
+            path = arguments.out / f"{'_'.join([task, method, *map(str, sets)])}.csv"
+            with contextlib.suppress(BeingWrittenError), locked(path.with_suffix(".lock"), arguments.out):
+                if path.exists() or time.time() >= deadline or stop.requested:
+                    continue
+                try:
+                    run(task, method, path, deadline, stop, sets, arguments.toy)
+                except UserError as error:  # A part's own check refuses the task; the others go on.
+                    print(f"{task} {method}: {error}", flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,9 @@ seed, epsilon and code; and the tables and the figure of docs/research/noise_at_
     machine                          device, versions and date
 
 HELD_OUT is the study of what carries the gain of InfoGoal with the head; a cell of `task` names its protocol too. Its
-methods have rows at several updates: tables show the last ones that all of them made.
+methods have rows at several updates: tables show the last ones that all of them made. HELD_OUT_FETCH is the same on
+Fetch, under HRAC, at the end of the presets. READ_TASKS has other readings of the paper: of a method
+`infogoal+her@listed` the part behind @ is one of `READINGS`.
 
 Two rules make noise equal. *The same for all*: every method at one epsilon. *Each at its own best*: every method at the
 epsilon of `EPSILONS` at which it reaches the most validation goals, the smallest of equal ones; test goals have no say.
@@ -19,10 +21,12 @@ epsilon of `EPSILONS` at which it reaches the most validation goals, the smalles
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from infogoal_jax import presets
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_paper import trial_numbers, tuning
@@ -58,6 +62,7 @@ METHODS = {
     "cher": "CHER",
     "ghrl": "GHRL",
     "infogoal+all_goals": "InfoGoal + head",
+    "gcb+her": "GCB + HER",
 }
 """The methods, in the order in which they are run."""
 HELD_OUT = "object_manipulation+dqn+held_out"
@@ -71,20 +76,125 @@ CARRYING = {
     "her": "HER",
 }
 """What is compared there."""
+HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetch_pick_and_place"))
+"""The same on Fetch, where no test goal is achieved in training."""
+READINGS: dict[str, dict[str, Any]] = {
+    "desired": {"desired_goals": "all"},
+    "distance": {"learner.positives": "distance"},
+    "listed": {"learner.positives": "listed"},
+    "listed_1": {"learner.positives": "listed", "learner.radius": 0.05},
+    "corrupted": {"training_corruption": 0.4},
+    "listed_corrupted": {"learner.positives": "listed", "training_corruption": 0.4},
+    "prefix": {"relabelling.strategy": "prefix"},
+    "updates_100": {"updates_per_epoch": 100},
+}
+"""Other readings of the paper, by what they change of the preset: all goals desired in training; similar goals by true
+distance, of known goals or of the listed ones, also one step apart; training on corrupted images; the authors'
+relabelling; 100 updates an epoch of as many steps."""
+RADII = {"fetch_reach": 0.25, "fetch_pick_and_place": 0.15, "object_manipulation": 0.369}
+"""Distances within which goals are similar there: the preset's window times the length of a step, 5 cm or 15 degrees
+(in the unit of `goal_positions`)."""
+ABOUT_GOALS = ("desired", "distance", "listed", "listed_1", "corrupted", "listed_corrupted")
+OF_FETCH = (
+    *(f"infogoal{added}@{reading}" for added in ("", "+her") for reading in ABOUT_GOALS),
+    *("her@desired", "none@desired", "her@corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
+)
+READ = {
+    "object_search+read": (
+        *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
+        *("infogoal+her@prefix", "infobot+her@prefix"),
+    ),
+    **dict.fromkeys(("fetch_reach+read", "fetch_pick_and_place+read"), OF_FETCH),
+    "object_manipulation+read": (
+        *("infogoal@desired", "her@desired", "infogoal+her@desired", "none@desired", "infogoal+her@listed"),
+        *("infogoal+her@prefix", "infogoal+her@updates_100", "her@updates_100"),
+    ),
+}
+"""Which readings are run on each task, in order."""
 NO_BETA, SMALL = {"learner.beta_step": 0.0, "learner.beta_start": 0.0}, {"learner_weight": 0.1}
 FLOATS = {
-    (HELD_OUT, "infogoal+all_goals+beta_0"): NO_BETA,
+    **{(task, "infogoal+all_goals+beta_0"): NO_BETA for task in (HELD_OUT, *HELD_OUT_FETCH)},
     (HELD_OUT, "cogoal+all_goals"): SMALL,
     (HELD_OUT, "vae+all_goals"): SMALL,
 }
 """Floats that differ from the preset. Both small weights reach more validation goals than 1 on the cube of seed 7."""
-DATA_SETS = TASKS | {HELD_OUT: (8, 9)}
+DATA_SETS = (
+    TASKS
+    | {HELD_OUT: (8, 9, 10)}
+    | dict.fromkeys(HELD_OUT_FETCH, (0,))
+    | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
+)
 """All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
 
 
 def methods_of(task: str) -> dict[str, str]:
     """The methods that are run on a task, with their names in words."""
+    if task in READ:
+        return {method: in_words(method) for method in READ[task]}
+    if task in HELD_OUT_FETCH:
+        return CARRYING
     return CARRYING if task == HELD_OUT else METHODS
+
+
+def in_words(method: str) -> str:
+    """A method and how the paper was read for it, in words."""
+    plain, _, reading = method.partition("@")
+    return METHODS[plain] + (f", {READING_WORDS[reading]}" if reading else "")
+
+
+def settings_of(task: str, method: str) -> dict[str, Any]:
+    """What a method changes of its preset on a task, but for floats."""
+    settings = READINGS.get(method.partition("@")[2], {})
+    if settings.get("learner.positives"):
+        settings = {"learner.radius": RADII[task.partition("+")[0]]} | settings
+    return settings
+
+
+READING_WORDS = {
+    "desired": "all goals desired",
+    "distance": "similar by distance",
+    "listed": "similar by distance, listed goals",
+    "listed_1": "listed goals, one step apart",
+    "corrupted": "trained on corrupted images",
+    "listed_corrupted": "listed goals, corrupted images",
+    "prefix": "the authors' relabelling",
+    "updates_100": "100 updates an epoch",
+}
+
+
+class Part(NamedTuple):
+    """A share of the queue for one GPU and one call. runs: (task, method, data sets)."""
+
+    processes: int
+    runs: tuple[tuple[str, str, tuple[int, ...]], ...]
+
+
+def all_of(*tasks: str) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
+    """Every method of these tasks, on all their data sets."""
+    return tuple((task, method, DATA_SETS[task]) for task in tasks for method in methods_of(task))
+
+
+SOONEST = ("infogoal+all_goals", "cogoal+all_goals", "all_goals", "her")
+PARTS = {
+    "A": Part(4, tuple((HELD_OUT, method, (10,)) for method in SOONEST)),
+    "B": Part(
+        14,
+        all_of(*HELD_OUT_FETCH)
+        + tuple((task, "gcb+her", DATA_SETS[task]) for task in ("object_search", *presets.FETCH_TASKS)),
+    ),
+    "C": Part(12, all_of("object_search+read", "fetch_reach+read")),
+    "D": Part(12, all_of("fetch_pick_and_place+read")),
+    "E": Part(4, all_of("object_manipulation+read")[:4]),
+    "F": Part(
+        3,
+        (
+            *((HELD_OUT, method, (10,)) for method in CARRYING if method not in SOONEST),
+            ("object_manipulation", "gcb+her", TASKS["object_manipulation"]),
+        ),
+    ),
+    "G": Part(4, all_of("object_manipulation+read")[4:]),
+}
+"""What is to be run, in order, and by how many processes side by side."""
 
 
 TITLES = {
@@ -95,7 +205,10 @@ TITLES = {
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
     HELD_OUT: "cube, held out",
+    HELD_OUT_FETCH[0]: "FetchReach, held out",
+    HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
+TITLES |= {task: TITLES[task.partition("+")[0]] for task in READ}
 SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
@@ -126,16 +239,21 @@ NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "noise.csv.gz"
 
 
 def merge(folder: Path) -> list[str]:
-    """Put the files of FOLDER into the numbers, in place of what they hold of the same tasks and methods. Returns the
-    names of those that came in."""
+    """Put the files of FOLDER into the numbers, in place of what they hold of the same tasks, methods and data sets.
+    Returns the names of those that came in."""
     new = {found.stem: trial_numbers.read(found) for found in sorted(folder.glob("*.csv"))}
-    came = {(row["task"], row["method"]) for rows in new.values() for row in rows}
-    kept = [row for row in read() if (row["task"], row["method"]) not in came]
+    came = {run_key(row) for rows in new.values() for row in rows}
+    kept = [row for row in read() if run_key(row) not in came]
     pairs = [(task, method) for task in DATA_SETS for method in methods_of(task)]
     places = {pair: place for place, pair in enumerate(pairs)}
     rows = [*kept, *itertools.chain.from_iterable(new.values())]
     trial_numbers.write(sorted(rows, key=lambda row: places[row["task"], row["method"]]), NUMBERS)
     return list(new)
+
+
+def run_key(row: Row) -> tuple[str, str, int]:
+    """The task, method and data set of a row."""
+    return row["task"], row["method"], int(row["data_set"])
 
 
 def read() -> list[Row]:

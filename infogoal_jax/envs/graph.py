@@ -81,11 +81,11 @@ class GraphWalk(Environment):
         return self.next_node.shape[1]
 
     def reset(self, key: jax.Array) -> GraphState:
-        """A new episode: a training goal and a start from which it is not reached, both uniform."""
+        """A new episode: a goal that is desired in training and a start from which it is not reached, both
+        uniform."""
         choose_goal, choose_start = jax.random.split(key)
-        goal = self.goals.training_goals[
-            jax.random.randint(choose_goal, (), 0, self.goals.training_goals.shape[0], jnp.int32)
-        ]
+        desired = self.goals.desired_goals
+        goal = desired[jax.random.randint(choose_goal, (), 0, desired.shape[0], jnp.int32)]
         return self.reset_to(choose_start, goal)
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> GraphState:

@@ -60,6 +60,13 @@ class InfoGoalConfig(GoalEncoderConfig):
     """What tells that two goals of a continuous space are dissimilar. `trajectory`: they were not achieved within the
     window in one trajectory, and neither achieves the other; `cells`: no trajectory has been in their cells of a grid
     within the window; `classifier`: a network that learns it, as the paper proposes."""
+    positives: Literal["trajectory", "distance", "listed"] = "trajectory"
+    """Which goals of a finite set are similar. `trajectory`: achieved within the window (Algorithm 1); `distance`:
+    known goals whose true positions lie at most `radius` apart; `listed`: likewise of all training, validation and test
+    goals, achieved or not, and of no others [A]. The last two need a task that says where its goals lie."""
+    radius: float = 0.15
+    """Of similar goals with another `positives` than `trajectory`, in the unit of `env.goal_positions`. 0.15 m are
+    three steps of a Fetch gripper; the authors' is the length of a step times the window."""
     negatives: Literal["anchored", "independent"] = "anchored"
     """`anchored`: compare a negative with the anchor of the pair (Algorithm 1); `independent`: with another goal, drawn
     for it [A]."""
@@ -71,6 +78,7 @@ class InfoGoalConfig(GoalEncoderConfig):
         """Raise `UserError` for values out of range."""
         super().check(config)
         check_pairs(self, config)
+        require(self.radius > 0, "learner.radius", self.radius, "give a distance greater than 0")
         require(
             self.loss == "nce" or self.score == "distance",
             "learner.loss",
@@ -244,5 +252,7 @@ def make(config: InfoGoalConfig) -> Learner:
         config.num_negatives,
         anchored=config.negatives == "anchored",
         dissimilar_by=config.dissimilar_by,
+        radius=None if config.positives == "trajectory" else config.radius,
+        listed=config.positives == "listed",
     )
     return Learner(init, encode, loss, sample_spec, intrinsic_reward, similar=similar if by_classifier else None)

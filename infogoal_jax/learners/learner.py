@@ -62,6 +62,11 @@ class SampleSpec(NamedTuple):
     """Draw dissimilar goals as negatives; False: any known goals."""
     dissimilar_by: DissimilarBy = "trajectory"
     """What tells that two goals of a continuous space are dissimilar."""
+    radius: float | None = None
+    """Goals of a finite set that lie at most this far apart are similar, whether they were achieved or not, in the unit
+    of the environment's `goal_positions`; None: goals achieved within the window."""
+    listed: bool = False
+    """With a radius: pair training, validation and test goals, achieved or not; False: known goals."""
     num_goals: int = 0
     """Goals that are known or desired in training: `LearnerBatch.goals`."""
     first_seen: bool = False
@@ -240,12 +245,13 @@ class GoalEncoding(NamedTuple):
             return learner.encode(params, goals.inputs_of(jnp.arange(goals.num_goals, dtype=jnp.int32))).__getitem__
         return lambda indices: learner.encode(params, goals.inputs_of(indices))
 
-    def of_training_goals(self) -> Encode:
-        """Codes of training goals. Those of a set are few, so each is encoded once, however large the set is."""
+    def of_desired_goals(self) -> Encode:
+        """Codes of goals that are desired in training. Those of a set are few, so each is encoded once, however large
+        the set is."""
         if self.view is not None or not self.goals.finite or self.has_table:
             return self.of_any()
-        goals, training = self.goals, self.goals.training_goals
-        return lookup(self.learner.encode(self.params, goals.inputs_of(training)), goals, training)
+        goals, desired = self.goals, self.goals.desired_goals
+        return lookup(self.learner.encode(self.params, goals.inputs_of(desired)), goals, desired)
 
 
 def encode_each(encode: Encode, *goals: jax.Array) -> list[GoalCode]:

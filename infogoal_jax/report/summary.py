@@ -149,8 +149,9 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
         "visited": "goals achieved so far",
         "all": "all goals",
     }[run.config.known_goals]
+    desired = "only training goals" if run.config.desired_goals == "training" else "all goals, test goals too,"
     protocol = (
-        f"only training goals were desired goals in training; {known} could enter the representation "
+        f"{desired} were desired goals in training; {known} could enter the representation "
         f"(known_goals = {run.config.known_goals})"
     )
     if run.config.training_corruption:

@@ -92,19 +92,20 @@ def update_statistics(setup: Setup, state: TrainState, rows: Trajectories) -> Tr
     if env.goals.finite:
         seen = jnp.where(achieved < 0, env.goals.num_goals, achieved)
         state = state.replace(seen=state.seen.at[seen].set(True, mode="drop"))
-    if not learner.sample_spec.num_pairs or state.dissimilarity is None:
+    spec = learner.sample_spec
+    if not spec.num_pairs or state.dissimilarity is None or spec.radius is not None:
         return state
     similar = usable_goals(setup, rows.record)
     similar = similar if env.goals.finite else env.goals.cell_of(similar)
-    return state.replace(
-        dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), learner.sample_spec.window)
-    )
+    return state.replace(dissimilarity=pairs.remove_similar(state.dissimilarity, similar, rows.episode(), spec.window))
 
 
 def first_dissimilarity(setup: Setup) -> jax.Array | None:
     """G_neg before any experience: of the goals of a set, or of the cells of a continuous space where the learner asks
-    for them."""
-    goals = setup.env.goals
+    for them. Where the learner has a radius, experience does not change it."""
+    goals, radius = setup.env.goals, setup.parts.learner.sample_spec.radius
+    if radius is not None:
+        return pairs.dissimilarity_by_distance(setup.env.goal_positions, radius)
     if goals.finite:
         return pairs.initial_dissimilarity(goals.num_goals)
     by_cells = setup.parts.learner.sample_spec.dissimilar_by == "cells"

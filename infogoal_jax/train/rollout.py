@@ -44,7 +44,7 @@ def training_policy(setup: Setup, params: dict, key: jax.Array) -> Policy:
     view = training_view(setup, augmented=False)
     encode = GoalEncoding(
         parts.learner, params["goal"], env.goals, parts.config.batch_size, view, key
-    ).of_training_goals()
+    ).of_desired_goals()
     return policy(setup, params, Exploration(hyper.epsilon, hyper.noise), encode, sees_means(parts))
 
 

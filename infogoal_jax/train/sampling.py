@@ -112,9 +112,9 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
 
 
 def goals_to_learn(setup: Setup, experience: Experience) -> jax.Array:
-    """Goals of a finite set that something may be learned of: known ones, and training goals, which are desired from
-    the start; bool [N]."""
-    return experience.known.mask | setup.env.goals.train_mask
+    """Goals of a finite set that something may be learned of: known ones, and those that are desired from the start;
+    bool [N]."""
+    return experience.known.mask | setup.env.goals.desired_mask
 
 
 def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, num: int) -> jax.Array:
@@ -131,6 +131,8 @@ def draw_goals_to_learn(setup: Setup, experience: Experience, key: jax.Array, nu
 def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
     """Goal pairs for the contrastive bound, as the learner's `SampleSpec` asks (Algorithm 1, lines 16 to 20)."""
     parts, _, env = setup
+    if parts.learner.sample_spec.radius is not None:
+        return sample_pairs_by_distance(setup, experience, key)
     spec, buffer, count = parts.learner.sample_spec, experience.buffer, experience.achieved_count
     keys, shape = (
         jax.random.split(key, 5),
@@ -168,6 +170,21 @@ def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPa
     if spec.dissimilar_by == "classifier":
         other = with_placeholders(experience.known.draw(jax.random.fold_in(key, 5), (spec.num_pairs,)))
     return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight, other)
+
+
+def sample_pairs_by_distance(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
+    """Goal pairs as `sample_pairs`, of which the learner's radius says whether they are similar (the authors' code). A
+    goal is paired with itself where 16 candidates for its positive were rejected."""
+    spec, goals = setup.parts.learner.sample_spec, setup.env.goals
+    mask = goals.listed_mask & goals.usable_mask(setup.config.known_goals) if spec.listed else experience.known.mask
+    known, keys = goal_pairs.KnownGoals(mask), jax.random.split(key, 4)
+    anchor = known.draw(keys[0], (spec.num_pairs,))
+    positive, found = goal_pairs.sample_negatives(keys[1], ~experience.dissimilarity, mask, anchor)
+    weight = jnp.broadcast_to(known.any(), anchor.shape).astype(jnp.float32)
+    shape = (spec.num_pairs, spec.num_negatives)
+    contrast = jnp.broadcast_to(anchor[:, None], shape) if spec.anchored else known.draw(keys[2], shape)
+    negative, negative_weight = goal_pairs.sample_negatives(keys[3], experience.dissimilarity, mask, contrast)
+    return GoalPairs(anchor, jnp.where(found > 0, positive, anchor), contrast, negative, weight, negative_weight)
 
 
 def sample_apart(

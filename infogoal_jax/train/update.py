@@ -82,7 +82,7 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
     see, see_by_target = (encode_states(setup, given, 2 * setup.config.batch_size) for given in (params, target_params))
     encodings = [goal_encoding(setup, given, view_key) for given in (params, target_params)]
     code, target_code = (  # A relabelled goal may be any, not a training goal alone.
-        (encoding.of_training_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
+        (encoding.of_desired_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
         for encoding in encodings
     )
     features, next_features, target_features = (

@@ -85,9 +85,9 @@ class ImageGoals(Environment):
         return self.robot.episode_length
 
     def reset(self, key: jax.Array) -> ImageGoalState:
-        """A new episode for a training goal, uniform among them."""
+        """A new episode for a goal that is desired in training, uniform among them."""
         goal_key, start_key = jax.random.split(key)
-        return self.reset_to(start_key, jax.random.choice(goal_key, self.goals.training_goals))
+        return self.reset_to(start_key, jax.random.choice(goal_key, self.goals.desired_goals))
 
     def reset_to(self, key: jax.Array, goal: jax.Array) -> ImageGoalState:
         """A new episode for this goal, int32."""

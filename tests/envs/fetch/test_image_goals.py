@@ -127,7 +127,7 @@ def test_training_goals_have_the_same_codes_whichever_way_they_are_encoded(metho
         ways = [
             encode(GoalEncoding(learner, params, env.goals, limit))(goals)
             for limit in (1, 1000)
-            for encode in (GoalEncoding.of_training_goals, GoalEncoding.of_any)
+            for encode in (GoalEncoding.of_desired_goals, GoalEncoding.of_any)
         ]
         one_by_one = learner.encode(params, env.goals.inputs[goals])
         return one_by_one, [*ways, encode_all(learner, params, env.goals)[goals]]
@@ -152,7 +152,7 @@ def test_training_corrupts_with_training_backgrounds_drawn_for_each_goal():
     )
     view = training_view(Setup(parts, None, env), augmented=True)
     encoding = GoalEncoding(pixels, None, env.goals, 1000, view, jax.random.key(0))
-    for encode in (encoding.of_training_goals(), encoding.of_any()):
+    for encode in (encoding.of_desired_goals(), encoding.of_any()):
         seen = encode(goals).mean
         behind = np.asarray(2 * seen - env.goals.inputs[goals].astype(jnp.float32))
         level = behind.mean((1, 2, 3))
