@@ -193,7 +193,10 @@ def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, 
     """Train and evaluate a method on data sets of a task, and write its file."""
     runs, rows = [run_of(task, method, number, toy) for number in sets], []
     partial = path.with_suffix(".partial")
-    for batch in batches_on(runs, path.parent, {} if toy else noise_numbers.settings_of(task, method)):
+    settings = noise_numbers.settings_of(task, method)
+    if toy:
+        settings.pop("updates_per_epoch", None)
+    for batch in batches_on(runs, path.parent, settings):
         training = batches.begin(batch)
         watch = Watch(task, method, training, deadline, rows, partial)
         train_sweep(training.sweep, watch, stop)

@@ -144,7 +144,7 @@ def in_words(method: str) -> str:
 
 def settings_of(task: str, method: str) -> dict[str, Any]:
     """What a method changes of its preset on a task, but for floats."""
-    settings = READINGS.get(method.partition("@")[2], {})
+    settings = dict(READINGS.get(method.partition("@")[2], {}))
     if settings.get("learner.positives"):
         settings = {"learner.radius": RADII[task.partition("+")[0]]} | settings
     return settings
