@@ -4,12 +4,12 @@ SEEDS ?= 2
 # Two processes, each file in one of them, the longest files first (tests/conftest.py): most of the time goes into
 # compiling, which uses one core.
 PARALLEL := --numprocesses 2 --dist loadfile --no-loadscope-reorder --durations 20
-# Most programs of `make test` run for less than a second: XLA compiles them four times as fast where it does not
-# optimise. Half of that is the second option, which jax 0.10 knows (constraints.txt) and jax 0.12 refuses. The long
-# tests, which `make test-long` runs after it, train for minutes: their programs are compiled as the command line does it
-# (infogoal_jax/runner/compilation.py).
-COMPILE_QUICKLY := --xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false
+# Most programs of `make test` run for less than a second: they are compiled without optimising, by options that the
+# installed jax has. The long tests, which `make test-long` runs after it, train for minutes: their programs are compiled
+# as the command line does it (infogoal_jax/runner/compilation.py).
+COMPILE_QUICKLY = $$(cat $(ENVIRONMENT)/.quickly)
 COMPILE_AS_USED := --xla_backend_optimization_level=1
+TESTS ?= tests
 ENVIRONMENT := .venv
 # Compiled programs outlive a session: the next one compiles what has changed (tests/conftest.py).
 KEPT := INFOGOAL_TEST_PROGRAMS=$(ENVIRONMENT)/programs
@@ -22,10 +22,10 @@ train: $(READY)
 	$(ENVIRONMENT)/bin/infogoal train object_search --seeds $(SEEDS)
 
 test: $(READY) lint
-	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL)
+	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_QUICKLY)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) $(TESTS)
 
 test-long: test $(READY_FOR_ALL)
-	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m long
+	$(KEPT) XLA_FLAGS="$(XLA_FLAGS) $(COMPILE_AS_USED)" $(ENVIRONMENT)/bin/python -m pytest -q $(PARALLEL) -m long $(TESTS)
 
 lint: $(READY)
 	$(ENVIRONMENT)/bin/ruff check . && $(ENVIRONMENT)/bin/ruff format --check .
@@ -49,6 +49,8 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(ENVIRONMENT)
 	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	$(ENVIRONMENT)/bin/python -m pip install --quiet --constraint constraints.txt --no-deps djitellopy
+	JAX_PLATFORMS=cpu $(ENVIRONMENT)/bin/python -c "from infogoal_jax.runner.compilation import *; print(flags(QUICKEST))" \
+		> $(ENVIRONMENT)/.quickly
 	touch $@
 
 clean:

@@ -24,6 +24,7 @@ from infogoal_jax import agents, envs, learners, presets
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs.environment import Environment
+from infogoal_jax.runner.compilation import QUICKEST, flags
 from infogoal_jax.train.evaluation import evaluate, random_policy
 
 LEARNER, AGENT, TASK = "guides/own_parts.md", "guides/own_agent.md", "guides/own_task.md"
@@ -323,7 +324,7 @@ def test_runs_without_error_or_warning_and_draws_its_figures(name, monkeypatch, 
         monkeypatch.setenv(folder, str(tmp_path / folder))
     monkeypatch.setenv("INFOGOAL_TOY", "1")
     # Nothing is learned at this size: compiling would be most of the time.
-    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+    monkeypatch.setenv("XLA_FLAGS", flags(QUICKEST))
     resources = {"metadata": {"path": str(tmp_path)}}
     notebook = nbclient.NotebookClient(read(name), timeout=600, kernel_name="python3", resources=resources).execute()
     assert "Warning" not in printed(notebook)

@@ -37,6 +37,7 @@ from infogoal_jax.envs.fetch.tasks import TASKS as FETCH_TASKS
 from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import reasons_against
+from infogoal_jax.runner.compilation import QUICKEST, known
 
 TASKS = {
     "object_search": (hand_made.config, hand_made.environment),
@@ -47,7 +48,6 @@ TASKS = {
 ELSEWHERE = ("infogoal", "infobot", "cher")
 """Methods that are run on the other tasks too: pairs, codes that depend on states, and candidates that are compared.
 The record compares what every method comes to on the real tasks."""
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 SHORT = {"num_epochs": 2, "epochs_per_evaluation": 1, "updates_per_epoch": 3, "evaluation_starts": 1}
 
 
@@ -143,7 +143,7 @@ def test_every_program_is_the_same_with_64_bits(task, method):
 def test_trains_without_a_number_that_is_not_finite(task, method):
     """Two epochs of two seeds, which differ."""
     train = train_of(task, method)
-    sweep = jax.jit(lambda keys, env: swept(train, keys, env), compiler_options=COMPILE_QUICKLY)
+    sweep = jax.jit(lambda keys, env: swept(train, keys, env), compiler_options=known(QUICKEST))
     result = sweep(jax.random.split(jax.random.key(0), 2), train.env)
     for leaf in jax.tree.leaves((result.metrics, result.epochs, result.params)):
         assert np.isfinite(leaf).all()
@@ -179,11 +179,7 @@ TOUCHED = COLLECTED | {"rollout_steps": 5}
 """What is collected in an epoch, and where a robot touches things: contacts make much of a rounding, step by step. With
 other options of the compiler, in place of other machines, PickAndPlace's first epoch of 25 steps differed by 40 %, that
 of 10 by 0.3 %, that of 5 by 0.07 % at most."""
-OPTIONS = {
-    "xla_backend_optimization_level": 0,
-    "xla_cpu_use_fusion_emitters": False,
-    "xla_cpu_parallel_codegen_split_count": 1,
-}
+OPTIONS = QUICKEST | {"xla_cpu_parallel_codegen_split_count": 1}
 TOUCHING = ("fetch_push", "fetch_pick_and_place")
 """Tasks in which a robot touches things."""
 EXPENSIVE, THEIR_METHODS = ("object_manipulation", *TOUCHING), ("infogoal", "her")
@@ -201,7 +197,7 @@ def small_config(task: str, method: str):
 def numbers(task: str, method: str) -> dict[str, list[float]]:
     """The metrics of both epochs and of the evaluation."""
     train = make_train(small_config(task, method))
-    result = jax.jit(train, compiler_options=OPTIONS)(jax.random.key(0), None, train.env)
+    result = jax.jit(train, compiler_options=known(OPTIONS))(jax.random.key(0), None, train.env)
     values = {f"epochs/{name}": value for name, value in result.epochs.items()} | result.metrics
     return {
         name: np.ravel(np.asarray(value, np.float64)).tolist()

@@ -12,6 +12,7 @@ import pytest
 from infogoal_jax.envs.fetch import constraints, model, physics, solver
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
+from infogoal_jax.runner.compilation import QUICKLY, known
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +155,7 @@ def test_free_step_is_mjx_step(reach):
     )
     # XLA's CPU fusions compute a parent's transform anew for every level of the tree below it: MJX would take a second
     # for this step.
-    theirs = jax.jit(mjx.step, compiler_options={"xla_cpu_use_fusion_emitters": False})(theirs_model, data)
+    theirs = jax.jit(mjx.step, compiler_options=known(QUICKLY["cpu"]))(theirs_model, data)
     ours = jax.jit(reach.substep)(start, target, quaternion, jnp.zeros(2))
     np.testing.assert_allclose(ours.position, theirs.qpos, atol=2e-6)
     np.testing.assert_allclose(ours.velocity, theirs.qvel, atol=2e-4)
