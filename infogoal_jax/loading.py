@@ -131,6 +131,9 @@ def refusals(config: TrainConfig, traits: Traits) -> Iterator[Refusal]:
     yield from refusals_of_all_goals(config)
     if not traits.ends_at_goal:
         yield from refusals_of_episodes_that_go_on(config)
+    relabelled = relabelling.registry.name_of(config.relabelling)
+    if traits_of(config.agent).costs != (relabelled == "mixed"):
+        yield from refusals_of_costs(agent, relabelled, config)
     if traits_of(config.agent).achieved_goals:
         yield from refusals_of_achieved_goals(agent, config)
     explorer = exploration.registry.name_of(config.explorer)
@@ -242,6 +245,16 @@ def refusals_of_achieved_goals(agent: str, config: TrainConfig) -> Iterator[Refu
             f"agent {agent} compares a state with every goal of the batch, and its code of a goal depends on the state",
             "give a code of the goal alone (--learner.no-state-conditioned), or agent td3 or sac",
         )
+
+
+def refusals_of_costs(agent: str, relabelled: str, config: TrainConfig) -> Iterator[Refusal]:
+    """What speaks against an agent that learns from costs without them, and against costs for another."""
+    if traits_of(config.agent).costs:
+        reason, remedy = f"agent {agent} learns from costs and from goals of the actor's own", "give mixed"
+    else:
+        fitting = [name for name, entry in agents.registry.items() if traits_of(entry.config()).costs]
+        reason, remedy = f"agent {agent} learns from rewards at the goal", f"give her, or agent {' or '.join(fitting)}"
+    yield Refusal("relabelling", relabelled, reason, remedy)
 
 
 def refusals_of_explorer(explorer: str, agent: Any, traits: Traits) -> Iterator[Refusal]:

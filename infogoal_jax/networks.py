@@ -28,6 +28,32 @@ class MLP(nn.Module):
         return nn.Dense(self.out)(inputs)
 
 
+class GeluMLP(nn.Module):
+    """Multilayer perceptron [..., D] to [..., out] as OGBench has it: GELU layers, each normalised after its GELU where
+    `layer_norm` says so, then a linear layer whose weights are `last_scale` times as large at first."""
+
+    hidden: tuple[int, ...]
+    out: int
+    layer_norm: bool = False
+    last_scale: float = 1.0
+
+    @nn.compact
+    def __call__(self, inputs):
+        for width in self.hidden:
+            inputs = nn.gelu(nn.Dense(width, kernel_init=uniform_init(1.0))(inputs))
+            inputs = nn.LayerNorm()(inputs) if self.layer_norm else inputs
+        return nn.Dense(self.out, kernel_init=uniform_init(self.last_scale))(inputs)
+
+
+TwinGeluMLP = nn.vmap(GeluMLP, variable_axes={"params": 0}, split_rngs={"params": True}, in_axes=None, axis_size=2)
+"""Two of them with the same inputs [..., D], their outputs stacked: [2, ..., out]."""
+
+
+def uniform_init(scale: float) -> nn.initializers.Initializer:
+    """Uniform weights with a variance of `scale` over the mean of inputs and outputs."""
+    return nn.initializers.variance_scaling(scale, "fan_avg", "uniform")
+
+
 def patches(images: jax.Array, side: int) -> jax.Array:
     """Cut images [..., H, W, C] into square patches, each a vector: [..., H / side, W / side, side * side * C]. `side`
     divides H and W."""

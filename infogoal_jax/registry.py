@@ -30,8 +30,11 @@ class Entry(NamedTuple):
     """What a learner or a relabelling changes in the configuration of an agent that has such fields."""
     of_relabelling: Mapping[str, Any] = MappingProxyType({})
     """What an agent changes in the configuration of a relabelling that has such fields."""
+    relabelling: str = ""
+    """The relabelling of an agent that needs it, where no other is asked for; empty: the method's or the task's."""
     method: str = ""
-    """The method that a learner belongs to whose name is none; empty: it is a method by its own name."""
+    """The method that a learner or a relabelling belongs to whose name is none; empty: it is a method by its own
+    name."""
 
 
 class Registry(CheckedDict):
@@ -77,8 +80,9 @@ class Registry(CheckedDict):
         for name, fields in (("of_agent", entry.of_agent), ("of_relabelling", entry.of_relabelling)):
             if not isinstance(fields, Mapping):
                 raise UserError(f"{field}.{name} = {shown(fields)}: give fields by name")
-        if not isinstance(entry.method, str):
-            raise UserError(f"{field}.method = {shown(entry.method)}: give the name of a method")
+        for name, kind in (("method", "a method"), ("relabelling", "a relabelling")):
+            if not isinstance(getattr(entry, name), str):
+                raise UserError(f"{field}.{name} = {shown(getattr(entry, name))}: give the name of {kind}")
 
     def entry(self, name: str) -> Entry:
         """The part of this name, or a `UserError` with the nearest one."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from infogoal_jax.agents.agent import Agent, AgentBatch, Exploration
+from infogoal_jax.agents.agent import ActorGoals, Agent, AgentBatch, Exploration
 
 B, F, D, A = 16, 5, 3, 2
 STEP, NEAR, LENGTH, DISCOUNT = 0.4, 0.1, 8, 0.9
@@ -106,8 +106,11 @@ def random_walks(key: jax.Array, count: int) -> tuple[jax.Array, jax.Array]:
     return jnp.concatenate([start[None], places]).swapaxes(0, 1), actions.swapaxes(0, 1)
 
 
-def relabelled(key: jax.Array, places: jax.Array, actions: jax.Array, size: int, share: float) -> AgentBatch:
-    """Steps of the walks under a place that followed, a share of them, or under any place."""
+def relabelled(
+    key: jax.Array, places: jax.Array, actions: jax.Array, size: int, share: float, costs: bool
+) -> AgentBatch:
+    """Steps of the walks under a place that followed, a share of them, or under any place. costs: -1 for each step that
+    does not start at the goal, in place of 1 for the one that reaches it."""
     keys = jax.random.split(key, 5)
     row = jax.random.randint(keys[0], (size,), 0, len(places))
     step = jax.random.randint(keys[1], (size,), 0, LENGTH)
@@ -115,7 +118,8 @@ def relabelled(key: jax.Array, places: jax.Array, actions: jax.Array, size: int,
     anywhere = jax.random.uniform(keys[3], (size, 1), minval=-1.0)
     goal = jnp.where(jax.random.uniform(keys[4], (size, 1)) < share, places[row, later], anywhere)
     here, following = places[row, step], places[row, step + 1]
-    reward = (jnp.abs(following - goal)[:, 0] < NEAR).astype(jnp.float32)
+    reached = (jnp.abs((here if costs else following) - goal)[:, 0] < NEAR).astype(jnp.float32)
+    reward = reached - 1.0 if costs else reached
     legal = jnp.ones((size, 1), bool)
     return AgentBatch(
         observation=here,
@@ -128,13 +132,18 @@ def relabelled(key: jax.Array, places: jax.Array, actions: jax.Array, size: int,
         target_features=following,
         target_code=goal,
         reward=reward,
-        discount=DISCOUNT * (1.0 - reward),
+        discount=DISCOUNT * (1.0 - reached),
         action_mask=legal,
         next_action_mask=legal,
+        first_target_features=here,
+        first_target_code=goal,
+        actor=ActorGoals(goal, goal),
     )
 
 
-def success_on_the_line(agent: Agent, hyper, share: float, learning_rate: float = 3e-3) -> tuple[float, float]:
+def success_on_the_line(
+    agent: Agent, hyper, share: float, learning_rate: float = 3e-3, costs: bool = False
+) -> tuple[float, float]:
     """How often the greedy policy gets to its goal within an episode, before and after it learned from random walks."""
     keys = jax.random.split(jax.random.key(0), 5)
     places, actions = random_walks(keys[0], 500)
@@ -144,7 +153,7 @@ def success_on_the_line(agent: Agent, hyper, share: float, learning_rate: float 
     def update(carry, key):
         params, target_params, moments = carry
         batch_key, loss_key = jax.random.split(key)
-        batch = relabelled(batch_key, places, actions, 128, share)
+        batch = relabelled(batch_key, places, actions, 128, share, costs)
         gradient = jax.grad(lambda own: agent.loss(own, target_params, batch, state, hyper, loss_key)[0])(params)
         change, moments = optimizer.update(gradient, moments)
         params = optax.apply_updates(params, change)

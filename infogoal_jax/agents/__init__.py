@@ -1,6 +1,6 @@
 """Reinforcement-learning agents, one file each. A new one is registered in `registry`."""
 
-from infogoal_jax.agents import cql, crl, dqn, hrac, sac, td3
+from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hrac, offline, sac, td3
 from infogoal_jax.registry import Entry, Registry
 
 registry = Registry(
@@ -11,6 +11,8 @@ registry = Registry(
         "td3": Entry(td3.TD3Config, td3.make, td3.TD3Hyperparameters, td3.traits),
         "sac": Entry(sac.SACConfig, sac.make, sac.SACHyperparameters, sac.traits),
         "crl": Entry(crl.CRLConfig, crl.make, crl.CRLHyperparameters, crl.traits, of_relabelling=crl.OF_RELABELLING),
+        "gcivl": Entry(gcivl.GCIVLConfig, gcivl.make, gcivl.GCIVLHyperparameters, offline.traits, relabelling="mixed"),
+        "gciql": Entry(gciql.GCIQLConfig, gciql.make, gciql.GCIQLHyperparameters, offline.traits, relabelling="mixed"),
         "cql": Entry(cql.CQLConfig, cql.make, cql.CQLHyperparameters, dqn.traits),
     },
 )

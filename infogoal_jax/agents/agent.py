@@ -26,6 +26,9 @@ class AgentTraits(NamedTuple):
     achieved_goals: bool = False
     """Whether it learns from goals that were achieved later alone: each transition has to carry one, and what others
     carry counts as not achieved."""
+    costs: bool = False
+    """Whether it learns from costs, -1 a step until the goal, and its actor from goals of its own: of relabelling
+    `mixed`."""
 
 
 @flax.struct.dataclass
@@ -43,6 +46,16 @@ class AllGoals:
     """float32 [B, G], discounted: of the first step that achieves the goal."""
     discount: jax.Array
     """float32 [B, G], discount of what follows; 0 for a goal that the transition achieves, and for that goal alone."""
+
+
+@flax.struct.dataclass
+class ActorGoals:
+    """The goals that the actor learns for, where they are others than those of values."""
+
+    code: jax.Array
+    """float32 [B, d] in the first state."""
+    next_code: jax.Array
+    """float32 [B, d] in the last state."""
 
 
 @flax.struct.dataclass
@@ -79,6 +92,12 @@ class AgentBatch:
     """float32 [], what being at the goal for ever is worth, where an episode goes on at its goal; 1 otherwise."""
     all_goals: AllGoals | None = None
     """The same transitions under all goals, where the relabelling asks for it (`relabelling/all_goals.py`)."""
+    first_target_features: jax.Array | None = None
+    """float32 [B, F] of the first state, by the target encoder."""
+    first_target_code: jax.Array | None = None
+    """float32 [B, d] of the desired goal in the first state, by the target encoder."""
+    actor: ActorGoals | None = None
+    """Goals of the actor, without gradient, where the relabelling draws some (`relabelling/mixed.py`)."""
 
 
 def in_bounds(target: jax.Array, batch: AgentBatch) -> jax.Array:

@@ -238,12 +238,21 @@ JAXGCRL = {
         )
         for maze in ("u_maze", "big_maze", "hardest_maze")
     },
+    **{
+        f"ant_ball_{maze}": ("ant_ball_maze", "AntBallMaze", {"backend": "spring", "maze_layout_name": maze})
+        for maze in ("u_maze", "big_maze")
+    },
 }
 """The environments of JaxGCRL by its own names: module, class and arguments, as its `create_env` has them. Left out are
 `ant_random_start`, which starts beside its own goal, where an evaluation asks for others, and `pusher2`, which has a
 radius for each of two things."""
-RADII = {"pusher_reacher": 0.1, "humanoid_u_maze": 0.5, "humanoid_big_maze": 0.5, "humanoid_hardest_maze": 0.5}
-"""Of those that have no `goal_reach_thresh`: what their `success` is computed with."""
+RADII = {
+    "pusher_reacher": 0.1,
+    **{f"humanoid_{maze}": 0.5 for maze in ("u_maze", "big_maze", "hardest_maze")},
+    "arm_grasp": 0.07,
+}
+"""Of those that have no `goal_reach_thresh`: what their `success` is computed with. Of `arm_grasp` it allows both
+fingertips 5 cm and their distance 2 cm; its goal follows the cube, and here stays where the cube was at first."""
 
 
 def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
@@ -257,10 +266,13 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     made, given = jaxgcrl_environment(name)
     env = checks.called("name", lambda: made(**given))
     # Its observation is the state and then the goal; `goal_indices` are places of the state.
+    radius = getattr(env, "goal_reach_thresh", RADII.get(name))
+    known = radius is not None or "radius" in arguments
+    require(known, "radius", None, f"{name} of JaxGCRL has none; give a distance below which a goal is reached")
     own = {
         "goal": slice(int(env.state_dim), None),
         "achieved": [int(place) for place in np.asarray(env.goal_indices)],
-        "radius": float(getattr(env, "goal_reach_thresh", RADII.get(name))),
+        "radius": None if radius is None else float(radius),
         "episode_length": 1001,
         "ends_at_goal": False,
         "source": f"{name} of JaxGCRL, simulated",

@@ -35,7 +35,11 @@ class Method(NamedTuple):
 
 METHODS = (
     {name: Method(name) for name, entry in learners.registry.items() if not entry.method}
-    | {name: Method("none", name) for name in relabelling.registry if name != "none"}
+    | {
+        name: Method("none", name)
+        for name, entry in relabelling.registry.items()
+        if name != "none" and not entry.method
+    }
     | {name: Method("none", None, name) for name in exploration.registry if name != "none"}
     | {"leo": Method("index", "all_goals")}
 )
@@ -156,12 +160,12 @@ def load(
     asked = {
         "learner": named.learner if learner is None else learner,
         "agent": preset.agent if agent is None else agent,
-        "relabelling": (named.relabelling or preset.relabelling) if relabelling is None else relabelling,
+        "relabelling": relabelling,
         "explorer": named.explorer if explorer is None else explorer,
     }
-    names = {
-        kind: value if isinstance(value, str) else REGISTRIES[kind].name_of(value) for kind, value in asked.items()
-    }
+    if relabelling is None:
+        asked["relabelling"] = named.relabelling or own_relabelling(task, name_in("agent", asked["agent"]))
+    names = {kind: name_in(kind, value) for kind, value in asked.items()}
     changed, of_learner = preset.changes_of(method_of(task, names)), preset.changes_of(names["learner"]).learner
     of_agent = {}
     for kind in ("relabelling", "learner"):
@@ -188,6 +192,17 @@ def load(
         **changed.training,
     }
     return TrainConfig(**(settings | changes))
+
+
+def name_in(kind: str, asked: Any) -> str:
+    """The name of a part that was asked for by its name or as its configuration."""
+    return asked if isinstance(asked, str) else REGISTRIES[kind].name_of(asked)
+
+
+def own_relabelling(task: str, agent: str) -> str:
+    """The relabelling that an agent has on a task where no other is asked for: its own, or the task's."""
+    own = registry[task].relabelling if task in registry else "none"
+    return REGISTRIES["agent"].entry(agent).relabelling or own
 
 
 def whereabouts(name: str, fields: dict[str, Any]) -> str:
@@ -227,7 +242,7 @@ def method_of(task: str, names: dict[str, str]) -> str:
     preset, combined = preset_of(task), f"{names['learner']}+{names['relabelling']}"
     if combined in preset.methods:
         return combined
-    own = names["relabelling"] == preset.relabelling
+    own = names["relabelling"] == own_relabelling(task, names["agent"])
     parts = Method(names["learner"], None if own else names["relabelling"], names["explorer"])
     return next((name for name, known in METHODS.items() if known == parts), names["learner"])
 
@@ -241,7 +256,7 @@ def name_of(config: TrainConfig) -> str:
     """The name of the method that a configuration is made of; a combination without one is named by its parts."""
     require(isinstance(config, TrainConfig), "config", config, "give a TrainConfig, such as load makes")
     names = names_of(config)
-    own = registry[config.task].relabelling if config.task in registry else "none"
+    own = own_relabelling(config.task, names["agent"])
     whole = learners.registry[names["learner"]].method
     if whole and Method(names["learner"], names["relabelling"], names["explorer"]) == METHODS.get(whole):
         return whole

@@ -84,6 +84,11 @@ class Relabelling(NamedTuple):
     """Whether transitions keep their goals where the other one is reached before them."""
     all_goals: AllGoalsSpec | None = None
     """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
+    actor_goal: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
+    """As `relabel`: the goals that the actor learns for; None: the same."""
+    costs: bool = False
+    """Whether rewards are -1 for each step from a state that does not achieve the goal, after which nothing follows, in
+    place of 1 for the step that reaches it. Of returns of one step."""
 
 
 @dataclasses.dataclass(frozen=True)

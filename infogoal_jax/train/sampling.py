@@ -61,6 +61,8 @@ class Sample:
     """int32 [G], the goals that the agent learns every transition from; None without, or for all of the task."""
     goal_share: jax.Array | None = None
     """float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without."""
+    actor_goal: jax.Array | None = None
+    """[B, *shape], the goals that the actor learns for; None: those of the transitions."""
 
 
 def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
@@ -77,6 +79,13 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
         row, step, goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
     drawn = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
+    if parts.relabelling is not None and parts.relabelling.costs:
+        drawn = with_costs(setup, drawn, buffer, row, step)
+    if parts.relabelling is not None and parts.relabelling.actor_goal is not None:
+        goal = parts.relabelling.actor_goal(
+            jax.random.fold_in(key, 6), experience.relabelling, row, step, buffer.goal[row, step]
+        )
+        drawn = drawn.replace(actor_goal=goal)
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
@@ -287,6 +296,19 @@ def with_rewards(setup: Setup, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
     external = setup.env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
     return Sample(transitions, external, usable_goals(setup, transitions.records), pairs=None)
+
+
+def with_costs(setup: Setup, drawn: Sample, buffer: replay.Trajectories, row: jax.Array, step: jax.Array) -> Sample:
+    """The transitions of one step with costs: -1, and nothing once the goal is achieved before the step. An episode
+    that fails costs for ever."""
+    before = jax.tree.map(lambda leaf: leaf[row, step], buffer.record)
+    at_goal = setup.env.reached(before, drawn.transitions.goal)
+    failed = jnp.zeros_like(at_goal) if buffer.failed is None else buffer.failed[row, step]
+    cost = jnp.where(failed, 1.0 / (1.0 - setup.hyper.discount), 1.0)
+    return drawn.replace(
+        transitions=drawn.transitions.replace(terminated=at_goal | failed),
+        external=jnp.where(at_goal, 0.0, -cost)[:, None],
+    )
 
 
 def draws_at_once(relabelling: Relabelling | None, count: int) -> int:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax.agents.agent import AgentBatch, AllGoals
+from infogoal_jax.agents.agent import ActorGoals, AgentBatch, AllGoals
 from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
@@ -79,6 +79,7 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
     parts, hyper, env = setup
     params, target_params, view_key = networks
     keys = jax.random.split(key, 3)
+    target_key = jax.random.fold_in(key, 3)
     see, see_by_target = (encode_states(setup, given, 2 * setup.config.batch_size) for given in (params, target_params))
     encodings = [goal_encoding(setup, given, view_key) for given in (params, target_params)]
     code, target_code = (  # A relabelled goal may be any, not a training goal alone.
@@ -91,6 +92,8 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
         see_by_target(batch.next_observation),
     )
     next_code = conditioned(parts.learner, params["goal"], code, next_features)
+    first_target_features = see_by_target(batch.observation)
+    first_target_code = conditioned(parts.learner, target_params["goal"], target_code, first_target_features)
     target_code = conditioned(parts.learner, target_params["goal"], target_code, target_features)
     code = conditioned(parts.learner, params["goal"], code, features)
     code = jax.lax.stop_gradient(code) if parts.config.stop_encoder_gradient else code
@@ -109,7 +112,20 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
         action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
         largest_value=None if env.ends_at_goal else 1.0 / (1.0 - hyper.discount),
+        first_target_features=first_target_features,
+        first_target_code=code_seen(parts, first_target_code, target_key),
     )
+
+
+def actor_goals(setup: Setup, networks: Networks, goal: jax.Array, batch: AgentBatch, key: jax.Array) -> ActorGoals:
+    """The actor's goals [B, *shape] as codes, without gradient."""
+    parts, params = setup.parts, jax.lax.stop_gradient(networks.params["goal"])
+    code = GoalEncoding(parts.learner, params, setup.env.goals, setup.config.batch_size).of_any()(goal)
+    codes = [
+        code_seen(parts, conditioned(parts.learner, params, code, jax.lax.stop_gradient(features)), each)
+        for features, each in zip((batch.features, batch.next_features), jax.random.split(key), strict=True)
+    ]
+    return ActorGoals(*codes)
 
 
 def under_all_goals(setup: Setup, networks: Networks, drawn: Sample, key: jax.Array) -> AllGoals:
@@ -219,6 +235,10 @@ def update(
         codes = agent_batch(setup, networks, batch, reward, code_key)
         if spec_of(parts) is not None:
             codes = codes.replace(all_goals=under_all_goals(setup, networks, drawn, jax.random.fold_in(key, 5)))
+        if drawn.actor_goal is not None:
+            codes = codes.replace(
+                actor=actor_goals(setup, networks, drawn.actor_goal, codes, jax.random.fold_in(key, 6))
+            )
         seen = LearnerBatch(
             encode,
             env.goals.inputs_of,

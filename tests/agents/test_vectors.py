@@ -78,7 +78,15 @@ def test_all_goals_at_once_are_learned_from_by_products_alone():
 
 
 @pytest.mark.parametrize(
-    ("name", "method"), [("td3", "infogoal"), ("td3", "all_goals"), ("sac", "her"), ("crl", "her")]
+    ("name", "method"),
+    [
+        ("td3", "infogoal"),
+        ("td3", "all_goals"),
+        ("sac", "her"),
+        ("crl", "her"),
+        ("gcivl", "none"),
+        ("gciql", "infogoal"),
+    ],
 )
 def test_goes_through_an_epoch_and_an_evaluation(name, method):
     """Traced, not run, on points that are moved by vectors."""

@@ -18,6 +18,7 @@ from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
 from infogoal_jax.relabelling.her import HERConfig, any_known, soon
+from infogoal_jax.relabelling.mixed import MixedConfig
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train import experience, parts, sampling, update
@@ -251,3 +252,26 @@ def test_goals_reached_before_a_transition_can_be_left_out():
         setup = parts.Setup(SimpleNamespace(relabelling=relabelling), None, env)
         given = sampling.with_relabelled_goals(setup, experience, jax.random.key(0), row, step)
         np.testing.assert_array_equal(given[2][:, 0], expected)
+
+
+def test_mixed_goals_are_current_later_and_any():
+    """By their shares; the actor's are later and any alone. Beyond the end of an episode counts as its last step."""
+    rows = rows_of(np.ones((1, 6)), np.arange(1, 8).reshape(1, 7, 1))
+    config = MixedConfig(current_share=0.25, future_share=0.5, actor_future_share=0.5)
+    made, start = relabellings.registry.entry("mixed").make(config), jnp.full(DRAWS, 2, jnp.int32)
+    known = pairs.KnownGoals(jnp.zeros(GOALS, bool).at[0].set(True))
+
+    @jax.jit
+    def drawn(rows):
+        table = made.prepare(context(rows, known=known.mask))
+        given = (jax.random.key(0), table, jnp.zeros_like(start), start, jnp.full(DRAWS, 9, jnp.int32))
+        return made.relabel(*given), made.actor_goal(*given)
+
+    values, actors = (np.bincount(goals, minlength=10) / DRAWS for goals in drawn(rows))
+    discount = float(context(rows).discount)
+    later = np.array([(1 - discount) * discount**ahead for ahead in range(3)] + [discount**3])
+    expected = np.zeros(10)
+    expected[0], expected[3], expected[4:8] = 0.25, 0.25, 0.5 * later
+    np.testing.assert_allclose(values, expected, atol=0.03)
+    np.testing.assert_allclose(actors, [0.5, 0, 0, 0, *[0.125] * 4, 0, 0], atol=0.03)
+    assert made.costs

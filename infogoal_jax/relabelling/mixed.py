@@ -1,0 +1,98 @@
+"""Goals as OGBench samples them (Park et al. 2025, arXiv 2410.20092, `GCDataset`): those that values are learned for
+are a mixture of the goal that is achieved now, one that the episode achieves later, and any; the actor has goals of
+its own. Every step costs 1 until the goal.
+
+Three things differ from its code. A goal is achieved within the task's radius, there by the very state alone. A later
+step is drawn uniformly; there the first and the last are half as likely. Current and later steps that achieve nothing
+known keep their goal.
+"""
+
+import dataclasses
+
+import flax.struct
+import jax
+import jax.numpy as jnp
+
+from infogoal_jax import pairs
+from infogoal_jax.errors import require
+from infogoal_jax.goals import is_goal, select
+from infogoal_jax.relabelling.her import any_known, any_of, future_goal
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
+
+
+@dataclasses.dataclass(frozen=True)
+class MixedConfig:
+    """Shares of the goals, OGBench's own for GCIVL, GCIQL and HIQL."""
+
+    current_share: float = 0.2
+    """Share of the goals of values that are achieved now already."""
+    future_share: float = 0.5
+    """Share of them that the episode achieves later; the rest is any known goal."""
+    geometric: bool = True
+    """Whether each later step is less likely by the discount than the one before it, what lies beyond the end of the
+    episode counting as its last; else all are equally likely."""
+    actor_future_share: float = 1.0
+    """Share of the actor's goals that the episode achieves later; the rest is any known goal. OGBench has 0.5 for its
+    datasets that have to be stitched."""
+    actor_geometric: bool = False
+    """As `geometric`, of the actor's goals."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range, and for returns of several steps."""
+        for name in ("current_share", "future_share", "actor_future_share"):
+            share = getattr(self, name)
+            require(0 <= share <= 1, f"relabelling.{name}", share, "give a share from 0 to 1")
+        room = f"must leave room for current_share = {self.current_share}: together at most 1"
+        require(self.current_share + self.future_share <= 1, "relabelling.future_share", self.future_share, room)
+        steps = getattr(config.agent, "num_steps", 1)
+        require(steps == 1, "agent.num_steps", steps, "relabelling mixed counts the cost of one step; give 1")
+
+
+@flax.struct.dataclass
+class Table:
+    """What goals are drawn from in an epoch."""
+
+    achievements: Achievements
+    """What was achieved where."""
+    discount: jax.Array
+    """float32 [], discount of one step."""
+
+    def later(self, geometric: bool):
+        """What chooses a later step, see `her.future_goal`."""
+        return until_the_end(self.discount) if geometric else any_of
+
+
+def until_the_end(discount: jax.Array):
+    """A rank as `her.any_of`, by a geometric distribution whose tail counts as the last rank."""
+
+    def draw(key, before, until):
+        drawn = jax.random.uniform(key, before.shape, jnp.float32)
+        ahead = jnp.floor(jnp.log1p(-drawn) / jnp.log(discount)).astype(jnp.int32)
+        return before + jnp.clip(ahead, 0, jnp.maximum(until - before, 1) - 1)
+
+    return draw
+
+
+def make(config: MixedConfig) -> Relabelling:
+    """The mixture of this configuration."""
+
+    def mixture(key, table, row, step, goal, current: float, future: float, geometric: bool):
+        keys = jax.random.split(key, 4)
+        achieved = table.achievements
+        later = future_goal(keys[0], achieved, row, step, table.later(geometric))
+        now = pairs.choose_goal(keys[1], achieved.goals[row, step])
+        drawn = jax.random.uniform(keys[3], row.shape, jnp.float32)
+        found = select((drawn < current + future) & is_goal(later), later, any_known(keys[2], achieved.known, goal))
+        found = select((drawn < current + future) & ~is_goal(later), goal, found)
+        return select((drawn < current) & is_goal(now), now, found)
+
+    def relabel(key, table, row, step, goal):
+        return mixture(key, table, row, step, goal, config.current_share, config.future_share, config.geometric)
+
+    def actor_goal(key, table, row, step, goal):
+        return mixture(key, table, row, step, goal, 0.0, config.actor_future_share, config.actor_geometric)
+
+    def prepare(context: Context) -> Table:
+        return Table(context.achievements, context.discount)
+
+    return Relabelling(prepare, relabel, actor_goal=actor_goal, costs=True)

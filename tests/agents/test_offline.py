@@ -1,0 +1,155 @@
+"""The offline agents beside OGBench's own code (fixtures/ogbench.npz): loss and gradient of one update on the same
+parameters and transitions; what they are combined with; and a line on which they learn from random walks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import vector_agents
+from places import FIXTURES
+
+from infogoal_jax import agents, presets
+from infogoal_jax.agents.agent import ActorGoals, AgentBatch
+from infogoal_jax.loading import reasons_against
+
+CASES = {
+    "gcivl": ("gcivl", {}, {"alpha": 10.0}),
+    "gciql_ddpg_bc": ("gciql", {"actor_loss": "ddpg_bc"}, {"alpha": 0.3}),
+    "gciql_awr": ("gciql", {"actor_loss": "awr"}, {"alpha": 10.0}),
+}
+NAMES = sorted({name for name, _, _ in CASES.values()})
+LAST = "Dense_2"
+"""The linear layer of networks with two hidden ones; OGBench calls an actor's `mean_net`."""
+
+
+def nested(arrays: dict[str, np.ndarray], prefix: str) -> dict:
+    """Arrays by the names of their places as nested dictionaries."""
+    found: dict = {}
+    for path, leaf in arrays.items():
+        if path.startswith(prefix):
+            *inside, name = path.removeprefix(prefix).split("/")
+            place = found
+            for key in inside:
+                place = place.setdefault(key, {})
+            place[name] = leaf
+    return found
+
+
+def layers(part: dict) -> dict:
+    """The layers of a network of OGBench by the names that they have here."""
+    if "mean_net" in part:
+        return part["actor_net"] | {LAST: part["mean_net"]}
+    return part.get("value_net", part)
+
+
+def reference(case: str) -> dict:
+    """What OGBench's code was given and gave: transitions, parameters, loss, its parts and its gradient."""
+    with np.load(FIXTURES / "ogbench.npz", allow_pickle=False) as arrays:
+        own = {name.removeprefix(f"{case}/"): arrays[name] for name in arrays if name.startswith(f"{case}/")}
+    kinds = {kind: nested(own, f"{kind}/") for kind in ("batch", "params", "gradient", "info")}
+    return kinds | {"loss": own["loss"], "discount": own["discount"]}
+
+
+def parts_of(tree: dict, prefix: str = "modules_") -> dict:
+    """The networks of OGBench's parameters whose names begin so, without the target networks."""
+    names = [name for name in tree if name.startswith(prefix) and not name.startswith(f"{prefix}target_")]
+    return {name.removeprefix(prefix): layers(tree[name]) for name in names}
+
+
+def inside(params: dict) -> dict:
+    """The layers of each network here, without the names of flax around them."""
+
+    def unwrapped(part):
+        while isinstance(part, dict) and "Dense_0" not in part and len(part) == 1:
+            (part,) = part.values()
+        return part
+
+    return {name: unwrapped(part) for name, part in params.items()}
+
+
+def filled(params: dict, given: dict) -> dict:
+    """The parameters with these layers of each network that is given."""
+
+    def put(part, name):
+        if not isinstance(part, dict) or "Dense_0" in part:
+            return jax.tree.map(lambda own, new: jnp.asarray(new).reshape(own.shape), part, given[name])
+        return {key: put(value, name) for key, value in part.items()}
+
+    return {name: put(part, name) if name in given else part for name, part in params.items()}
+
+
+def batch_of(batch: dict, discount: float) -> AgentBatch:
+    """OGBench's transitions as an agent here sees them: its observations are features, its goals codes."""
+    return AgentBatch(
+        observation=batch["observations"],
+        next_observation=batch["next_observations"],
+        features=batch["observations"],
+        code=batch["value_goals"],
+        action=batch["actions"],
+        next_features=batch["next_observations"],
+        next_code=batch["value_goals"],
+        target_features=batch["next_observations"],
+        target_code=batch["value_goals"],
+        reward=batch["rewards"],
+        discount=discount * batch["masks"],
+        action_mask=None,
+        next_action_mask=None,
+        first_target_features=batch["observations"],
+        first_target_code=batch["value_goals"],
+        actor=ActorGoals(batch["actor_goals"], batch["actor_goals"]),
+    )
+
+
+def agent_of(name: str, action_size: int = vector_agents.A, **changes):
+    entry = agents.registry.entry(name)
+    return entry.make(entry.config(**({"hidden": (16, 16)} | changes)), vector_agents.env(action_size)), entry
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_update_is_that_of_ogbench(case):
+    """Loss, each part of it, and the gradient for every parameter, on random parameters."""
+    name, changes, floats = CASES[case]
+    given, (agent, entry) = reference(case), agent_of(name, **changes)
+    batch = batch_of(given["batch"], given["discount"])
+    example, state = agent.init(jax.random.key(0), batch.features[0], batch.code[0])
+    params = filled(example, parts_of(given["params"]))
+    target_params = filled(params, parts_of(given["params"], "modules_target_"))
+
+    def loss(params):
+        return agent.loss(params, target_params, batch, state, entry.hyper(**floats), jax.random.key(0))
+
+    gradient, metrics = jax.jit(jax.grad(loss, has_aux=True))(params)
+    np.testing.assert_allclose(loss(params)[0], given["loss"], rtol=1e-5)
+    for part, values in given["info"].items():
+        for metric in {f"{part}_loss", *values} & {*metrics} & {*values}:
+            np.testing.assert_allclose(metrics[metric], values[metric], rtol=1e-5, err_msg=metric)
+    theirs, ours = parts_of(given["gradient"]), inside(gradient)
+    assert theirs.keys() == ours.keys()
+    for name in theirs:
+        flat = jax.tree_util.tree_leaves_with_path(theirs[name])
+        size = max(np.abs(leaf).max() for _, leaf in flat)
+        assert size > 0
+        for (path, leaf), own in zip(flat, jax.tree.leaves(ours[name]), strict=True):
+            np.testing.assert_allclose(own, leaf, rtol=1e-5, atol=1e-5 * size, err_msg=f"{name}{path}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_costs_teach_it(name):
+    config = presets.load("point_maze", "none", agent=name)
+    assert type(config.relabelling).__name__ == "MixedConfig" and not reasons_against(config)
+    against = reasons_against(presets.load("point_maze", "none", agent=name, relabelling="her"))
+    assert {refusal.field for refusal in against} == {"relabelling"}
+
+
+def test_rewards_at_the_goal_are_asked_for_elsewhere():
+    against = reasons_against(presets.load("point_maze", "none", agent="td3", relabelling="mixed"))
+    assert {refusal.field for refusal in against} == {"relabelling"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_learns_where_to_go_on_a_line(name):
+    """From random walks, for goals that are reached later and for any."""
+    agent, entry = agent_of(name, 1, hidden=(32, 32))
+    hyper = entry.hyper(alpha=3.0) if name == "gcivl" else entry.hyper(alpha=0.01)
+    before, after = vector_agents.success_on_the_line(agent, hyper, 0.7, costs=True)
+    assert after > 0.95 > before
