@@ -15,6 +15,7 @@ from infogoal_jax.loading import reasons_against
 CASES = {
     "gcivl": ("gcivl", {}, {"alpha": 10.0}),
     "gciql_ddpg_bc": ("gciql", {"actor_loss": "ddpg_bc"}, {"alpha": 0.3}),
+    "qrl": ("qrl", {"goals": "states", "size": 16}, {"alpha": 0.003}),
     "gciql_awr": ("gciql", {"actor_loss": "awr"}, {"alpha": 10.0}),
 }
 NAMES = sorted({name for name, _, _ in CASES.values()})
@@ -39,7 +40,7 @@ def layers(part: dict) -> dict:
     """The layers of a network of OGBench by the names that they have here."""
     if "mean_net" in part:
         return part["actor_net"] | {LAST: part["mean_net"]}
-    return part.get("value_net", part)
+    return part.get("value_net", part.get("phi", part))
 
 
 def reference(case: str) -> dict:
@@ -53,7 +54,10 @@ def reference(case: str) -> dict:
 def parts_of(tree: dict, prefix: str = "modules_") -> dict:
     """The networks of OGBench's parameters whose names begin so, without the target networks."""
     names = [name for name in tree if name.startswith(prefix) and not name.startswith(f"{prefix}target_")]
-    return {name.removeprefix(prefix): layers(tree[name]) for name in names}
+    found = {name.removeprefix(prefix): layers(tree[name]) for name in names}
+    if "lam" in found:  # Numbers of QRL.
+        found |= {"log_lambda": found.pop("lam")["log_value"], "mixture": tree[f"{prefix}value"]["alpha"]["value"]}
+    return found
 
 
 def inside(params: dict) -> dict:
@@ -146,10 +150,15 @@ def test_rewards_at_the_goal_are_asked_for_elsewhere():
     assert {refusal.field for refusal in against} == {"relabelling"}
 
 
-@pytest.mark.parametrize("name", NAMES)
+QUICK = "gcivl"
+
+
+@pytest.mark.parametrize(
+    "name", [QUICK, *(pytest.param(name, marks=pytest.mark.long) for name in NAMES if name != QUICK)]
+)
 def test_learns_where_to_go_on_a_line(name):
     """From random walks, for goals that are reached later and for any."""
-    agent, entry = agent_of(name, 1, hidden=(32, 32))
+    agent, entry = agent_of(name, 1, **({"hidden": (32, 32)} | ({"size": 32} if name == "qrl" else {})))
     hyper = entry.hyper(alpha=3.0) if name == "gcivl" else entry.hyper(alpha=0.01)
     before, after = vector_agents.success_on_the_line(agent, hyper, 0.7, costs=True)
     assert after > 0.95 > before
