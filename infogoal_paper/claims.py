@@ -2,7 +2,8 @@
 
 An effect is a mean over tasks, their goal sets and seeds of differences that are paired by goal set and seed. Its 95 %
 interval is that over seeds or that over goal sets, as in the table, whichever is wider. A claim holds where the whole
-interval lies on its side, fails where it lies on the other, and else cannot be told. Nor can one that rests on fewer
+interval lies on its side, fails where it lies on the other, and else cannot be told. A claim about Table I is looked at
+under both readings of the paper, and is decided where they agree. Nor can one that rests on fewer
 than three seeds, or on a row of which the table says that it does not count.
 
 First what a finding is, and the tests of Table I: success, and how long paths are. Then those of the figures: SSE-DB on
@@ -13,7 +14,7 @@ codes and the intrinsic reward, a number of each seed (Figures 9 to 12). The cla
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -176,6 +177,8 @@ def pair_words(one: str, two: str, task: str) -> str:
     return f"{METHODS[one]} and {METHODS[two]} on {TITLES[task]}"
 
 
+DEPENDS = "depends on the reading"
+"""The verdict on a claim that the two readings decide differently."""
 COMPARABLE = 0.05
 """By how much success may be lower where the paper says that it is comparable, or close to; and the share by which a
 path may be shorter where it says that paths are not shortened."""
@@ -191,8 +194,8 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
     """InfoGoal against each other row of Table I. The row that is surely better decides, or else the difference that is
     least certain to be one. A row that is missing or does not count might be better, so that nothing can be told."""
 
-    def find(results: Results) -> Finding:
-        rows = {method: row_of(results, "paper", task, method) for method in METHODS}
+    def find(results: Results, reading: str = "paper") -> Finding:
+        rows = {method: row_of(results, reading, task, method) for method in METHODS}
         rows = {method: row for method, row in rows.items() if row is not None and row.mean(kind)}
         if "infogoal" not in rows or len(rows) < 2:
             return Finding(None, "no runs")
@@ -227,10 +230,10 @@ def compare(
     """Of each pair the first method minus the second (on another kind of goals), over the tasks on which both count. A
     claim about several methods is one about each: the weakest decides."""
 
-    def of_pair(results: Results, one: str, two: str) -> Finding:
+    def of_pair(results: Results, reading: str, one: str, two: str) -> Finding:
         differences, left_out = {}, []
         for task in tasks:
-            rows = [row_of(results, "paper", task, method) for method in (one, two)]
+            rows = [row_of(results, reading, task, method) for method in (one, two)]
             if not all(row is not None and row.mean(kind) and row.mean(other or kind) for row in rows):
                 continue
             if faults_of(*rows):
@@ -243,8 +246,8 @@ def compare(
             return Finding(None, f"{names}: no runs that count{without}")
         return finding(differences, f"{names}, {by_task(differences)}{without}", above=above)
 
-    def find(results: Results) -> Finding:
-        decisive = weakest([of_pair(results, *pair) for pair in pairs])
+    def find(results: Results, reading: str = "paper") -> Finding:
+        decisive = weakest([of_pair(results, reading, *pair) for pair in pairs])
         weakest_of = f"; the weakest of {len(pairs)}" if len(pairs) > 1 else ""
         return dataclasses.replace(decisive, words=f"{decisive.words}{weakest_of}")
 
@@ -291,9 +294,9 @@ def longer_paths(first: Row, second: Row, names: tuple[str, str], above: float =
     return finding({task: longer}, words, (first, second), above)
 
 
-def infobot_paths(results: Results) -> Finding:
+def infobot_paths(results: Results, reading: str = "paper") -> Finding:
     """How much longer InfoBot's paths are than InfoGoal's, on object search."""
-    rows = [row_of(results, "paper", "object_search", method) for method in ("infobot", "infogoal")]
+    rows = [row_of(results, reading, "object_search", method) for method in ("infobot", "infogoal")]
     return Finding(None, "no runs") if None in rows else longer_paths(*rows, ("InfoBot", "InfoGoal"))
 
 
@@ -531,13 +534,15 @@ def reward_near_goal(results: Results) -> Finding:
 
 @dataclasses.dataclass(frozen=True)
 class Claim:
-    """name: short; says: the claim; where: in the paper; test: what decides it, in words; find: what decides it."""
+    """name: short; says: the claim; where: in the paper; test: what decides it, in words; find: what decides it;
+    of_table: whether it is about Table I, and so decided under both readings."""
 
     name: str
     says: str
     where: str
     test: str
-    find: Callable[[Results], Finding]
+    find: Callable[..., Finding]
+    of_table: bool = True
 
 
 FIRST = "its least certain difference to another row"
@@ -619,6 +624,7 @@ CLAIMS = (
         "Fig. 8, left",
         "difference of the area under the curve of success on training goals",
         more_efficient("none", "infobot", "infogoal"),
+        of_table=False,
     ),
     Claim(
         "sse-db-test",
@@ -626,6 +632,7 @@ CLAIMS = (
         "Fig. 8, bottom left",
         "InfoGoal minus DQN with SSE-DB",
         less_than_infogoal,
+        of_table=False,
     ),
     Claim(
         "sse-db-optimality",
@@ -633,6 +640,7 @@ CLAIMS = (
         "Fig. 8, right",
         f"by which share paths to test goals are longer with SSE-DB, in episodes that both reach, above -{COMPARABLE}",
         paths_not_shorter,
+        of_table=False,
     ),
     Claim(
         "beta",
@@ -640,6 +648,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 13",
         "within a factor of two",
         near("beta", 0.013, 2.0, ratio=True),
+        of_table=False,
     ),
     Claim(
         "accuracy",
@@ -647,6 +656,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 13",
         "within 0.01; beta is steered towards it (Eq. 15)",
         near("accuracy", 0.96, 0.01),
+        of_table=False,
     ),
     Claim(
         "beta-too-low",
@@ -654,6 +664,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 15",
         "difference on corrupted test goals of the three Fetch tasks",
         beta_gain(1e-2, 1e-4),
+        of_table=False,
     ),
     Claim(
         "beta-too-high",
@@ -661,6 +672,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 15",
         "difference on corrupted test goals of the three Fetch tasks",
         beta_gain(1e-2, 1e-1),
+        of_table=False,
     ),
     Claim(
         "beta-adaptive",
@@ -668,6 +680,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 15",
         f"difference to the best fixed beta above -{COMPARABLE}",
         fixed_against_adaptive,
+        of_table=False,
     ),
     Claim(
         "beta-prior",
@@ -675,6 +688,7 @@ CLAIMS = (
         "Sec. V-F, Fig. 14",
         "log ratio of the KL, adaptive to 0.1",
         less_information,
+        of_table=False,
     ),
     Claim(
         "codes-grouped",
@@ -682,6 +696,7 @@ CLAIMS = (
         "Sec. V-E, Figs. 9 to 11",
         "difference of the silhouette by region",
         grouped(),
+        of_table=False,
     ),
     Claim(
         "codes-corrupted",
@@ -689,6 +704,7 @@ CLAIMS = (
         "Sec. V-E, Fig. 9",
         "difference of the silhouette by region, backgrounds of weight 0.4",
         grouped(CORRUPTION),
+        of_table=False,
     ),
     Claim(
         "reward-near-goal",
@@ -696,10 +712,36 @@ CLAIMS = (
         "Sec. V-E, Fig. 12",
         "minus the rank correlation with the distance to the goal",
         reward_near_goal,
+        of_table=False,
     ),
 )
 
 
-def verdicts(results: Results) -> list[tuple[Claim, Finding]]:
-    """Every claim with what the numbers say about it."""
-    return [(claim, claim.find(results)) for claim in CLAIMS]
+READINGS = ("paper", "text")
+"""Variants of Table I that are readings of the paper."""
+
+
+class Judged(NamedTuple):
+    """A claim with what the numbers say about it: under Algorithm 1, and under the text. text: None of a claim that is
+    about figures, whose runs were made under the first reading alone."""
+
+    claim: Claim
+    paper: Finding
+    text: Finding | None
+
+    @property
+    def verdict(self) -> str:
+        """The verdict of both readings where they agree, or where there is one; else that they do not."""
+        if self.text is None or self.text.verdict == self.paper.verdict:
+            return self.paper.verdict
+        return DEPENDS
+
+
+def verdicts(results: Results) -> list[Judged]:
+    """Every claim with what the numbers say about it under both readings."""
+    return [
+        Judged(claim, *(claim.find(results, reading) for reading in READINGS))
+        if claim.of_table
+        else Judged(claim, claim.find(results), None)
+        for claim in CLAIMS
+    ]

@@ -21,9 +21,9 @@ from infogoal_jax.runs import disk
 from infogoal_paper import claims, tables
 from infogoal_paper.claims import INTERVALS
 from infogoal_paper.figures import FIGURES
-from infogoal_paper.manifest import BESIDE, STUDIES, Choice
+from infogoal_paper.manifest import BESIDE, STUDIES, VARIANTS, Choice
 from infogoal_paper.numbers import Results
-from infogoal_paper.paper import DESCRIPTIONS
+from infogoal_paper.paper import AGAINST, DESCRIPTIONS, SENTENCES
 from infogoal_paper.scores import KINDS
 from infogoal_paper.table_formats import WRITERS, Cell, Table, markdown, narrow
 
@@ -134,33 +134,64 @@ def drawn_from(path: Path) -> str | None:
 
 def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     """Whether a table belongs to these studies; what it cost is always shown."""
-    belongs = {"table1": ("table1", "equal_training", "over_tasks", "near_and_far"), "table2": ("table2",)}
+    belongs = {"table1": ("table1", "equal_training", "over_tasks", "near_and_far", "fit"), "table2": ("table2",)}
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
-IN_FOLDER_ALONE = ("near_and_far", "equal_training_her", "over_tasks_her")
-"""Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them."""
+IN_FOLDER_ALONE = (
+    *("near_and_far", "table1_text"),
+    *(f"equal_training_{variant}" for variant in VARIANTS),
+    *("over_tasks_her", "over_tasks_text"),
+)
+"""Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them, or they repeat
+rows of others."""
 NOT_OVER_TASKS = KINDS["corrupted_train_goal"]
-"""Goals that the page leaves out of the comparisons over tasks."""
-VERDICT_HEAD = ["claim", "verdict", "effect [95 %]", "details", "test", "in the paper"]
+"""Goals that the page leaves out of the comparisons over tasks, and of the table with HER in every row."""
+VERDICT_HEAD = ["claim", "verdict", "as Algorithm 1 [95 %]", "as the text [95 %]", "details", "test", "in the paper"]
+
+
+def verdict_rows(found: list) -> list[list[str]]:
+    """Of every claim what `VERDICT_HEAD` names. Details are those of the first reading, and of the second where the
+    verdict differs."""
+    rows = []
+    for judged in found:
+        claim, paper, text = judged.claim, judged.paper, judged.text
+        effects, details = [paper.shown, "" if text is None else text.shown], paper.details
+        if judged.verdict == claims.DEPENDS:
+            effects = [f"{each.verdict}: {each.shown}" for each in (paper, text)]
+            details += f". As the text: {text.details}"
+        rows.append([claim.says, judged.verdict, *effects, details, claim.test, claim.where])
+    return rows
 
 
 def verdict_table(found: list) -> Table:
-    """Every claim with its test, effect, interval and verdict."""
-    rows = []
-    for claim, finding in found:
-        rows.append([claim.says, f"**{finding.verdict}**", finding.shown, finding.details, claim.test, claim.where])
+    """Every claim with its verdict, effects, intervals and test."""
+    rows = [[row[0], f"**{row[1]}**", *row[2:]] for row in verdict_rows(found)]
     return Table("verdicts", "Verdicts", VERDICT_HEAD, rows)
+
+
+def decides(found: list) -> str:
+    """Which sentence of the paper decides the claims on which its readings differ; nothing where they agree."""
+    differ = sum(judged.verdict == claims.DEPENDS for judged in found)
+    if not differ:
+        return ""
+    return (
+        f"On {differ} the readings differ. One sentence decides whether InfoGoal relabels: {SENTENCES['infogoal']} "
+        f"Against it: {AGAINST}. On InfoBot and GCB the paper has no sentence."
+    )
 
 
 def report(shown: list[Table], found: list, pictures: list[Path], path: Path) -> str:
     """The page of verdicts, as Markdown. pictures: the figures; path: of the page."""
-    counts = [finding.verdict for _, finding in found]
+    counts = [judged.verdict for judged in found]
     words = {"holds": ("holds", "hold"), "fails": ("fails", "fail"), "cannot be told": ("cannot be told",) * 2}
+    words[claims.DEPENDS] = (claims.DEPENDS, "depend on the reading")
     kinds = ", ".join(f"{counts.count(kind)} {forms[counts.count(kind) != 1]}" for kind, forms in words.items())
-    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", "", markdown(verdict_table(found))]
+    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", ""]
+    lines += [decides(found), ""] if decides(found) else []
+    lines.append(markdown(verdict_table(found)))
     for table in shown:
-        if table.name.startswith("over_tasks"):
+        if table.name.startswith("over_tasks") or table.name == "table1_her":
             table = narrow(table, [head for head in table.head if NOT_OVER_TASKS not in head])
             table = dataclasses.replace(table, foot=[line for line in table.foot if NOT_OVER_TASKS not in line])
         lines += [] if table.name in IN_FOLDER_ALONE else [f"## {table.title}", "", markdown(table, short=True)]
@@ -195,7 +226,7 @@ figcaption,.foot{font-size:.86rem;color:#777}code{font-size:.82rem;overflow-wrap
 :is(#verdicts,#runs) tr{display:block;padding:.5rem 0}:is(#verdicts,#runs) tr+tr{border-top:1px solid #8884}
 :is(#verdicts,#runs) td{display:block;position:static;border:0;padding:.1rem .55rem;overflow-wrap:anywhere}
 :is(#verdicts,#runs) td:empty{display:none}:is(#verdicts,#runs) td:first-child{font-weight:600}
-#verdicts td:nth-child(5)::before{content:"test: "}#verdicts td:nth-child(6)::before{content:"in the paper: "}
+#verdicts td:nth-child(6)::before{content:"test: "}#verdicts td:nth-child(7)::before{content:"in the paper: "}
 #runs td:nth-child(2)::after{content:" updates of each seed"}}
 """
 SORT = """
@@ -209,7 +240,7 @@ if(x===""||y==="")return (x==="")-(y==="");
 const order=typeof x===typeof y?(x<y?-1:x>y?1:0):typeof x==="number"?-1:1;
 return up?order:-order}).forEach(row=>body.append(row))}));
 """
-VERDICT_CLASSES = {"holds": "holds", "fails": "fails", "cannot be told": "told"}
+VERDICT_CLASSES = {"holds": "holds", "fails": "fails", "cannot be told": "told", claims.DEPENDS: "told"}
 
 
 def html_cell(value: Cell | str) -> str:
@@ -241,12 +272,12 @@ def table_section(table: Table) -> str:
 def verdict_section(found: list) -> str:
     """The claims with their verdicts."""
     rows = []
-    for claim, finding in found:
-        verdict = f'<td class="{VERDICT_CLASSES[finding.verdict]}">{finding.verdict}</td>'
-        effect = f'<td class="number">{html.escape(finding.shown)}</td>'
-        rows.append([html_cell(claim.says), verdict, effect])
-        rows[-1] += map(html_cell, (finding.details, claim.test, claim.where))
-    return f'<h2>Verdicts</h2>{html_table(VERDICT_HEAD, rows, "verdicts")}<p class="foot">{INTERVALS}</p>'
+    for says, verdict, *effects, details, test, where in verdict_rows(found):
+        rows.append([html_cell(says), f'<td class="{VERDICT_CLASSES[verdict]}">{verdict}</td>'])
+        rows[-1] += [f'<td class="number">{html.escape(effect)}</td>' for effect in effects]
+        rows[-1] += map(html_cell, (details, test, where))
+    foot = html.escape(f"{INTERVALS} {decides(found)}")
+    return f'<h2>Verdicts</h2>{html_table(VERDICT_HEAD, rows, "verdicts")}<p class="foot">{foot}</p>'
 
 
 def figure_section(path: Path) -> str:

@@ -18,6 +18,7 @@ Two rules make noise equal. *The same for all*: every method at one epsilon. *Ea
 epsilon of `EPSILONS` at which it reaches the most validation goals, the smallest of equal ones; test goals have no say.
 """
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,8 +30,10 @@ from matplotlib.figure import Figure
 from infogoal_jax import presets
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
-from infogoal_paper import trial_numbers, tuning
+from infogoal_paper import claims, trial_numbers, tuning
+from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
+from infogoal_paper.paper import METHODS as PAPER_METHODS
 from infogoal_paper.table_formats import machines_in_words, markdown_lines
 from infogoal_paper.trial_numbers import Row
 
@@ -185,13 +188,7 @@ PARTS = {
     "C": Part(12, all_of("object_search+read", "fetch_reach+read")),
     "D": Part(12, all_of("fetch_pick_and_place+read")),
     "E": Part(4, all_of("object_manipulation+read")[:4]),
-    "F": Part(
-        3,
-        (
-            *((HELD_OUT, method, (10,)) for method in CARRYING if method not in SOONEST),
-            ("object_manipulation", "gcb+her", TASKS["object_manipulation"]),
-        ),
-    ),
+    "F": Part(3, tuple((HELD_OUT, method, (10,)) for method in CARRYING if method not in SOONEST)),
     "G": Part(4, all_of("object_manipulation+read")[4:]),
 }
 """What is to be run, in order, and by how many processes side by side."""
@@ -344,6 +341,67 @@ def difference(numbers: Numbers, task: str, pair: tuple[str, str], kind: str, ru
     return paired_difference(*([value[place] for place in shared] for value in values))
 
 
+FIRST = tuple(
+    (task, kind)
+    for kind, tasks in (("test_goal", tuple(TASKS)), ("corrupted_test_goal", IMAGE_TASKS))
+    for task in TASKS
+    if task in tasks and (kind, task) not in claims.NOT_FIRST
+)
+"""Tasks and kinds of goals on which the paper has InfoGoal before every other method."""
+
+
+def is_first(numbers: Numbers, task: str, kind: str, reading: str, rule: str) -> claims.Finding:
+    """What is found of InfoGoal's place before every other method of Table I, as a claim is decided: seeds and data
+    sets are paired, and the weakest difference decides. reading: a variant of Table I; rule: as in `difference`."""
+    own = {
+        method: f"{method}+her" if reading == "text" and method in RELABELLED else method for method in PAPER_METHODS
+    }
+    found = []
+    for method, label in own.items():
+        if method == "infogoal":
+            continue
+        if not (numbers.has(task, label) and numbers.has(task, own["infogoal"])):
+            found.append(claims.Finding(None, PAPER_METHODS[method]))
+            continue
+        first, second = (
+            numbers.success(
+                task, each, numbers.best(task, each) if rule == "best" else float(rule), kind=kind.removesuffix("_goal")
+            )
+            for each in (own["infogoal"], label)
+        )
+        pairs: claims.Paired = {}
+        for data_set, seed in first.keys() & second.keys():
+            pairs.setdefault(data_set, {})[seed] = first[data_set, seed] - second[data_set, seed]
+        found.append(dataclasses.replace(claims.finding({task: pairs}, ""), words=PAPER_METHODS[method]))
+    known, lacking = ([each for each in found if (each.effect is None) == is_lacking] for is_lacking in (False, True))
+    if not known or not lacking:
+        return claims.weakest(found)
+    decisive = claims.weakest(known)
+    named = ", ".join(each.words for each in lacking)
+    faults = () if decisive.verdict == "fails" else ("rows are missing",)
+    return dataclasses.replace(decisive, words=f"{decisive.words}; {named} not run", faults=faults)
+
+
+def first_table(numbers: Numbers) -> str:
+    """A row for each task and kind of goals: whether InfoGoal is before every other method, under both readings of the
+    paper and each way of making noise equal, with the least certain difference and to which method it is."""
+    rows = []
+    for task, kind in FIRST:
+        row = [goals_of(task, kind.removesuffix("_goal"))]
+        for reading in claims.READINGS:
+            for rule in ("0", str(SAME), "best"):
+                found = is_first(numbers, task, kind, reading, rule)
+                effect = "not run" if found.effect is None else f"{found.effect.value:+.2f}"
+                row.append(f"{found.verdict}, {effect} ({found.words})")
+        rows.append(row)
+    heads = [f"{words}, {rule}" for words in READING_NAMES for rule in ("greedy", f"ε {SAME}", "own best")]
+    return markdown_lines(["goals of", *heads], rows)
+
+
+READING_NAMES = ("Algorithm 1", "text")
+"""Of the readings `claims.READINGS`."""
+
+
 def signed(interval: Interval) -> str:
     """A difference with its interval, bold where this excludes 0."""
     text = f"{interval.mean:+.2f}±{interval.half_width:.2f}"
@@ -426,6 +484,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     machines = machines_in_words(sorted({row["machine"] for row in rows}))
     return {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
+        "first": first_table(numbers),
         "carries": carries_table(numbers),
         "carries_differences": difference_table(numbers, [HELD_OUT], CARRYING_PAIRS),
         "success": success_table(numbers),

@@ -37,6 +37,17 @@ TASKS = ("object_search", "object_manipulation", "fetch_reach", "fetch_push", "f
 IMAGE_TASKS = TASKS[1:5]
 """Tasks with goals that are images: only they have corrupted goals."""
 
+SENTENCES = {
+    "infogoal": "“Since our InfoGoal adopts the idea of HER, in particular, we compare it to HER-based methods.”",
+    "infobot": "none",
+    "gcb": "none",
+}
+"""What the paper says of relabelling in learners that relabel in the reading `text`."""
+AGAINST = (
+    "Algorithm 1 relabels nothing: it stores each transition with the goal that was desired, and lines 15 to 22 read it"
+)
+"""What speaks for the reading `paper`."""
+
 TEST = {
     "infogoal": (0.93, 0.92, 0.91, 0.84, 0.90, 1.0),
     "infobot": (0.85, 0.84, 0.70, 0.95, 0.72, 1.0),

@@ -155,7 +155,7 @@ def redrawn(scores: Scores, places: np.ndarray, random: np.random.Generator) -> 
     return list(np.moveaxis(chosen, 1, 0))
 
 
-ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her")}
+ROWS = {"paper": tuple(METHODS), "her": (*LEARNERS, "her"), "text": tuple(METHODS)}
 """The rows of each variant of Table I."""
 KINDS = {"test_goal": "test", "corrupted_test_goal": "corrupted test", "corrupted_train_goal": "corrupted training"}
 """The kinds of goals of Table I, as metrics name them, and in words."""

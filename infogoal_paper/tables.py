@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from scipy import stats
 
 from infogoal_jax.goal_uses import TEST
 from infogoal_paper import plan
 from infogoal_paper.files import Result
-from infogoal_paper.manifest import FETCH, METHODS, VARIANTS, Choice, runs_of
+from infogoal_paper.manifest import FETCH, METHODS, RELABELLED, VARIANTS, Choice, runs_of
 from infogoal_paper.numbers import Results
-from infogoal_paper.paper import TASKS, reported
+from infogoal_paper.paper import AGAINST, LEARNERS, SENTENCES, TASKS, reported
 from infogoal_paper.scores import (
     KINDS,
     MARKS,
@@ -121,8 +122,8 @@ def legend(rows: Iterable[Row]) -> list[str]:
 
 
 def cell_of(row: Row | None, variant: str, kind: str, task: str, method: str) -> Cell:
-    """A cell of Table I. The paper has no second variant."""
-    paper = reported(task, kind, method) if variant == "paper" or method == "her" else ""
+    """A cell of Table I. The paper has no table with HER in every row."""
+    paper = reported(task, kind, method) if variant != "her" or method == "her" else ""
     return Cell(None, paper) if row is None else Cell(row.mean(kind), paper, 0, row.marks(), row.results[0].run.name)
 
 
@@ -144,6 +145,50 @@ def is_complete(rows: dict[tuple[str, str], Row], variant: str, kind: str, task:
 def is_planned(variant: str, task: str, method: str) -> bool:
     """Whether a variant has this row on a task."""
     return bool(runs_of(("table1",), Choice((task,), (method,), (variant,), seeds=1)))
+
+
+def fit(results: Results) -> Table | None:
+    """How far the test goals of each learner lie from the paper's numbers without HER and with it, and how alike the
+    order of methods is under both readings."""
+    rows = {variant: rows_of(results, variant, ROWS[variant]) for variant in VARIANTS}
+    body = []
+    for method in LEARNERS:
+        distances = [distance_to_paper(rows[variant], method) for variant in ("paper", "her")]
+        if None not in distances:
+            relabels = "yes" if method in RELABELLED else "no"
+            body.append(
+                [METHODS[method], *(f"{value:.2f}" for value in distances), relabels, SENTENCES.get(method, "")]
+            )
+    if not body:
+        return None
+    foot = ["Mean distance of success on test goals to the paper's number, over the tasks without EQA."]
+    for variant in ("paper", "text"):
+        found = {task: order_like_paper(rows[variant], task) for task in TASKS}
+        shown = ", ".join(f"{TITLES[task]} {value:.2f}" for task, value in found.items() if value is not None)
+        foot.append(f"Rank correlation of all methods' test goals with the paper's, {VARIANTS[variant]}: {shown}.")
+    foot.append(f"For the other reading: {AGAINST}.")
+    head = ["learner", "without HER", "with HER", "relabels in the text", "sentence"]
+    return Table("fit", "Which learners relabel?", head, body, foot)
+
+
+def distance_to_paper(rows: dict[tuple[str, str], Row], method: str) -> float | None:
+    """The mean absolute distance of a method's test goals to the paper's, over tasks that act; None without runs."""
+    found = [
+        abs(rows[task, method].mean("test_goal").mean - float(reported(task, "test_goal", method)))
+        for task in TASKS[:-1]
+        if (task, method) in rows and has_scores(rows[task, method], "test_goal")
+    ]
+    return float(np.mean(found)) if found else None
+
+
+def order_like_paper(rows: dict[tuple[str, str], Row], task: str) -> float | None:
+    """Spearman's correlation of our test goals with the paper's over methods; None for fewer than three."""
+    known = [method for method in METHODS if has_scores(rows.get((task, method)), "test_goal")]
+    known = [method for method in known if reported(task, "test_goal", method)]
+    if len(known) < 3:
+        return None
+    ours = [round(rows[task, method].mean("test_goal").mean, 2) for method in known]
+    return float(stats.spearmanr(ours, [float(reported(task, "test_goal", method)) for method in known]).statistic)
 
 
 def table2(results: Results) -> Table | None:
@@ -183,7 +228,7 @@ def near_and_far(results: Results) -> Table | None:
     ]
     foot = [
         "Success rate on clean test goals that count as reached from a training goal (near), and on the others (far): "
-        f"mean ± {INTERVALS}, relabelling as in the paper, at the last of the three "
+        f"mean ± {INTERVALS}, {VARIANTS['paper']}, at the last of the three "
         "evaluations whose mean Table I shows.",
         *legend(row for rows, _ in columns for row in rows.values()),
     ]
@@ -352,4 +397,5 @@ def all_tables(results: Results) -> list[Table]:
     """Every table of the paper's runs that there are numbers for."""
     results = {run: result for run, result in results.items() if run.of_paper}
     made = [make(results, variant) for variant in VARIANTS for make in (table1, equal_training, over_tasks)]
-    return [table for table in (*made, table2(results), near_and_far(results), costs(results)) if table is not None]
+    made += [fit(results), table2(results), near_and_far(results), costs(results)]
+    return [table for table in made if table is not None]

@@ -237,3 +237,35 @@ def test_a_row_that_was_trained_with_former_settings_is_marked_and_counts(result
     rows = [row_of(found, "paper", "fetch_pick_and_place", "infogoal") for found in (results, former)]
     assert [row.marks() for row in rows] == ["", "◇"]
     assert finding(former, name) == finding(results, name) and finding(results, name).verdict == "holds"
+
+
+def judged(results, name: str):
+    """The claim of this name under both readings."""
+    (found,) = (each for each in claims.verdicts(results) if each.claim.name == name)
+    return found
+
+
+def test_a_claim_is_decided_where_both_readings_of_the_paper_agree(results):
+    """With HER InfoGoal is worse than HER on one task: under the text, where it relabels, it is not first there."""
+    assert judged(results, "first-test-Reach").verdict == "holds"
+    worse = changed(
+        results, lambda result: made_up(result, 0.3), method="infogoal", task="fetch_reach", relabelling="her"
+    )
+    found = judged(worse, "first-test-Reach")
+    assert (found.paper.verdict, found.text.verdict, found.verdict) == ("holds", "fails", claims.DEPENDS)
+    assert judged(worse, "first-test-PickAndPlace").verdict == "holds"
+
+
+def test_the_text_has_the_rows_with_her_of_three_learners_and_the_other_rows_as_they_are(results):
+    for method, relabelling in (("infogoal", "her"), ("infobot", "her"), ("gcb", "her"), ("vae", None), ("her", None)):
+        row = row_of(results, "text", "fetch_push", method)
+        assert {result.run.relabelling for result in row.results} == {relabelling}
+    assert (
+        row_of(results, "text", "embodied_qa", "none").results
+        == row_of(results, "paper", "embodied_qa", "none").results
+    )
+
+
+def test_a_claim_about_figures_is_asked_under_algorithm_1_alone(results):
+    found = judged(results, "sse-db-test")
+    assert found.text is None and found.verdict == found.paper.verdict

@@ -142,7 +142,7 @@ def test_a_verdict_follows_the_numbers(results, name, wanted, otherwise):
 
 
 def test_without_runs_nothing_can_be_told():
-    assert {finding.verdict for _, finding in claims.verdicts({})} == {"cannot be told"}
+    assert {judged.verdict for judged in claims.verdicts({})} == {"cannot be told"}
     assert tables.all_tables({}) == [] and all(draw({}) is None for draw in FIGURES.values())
 
 

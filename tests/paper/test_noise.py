@@ -117,3 +117,48 @@ def test_the_held_out_cube_has_its_agent_and_protocol_and_beta_0_its_floats():
     assert (run.agent, run.known_goals, run.goal_set) == ("dqn", "held_out", 8)
     assert dict(run.lane.values) == noise_numbers.NO_BETA and len(run.seeds) == noise_numbers.SEEDS
     assert noise.run_of("object_manipulation", "her", 7, toy=False).agent is None
+
+
+@pytest.mark.parametrize(("rival", "verdict"), [("0.2", "holds"), ("0.9", "fails")])
+def test_a_first_place_at_equal_noise_is_decided_by_the_weakest_difference(rival, verdict):
+    """Under the text InfoGoal, InfoBot and GCB are those with HER; a row that is missing leaves a first place open."""
+    labels = ["infogoal+her", "infobot+her", "gcb+her", "cogoal", "vae", "dgrl", "rad", "none", "her", "cher", "ghrl"]
+    rows = [
+        row(
+            label,
+            epsilon,
+            {"infogoal+her": "0.7", "vae": rival}.get(label, "0.1"),
+            seed=str(seed),
+            data_set=str(number),
+        )
+        for label in labels
+        for epsilon in EPSILONS
+        for number in (7, 8, 9)
+        for seed in range(3)
+    ]
+    found = noise_numbers.is_first(Numbers(rows), "object_manipulation", "test_goal", "text", "best")
+    assert found.verdict == verdict and (verdict == "holds" or found.words == "VAE")
+    without = [each for each in rows if each["method"] != "gcb+her"]
+    found = noise_numbers.is_first(Numbers(without), "object_manipulation", "test_goal", "text", "0.1")
+    assert found.verdict == ("fails" if verdict == "fails" else "cannot be told") and "GCB not run" in found.words
+
+
+def test_the_queue_names_runs_that_there_are_and_each_once():
+    runs = [
+        (task, method, number)
+        for part in noise_numbers.PARTS.values()
+        for task, method, sets in part.runs
+        for number in sets
+    ]
+    assert len(runs) == len(set(runs))
+    for task, method, number in runs:
+        assert method in noise_numbers.methods_of(task) and number in noise_numbers.DATA_SETS[task]
+
+
+def test_a_reading_changes_its_preset_alone():
+    run = noise.run_of("fetch_reach+read", "infogoal+her@listed_corrupted", 0, toy=False)
+    assert (run.task, run.method, run.relabelling, run.agent) == ("fetch_reach", "infogoal", "her", None)
+    settings = noise_numbers.settings_of("fetch_reach+read", "infogoal+her@listed_corrupted")
+    assert settings == {"learner.positives": "listed", "learner.radius": 0.25, "training_corruption": 0.4}
+    assert noise_numbers.settings_of("fetch_reach+read", "infogoal@listed_1")["learner.radius"] == 0.05
+    assert noise_numbers.settings_of("fetch_reach", "infogoal") == {}

@@ -298,3 +298,14 @@ def test_one_interval_is_over_seeds_and_one_over_sets():
     alone = over_seeds_and_sets([np.array([0.1, 0.2, 0.3])])
     assert alone.seeds == pytest.approx(stats.t.ppf(0.975, 2) * 0.1 / np.sqrt(3)) and np.isnan(alone.sets)
     assert np.isnan(over_seeds_and_sets([np.array([0.1]), np.array([0.3])]).seeds)
+
+
+def test_the_table_of_readings_says_how_far_each_learner_is_from_the_paper(results):
+    """InfoGoal reaches 0.9 of all goals, so that its distance is that of the paper's numbers to 0.9."""
+    table = tables.fit(results)
+    row = next(row for row in table.rows if row[0] == "InfoGoal")
+    paper = [float(reported(task, "test_goal", "infogoal")) for task in TASKS[:-1]]
+    assert float(row[1]) == pytest.approx(np.mean([abs(0.9 - value) for value in paper]), abs=0.02)
+    assert row[3] == "yes" and "adopts the idea of HER" in row[4]
+    assert next(row for row in table.rows if row[0] == "VAE")[3] == "no"
+    assert sum("Rank correlation" in line for line in table.foot) == 2
