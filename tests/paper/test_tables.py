@@ -13,6 +13,7 @@ from scipy import stats
 
 from infogoal_paper import claims, table_formats, tables
 from infogoal_paper.manifest import METHODS
+from infogoal_paper.paper import TASKS, reported
 from infogoal_paper.scores import (
     MARKS,
     bootstrap,
