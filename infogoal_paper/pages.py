@@ -10,6 +10,8 @@ them is replaced by what the numbers of the source give. Sources:
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     trials    the trials of trials.py, in trials/numbers.csv.gz
     noise     the study of noise at test, noise.py, in noise.csv.gz
+    sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.gz
+    choices   what was chosen for Table I and what it saw, choices.py, of the presets
     all_goals the study of docs/research/all_goals.md, in all_goals.npz, with what it shares with the paper in paper.npz
     sb3_her   Stable-Baselines3's SAC with hindsight replay beside this project's TD3, on FetchReach, in
               sb3_her/curves.csv
@@ -42,11 +44,13 @@ from infogoal_jax.report import canvas
 from infogoal_jax.report.canvas import SHARE, draw_curve, figure_style, finish_share_axis, save
 from infogoal_paper import (
     all_goals,
+    choices,
     continuous,
     noise_numbers,
     numbers,
     positions,
     scores,
+    sufficiency,
     trial_numbers,
     trials,
     tuning,
@@ -297,6 +301,8 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
     "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS), trials.SHOWN),
     "noise": lambda: noise_numbers.tables(noise_numbers.read()),
+    "sufficiency": lambda: sufficiency.tables(sufficiency.read()),
+    "choices": choices.tables,
     "all_goals": lambda: all_goals.on_page(numbers.load(RESULTS)),
     "sb3_her": lambda: sb3_tables(sb3_curves()),
     "drone": lambda: drone_tables(drone_numbers()),
