@@ -8,7 +8,6 @@ them is replaced by what the numbers of the source give. Sources:
     readme    the README's two tables, of the runs in paper.npz and all_goals.npz; docs/research/reproduction.md and
               docs/research/all_goals.md have all that is made of them, with intervals
     tuning    the searches of tuning.py, in tuning.jsonl.gz
-    trials    the trials of trials.py, in trials/numbers.csv.gz
     noise     the study of noise at test, noise.py, in noise.csv.gz
     sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.gz
     choices   what was chosen for Table I and what it saw, choices.py, of the presets
@@ -51,8 +50,6 @@ from infogoal_paper import (
     positions,
     scores,
     sufficiency,
-    trial_numbers,
-    trials,
     tuning,
 )
 from infogoal_paper.manifest import PROTOCOLS
@@ -299,7 +296,6 @@ def draw_sb3(curves: dict[str, list[Curve]], path: Path) -> None:
 SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "readme": readme_tables,
     "tuning": lambda: tuning.tables(tuning.load(tuning.NUMBERS)),
-    "trials": lambda: trials.tables(trial_numbers.read(trials.NUMBERS), trials.SHOWN),
     "noise": lambda: noise_numbers.tables(noise_numbers.read()),
     "sufficiency": lambda: sufficiency.tables(sufficiency.read()),
     "choices": choices.tables,

@@ -10,9 +10,9 @@ by side in one program.
 it, and *lanes*: settings of the float hyperparameters that are trained in the same compiled program. Every evaluation
 of every lane and seed is a row of FOLDER/TRIAL.csv, written as it comes, so that a run that is cut keeps what it found;
 --minutes stops the last one in time. A trial whose file lies in FOLDER is not run again. --merge puts the files of
-FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; `tables.py trials` then
-writes the tables of docs/research/trials.md, which says what came of it. These show the lanes that an answer rests on;
---table prints all of them. --list prints the queue, and how far each trial has come in that file.
+FOLDER into docs/results/trials/numbers.csv.gz, in place of what was there of the same trials; --table prints the tables
+of that file, of which docs/research/trials.md says what came. --list prints the queue, and how far each trial has come
+in that file.
 """
 
 import argparse
@@ -59,35 +59,6 @@ OF_NORMALISED = ("cube_dqn", "shelf_goals")
 which seeds learn is chance."""
 PROBED = "fetch_reach"
 """The task of which the probe is shown: on the others no question rests on it."""
-SHOWN = {
-    "house_goals": (
-        "house_goals_her/",
-        "house_goals_leo/",
-        "house_goals_head/",
-        "house_goals_infogoal_head/learner weight 0.01",
-        "house_goals_infogoal_head_mean/",
-        "house_goals_infogoal_head_finer/threshold 0.999, learner weight 0.1",
-        "house_goals_infobot_head/learner weight 0.01",
-        "house_goals_head_held_out/",
-        "house_goals_infobot_head_held_out/learner weight 0.01",
-    ),
-    "cube_dqn": (
-        "cube_dqn_head_norm/",
-        "cube_dqn_infogoal_head_norm/",
-        "cube_dqn_infobot_head_norm/learner weight 0.001",
-        "cube_dqn_leo_norm/",
-        "cube_dqn_her_norm/",
-    ),
-    "shelf_goals": (
-        "shelf_goals_her_norm/",
-        "shelf_goals_leo_norm/",
-        "shelf_goals_head_norm/",
-        "shelf_goals_infogoal_head_norm/",
-        "shelf_goals_infobot_head_norm/learner weight 0.01",
-    ),
-}
-"""The lanes that a page shows, by the beginnings of TRIAL/LANE: those that its answers rest on, the settings of the
-presets among them. Of a comparison the first of the two counts. Tables that are not here stand on no page."""
 
 
 def first_occurrence(*tasks: str) -> list[tuple]:
@@ -254,13 +225,9 @@ def run(name: str, trial: Trial, folder: Path, deadline: float) -> None:
     path.with_suffix(".partial").rename(path)
 
 
-def tables(rows: list[Row], shown: dict[str, tuple[str, ...]] | None = None) -> dict[str, str]:
+def tables(rows: list[Row]) -> dict[str, str]:
     """Every table of trials: of each group of tasks the trials that were run, and differences. A trial all of whose
-    lanes are compared stands in the table of differences alone. shown: the lanes to show of each table; None: all."""
-
-    def is_shown(table: str, trial: str, lane: str) -> bool:
-        return shown is None or f"{trial}/{lane}".startswith(shown.get(table, ()))
-
+    lanes are compared stands in the table of differences alone."""
     done = {row["trial"] for row in rows}
     compared = {lane for pairs in COMPARISONS.values() for pair in pairs for lane in pair}
     all_goals = [trial for trial in QUEUE if trial.startswith(tuple(ALL_GOALS_TABLES))]
@@ -288,16 +255,16 @@ def tables(rows: list[Row], shown: dict[str, tuple[str, ...]] | None = None) -> 
     }
     found = {}
     for name, (trials, error) in grouped.items():
-        own = [row for row in rows if row["trial"] in trials and is_shown(name, row["trial"], row["lane"])]
+        own = [row for row in rows if row["trial"] in trials]
         if own:
             ran = {row["trial"] for row in own}
             found[name] = trial_numbers.table(own, [trial for trial in trials if trial in ran], error)
     probed = {row["trial"] for row in rows if row.get("test_goal/readout_error")}
     units = {trial: TABLES["fetch"][1] for trial in others if trial in probed and QUEUE[trial].task == PROBED}
-    if units and (shown is None or "probe" in shown):
+    if units:
         found["probe"] = trial_numbers.probe_table(rows, units)
     for name, pairs in COMPARISONS.items():
-        ran = [pair for pair in pairs if all(trial in done for trial, _ in pair) and is_shown(name, *pair[0])]
+        ran = [pair for pair in pairs if all(trial in done for trial, _ in pair)]
         if ran:
             found[name] = trial_numbers.differences(rows, ran)
     return found
