@@ -5,8 +5,8 @@
 A table stands in README.md or docs/*/*.md between `<!-- table: SOURCE/NAME -->` and `<!-- end -->`; what is between
 them is replaced by what the numbers of the source give. Sources:
 
-    readme    the README's two tables, of the runs in paper.npz and all_goals.npz; docs/research/reproduction.md and
-              docs/research/all_goals.md have all that is made of them, with intervals
+    readme    the README's two tables, of noise.csv.gz and of the runs in all_goals.npz; docs/research/noise_at_test.md
+              and docs/research/all_goals.md have all that is made of them, with intervals
     tuning    the searches of tuning.py, in tuning.jsonl.gz
     noise     the study of noise at test, noise.py, in noise.csv.gz
     sufficiency Definition 1 on houses, sufficiency.py, in sufficiency.csv.gz
@@ -63,9 +63,8 @@ SHOWN = {"infogoal": ("InfoGoal", "tab:blue"), "her": ("HER", "tab:green"), "non
 """Methods of the picture, with name and colour."""
 
 
-FEW = (("InfoGoal", "paper", "infogoal"), ("InfoGoal with HER", "her", "infogoal"))
-FEW += (("HER alone", "paper", "her"), ("bare agent", "paper", "none"))
-"""Rows of the README's first table: words, variant of Table I, method."""
+FEW = {"infogoal": "InfoGoal", "infogoal+her": "InfoGoal with HER", "her": "HER alone", "none": "bare agent"}
+"""Rows of the README's first table."""
 TASKS = {
     "object_search": "object search",
     "object_manipulation": "cube",
@@ -81,11 +80,11 @@ UNSEEN = {"none": "bare agent", "her": "HER", "all_goals": "all-goals head", "in
 
 def readme_tables() -> dict[str, str]:
     """The two tables of the README: success on test goals as a plain mean over goal sets and seeds, the best of a
-    column in bold."""
-    results = numbers.load(RESULTS)
+    column in bold. The first is of the study of noise at test, each method with its own best noise."""
+    results, noise = numbers.load(RESULTS), noise_numbers.Numbers(noise_numbers.read())
     shown = [
-        [scores.row_of(results, variant, task, method).mean("test_goal").mean for task in TASKS]
-        for _, variant, method in FEW
+        [float(np.mean(list(noise.success(task, method, noise.best(task, method)).values()))) for task in TASKS]
+        for method in FEW
     ]
     compared = {task: all_goals.rows_of(results, task) for task in ("object_search", "object_manipulation")}
     unseen = [
@@ -94,7 +93,7 @@ def readme_tables() -> dict[str, str]:
     ]
     heads = [f"{TASKS[task]}, `{protocol}`" for task in compared for protocol in PROTOCOLS]
     return {
-        "overview": plain_table(list(TASKS.values()), [name for name, _, _ in FEW], shown),
+        "overview": plain_table(list(TASKS.values()), list(FEW.values()), shown),
         "unseen": plain_table(heads, list(UNSEEN.values()), unseen),
     }
 
