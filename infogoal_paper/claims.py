@@ -206,7 +206,7 @@ def first_of_task(task: str, kind: str) -> Callable[[Results], Finding]:
                 found.append(Finding(None, f"InfoGoal and {METHODS[method]}: no goal set that both ran on"))
                 continue
             means = [mean_number(own) for own in both]
-            words = f"InfoGoal {means[0]:.2f}, {METHODS[method]} {means[1]:.2f}, least certain of {len(rows) - 1}"
+            words = f"InfoGoal {means[0]:.2f}, {METHODS[method]} {means[1]:.2f}"
             found.append(finding({task: difference(*both)}, words, [*rows.values()]))
         return weakest(found) if len(rows) == len(METHODS) else lacking_rows(weakest(found))
 

@@ -10,6 +10,7 @@ import hashlib
 import html
 import io
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -134,12 +135,15 @@ def drawn_from(path: Path) -> str | None:
 
 def is_shown(table: str, studies: tuple[str, ...]) -> bool:
     """Whether a table belongs to these studies; what it cost is always shown."""
-    belongs = {"table1": ("table1", "equal_training", "over_tasks", "near_and_far", "fit"), "table2": ("table2",)}
+    belongs = {
+        "table1": ("table1", "equal_training", "over_tasks", "near_and_far", "fit", "order"),
+        "table2": ("table2",),
+    }
     return table == "costs" or any(table.startswith(belongs.get(study, ("-",))) for study in studies)
 
 
 IN_FOLDER_ALONE = (
-    *("near_and_far", "table1_text"),
+    *("near_and_far", "table1_text", "costs"),
     *(f"equal_training_{variant}" for variant in VARIANTS),
     *("over_tasks_her", "over_tasks_text"),
 )
@@ -153,21 +157,33 @@ VERDICT_HEAD = ["claim", "verdict", "as Algorithm 1 [95 %]", "as the text [95 %]
 def verdict_rows(found: list) -> list[list[str]]:
     """Of every claim what `VERDICT_HEAD` names. Details are those of the first reading, and of the second where the
     verdict differs."""
-    rows = []
+    rows, usual = [], usual_count(found)
     for judged in found:
         claim, paper, text = judged.claim, judged.paper, judged.text
         effects, details = [paper.shown, "" if text is None else text.shown], paper.details
         if judged.verdict == claims.DEPENDS:
             effects = [f"{each.verdict}: {each.shown}" for each in (paper, text)]
             details += f". As the text: {text.details}"
+        details = details.replace(f"; {usual}", "") if usual else details
         rows.append([claim.says, judged.verdict, *effects, details, claim.test, claim.where])
     return rows
+
+
+def usual_count(found: list) -> str:
+    """On how many seeds and goal sets most claims rest, in words; nothing without runs."""
+    counts = [count for judged in found for count in re.findall(r"\d+ seeds? on \d+ goal sets?", judged.paper.words)]
+    return max(set(counts), key=counts.count) if counts else ""
 
 
 def verdict_table(found: list) -> Table:
     """Every claim with its verdict, effects, intervals and test."""
     rows = [[row[0], f"**{row[1]}**", *row[2:]] for row in verdict_rows(found)]
     return Table("verdicts", "Verdicts", VERDICT_HEAD, rows)
+
+
+def said_once(found: list) -> str:
+    """What most details would say."""
+    return f" Unless details say otherwise, they rest on {usual}." if (usual := usual_count(found)) else ""
 
 
 def decides(found: list) -> str:
@@ -177,7 +193,7 @@ def decides(found: list) -> str:
         return ""
     return (
         f"On {differ} the readings differ. One sentence decides whether InfoGoal relabels: {SENTENCES['infogoal']} "
-        f"Against it: {AGAINST}. On InfoBot and GCB the paper has no sentence."
+        f"(Sec. V-C). Against it: {AGAINST}. On InfoBot and GCB the paper has no sentence."
     )
 
 
@@ -187,7 +203,7 @@ def report(shown: list[Table], found: list, pictures: list[Path], path: Path) ->
     words = {"holds": ("holds", "hold"), "fails": ("fails", "fail"), "cannot be told": ("cannot be told",) * 2}
     words[claims.DEPENDS] = (claims.DEPENDS, "depend on the reading")
     kinds = ", ".join(f"{counts.count(kind)} {forms[counts.count(kind) != 1]}" for kind, forms in words.items())
-    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}", ""]
+    lines = [ABOUT, "## Verdicts", "", f"{len(found)} claims: {kinds}. {INTERVALS}{said_once(found)}", ""]
     lines += [decides(found), ""] if decides(found) else []
     lines.append(markdown(verdict_table(found)))
     for table in shown:
@@ -276,7 +292,7 @@ def verdict_section(found: list) -> str:
         rows.append([html_cell(says), f'<td class="{VERDICT_CLASSES[verdict]}">{verdict}</td>'])
         rows[-1] += [f'<td class="number">{html.escape(effect)}</td>' for effect in effects]
         rows[-1] += map(html_cell, (details, test, where))
-    foot = html.escape(f"{INTERVALS} {decides(found)}")
+    foot = html.escape(f"{INTERVALS}{said_once(found)} {decides(found)}")
     return f'<h2>Verdicts</h2>{html_table(VERDICT_HEAD, rows, "verdicts")}<p class="foot">{foot}</p>'
 
 

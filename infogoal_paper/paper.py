@@ -43,9 +43,7 @@ SENTENCES = {
     "gcb": "none",
 }
 """What the paper says of relabelling in learners that relabel in the reading `text`."""
-AGAINST = (
-    "Algorithm 1 relabels nothing: it stores each transition with the goal that was desired, and lines 15 to 22 read it"
-)
+AGAINST = "Algorithm 1 relabels nothing; its buffer has each transition with the goal that was desired"
 """What speaks for the reading `paper`."""
 
 TEST = {
