@@ -1,14 +1,16 @@
-"""`infogoal reproduce ...`: the paper's tables and figures, from training to the finished page."""
+"""`infogoal reproduce ...`: the paper's tables and figures, from goal images and training to the finished page."""
 
 import os
+import sys
+import time
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, Positional
 
-from infogoal_jax.cli.commands import Group, named
-from infogoal_jax.errors import require
+from infogoal_jax.cli.commands import Group, check_seed, named
+from infogoal_jax.errors import UserError, require
 from infogoal_paper.paper import DESCRIPTIONS
 
 HELP = "Train what a table or figure of the paper needs, and draw it; or a study beside the paper."
@@ -56,7 +58,7 @@ def study(
         retry: Run again what failed.
         quick: At a size at which nothing is learned, a few runs of each kind.
         list_runs: Print the runs, the programs that train them and how far they are, and train nothing.
-        goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz, as `infogoal data build fetch` makes them.
+        goal_images: Folder of further goal sets of Fetch: NUMBER/TASK.npz (infogoal reproduce goal-images).
         known: Folder of compact numbers, such as docs/results: runs that it holds are not trained.
         vmap_size: Seeds, settings and goal sets that one program trains side by side (`jax.vmap`) at most.
         from_: Folder of compact numbers, such as docs/results: draw from them and train nothing.
@@ -119,5 +121,38 @@ def merge(folders: Positional[tuple[str, ...]], into: str = "docs/results") -> i
     return command.merge([Path(folder) for folder in folders], Path(into))
 
 
+def goal_images(
+    path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
+) -> int:
+    """Draw goal sets of Fetch (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
+    docs/reference/goal_inputs.md).
+
+    Args:
+        path: Folder to write to, one file a task; files that are there already are never overwritten.
+        seed: Seed of the goals for training, validation and tests; 0: the shipped ones.
+        tasks: The tasks.
+    """
+    check_seed(seed)
+    from rich.progress import track
+
+    from infogoal_jax.data.goal_images import save
+    from infogoal_paper import goal_rendering
+
+    files = {name: Path(path) / f"{name}.npz" for name in tasks}
+    for file in files.values():
+        if os.path.lexists(file):
+            raise UserError(f"path = {str(file)!r}: is there already; give a new folder")
+    goal_rendering.check(tuple(files), seed)
+    for name, file in files.items():
+        start = time.perf_counter()
+        bank = goal_rendering.build(name, seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
+        save(file, bank)
+        seconds = time.perf_counter() - start
+        print(f"{file}: {len(bank.images)} images, {file.stat().st_size / 1e6:.2f} MB, built in {seconds:.0f} s")
+        for field, words in bank.about.items():
+            print(f"  {field}: {words}")
+    return 0
+
+
 COMMANDS = {name: named(study, f"{title}.", name=name) for name, title in TITLES.items()}
-REPRODUCE = Group(HELP, COMMANDS | {"merge": merge})
+REPRODUCE = Group(HELP, COMMANDS | {"goal-images": goal_images, "merge": merge})

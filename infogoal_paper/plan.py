@@ -66,7 +66,7 @@ def fetch_sets(goal_images: Path | None) -> tuple[int, ...]:
     """The goal sets of Fetch that there are images of: the shipped one, and a folder for each further one."""
     if goal_images is None:
         return (0,)
-    require(goal_images.is_dir(), "goal_images", str(goal_images), "give a folder of `infogoal data build fetch`")
+    require(goal_images.is_dir(), "goal_images", str(goal_images), "give a folder of `infogoal reproduce goal-images`")
     numbers = sorted(int(path.name) for path in goal_images.iterdir() if path.name.isdigit() and path.is_dir())
     return (0, *(number for number in numbers if number > 0))
 

@@ -1,11 +1,10 @@
-"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped, and banks of goal images),
-check, import, export, download, embed."""
+"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped), check, import, export,
+download, embed."""
 
 import contextlib
 import os
 import shlex
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -30,39 +29,6 @@ def house(path: Positional[str], seed: int = 0) -> int:
     with new_folder(folder, "path") as beside:
         build_house(beside, seed=seed)
     print(f"{folder}: built from seed {seed}")
-    return 0
-
-
-def fetch(
-    path: Positional[str], seed: int = 0, tasks: tuple[str, ...] = ("fetch_reach", "fetch_push", "fetch_pick_and_place")
-) -> int:
-    """Draw banks of goal images of Fetch tasks (needs `pip install 'infogoal-jax[goal-images]'` and OpenGL;
-    docs/reference/goal_inputs.md).
-
-    Args:
-        path: Folder to write to, one file a task; files that are there already are never overwritten.
-        seed: Seed of the goals for training, validation and tests; 0: the shipped ones.
-        tasks: The tasks.
-    """
-    check_seed(seed)
-    from rich.progress import track
-
-    from infogoal_jax.data import goal_images
-    from infogoal_jax.envs.fetch import goal_rendering
-
-    files = {name: Path(path) / f"{name}.npz" for name in tasks}
-    for file in files.values():
-        if os.path.lexists(file):
-            raise UserError(f"path = {str(file)!r}: is there already; give a new folder")
-    goal_rendering.check(tuple(files), seed)
-    for name, file in files.items():
-        start = time.perf_counter()
-        bank = goal_rendering.build(name, seed, lambda goals, name: track(goals, name, disable=not sys.stdout.isatty()))
-        goal_images.save(file, bank)
-        seconds = time.perf_counter() - start
-        print(f"{file}: {len(bank.images)} images, {file.stat().st_size / 1e6:.2f} MB, built in {seconds:.0f} s")
-        for field, words in bank.about.items():
-            print(f"  {field}: {words}")
     return 0
 
 
@@ -145,10 +111,7 @@ def progress_bar(words: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-BUILD = Group(
-    "Build stand-ins for data that cannot be shipped, backgrounds and goal images.",
-    {"house": house, "cube": cube, "shelf": shelf, "fetch": fetch},
-)
+BUILD = Group("Build stand-ins for data that cannot be shipped.", {"house": house, "cube": cube, "shelf": shelf})
 
 
 def check(path: Positional[str]) -> int:

@@ -1,7 +1,7 @@
 """Banks of goal images: pictures of a task's goals with the positions that they show (Sec. V-A.1), in one npz file.
 
 A bank has a grid of goals that fills the goal space, so that every position reached has a picture near it, and goals
-for training, validation and tests. The banks of three Fetch tasks are shipped; `infogoal data build fetch` draws
+for training, validation and tests. The banks of three Fetch tasks are shipped; `infogoal reproduce goal-images` draws
 others.
 """
 
@@ -27,7 +27,7 @@ GRID_TOLERANCE = 1e-4
 """Positions of the grid may be off by this much, in m."""
 FIELDS = ("task", "about", "spacing", "grid_low", "grid_shape", "uses", "positions", "images")
 SHIPPED_FOLDER = Path(__file__).parent / "files" / "fetch"
-REMEDY = "build a bank: infogoal data build fetch"
+REMEDY = "build a bank: infogoal reproduce goal-images"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ def help_of(capsys, monkeypatch):
         ),
         ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
-        ("data build", ["house", "cube", "shelf", "fetch"]),
+        ("data build", ["house", "cube", "shelf"]),
         ("evaluate", ["RUN", "--starts", "default: 50"]),
         ("pretrain fetch_push", ["--seeds", "default: td3", "default: none", "--help-all"]),
     ],

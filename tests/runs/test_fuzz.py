@@ -29,7 +29,6 @@ from infogoal_drone import cli as fly
 from infogoal_jax import imports, presets
 from infogoal_jax.cli import main as command_line
 from infogoal_jax.data import backgrounds, sentence_encoder
-from infogoal_jax.envs.fetch import goal_rendering
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import values_of
 from infogoal_jax.report import figures, runs, summary, tuning
@@ -38,7 +37,7 @@ from infogoal_jax.runner import training
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.stand_ins import cube, shelf
-from infogoal_paper import command, numbers
+from infogoal_paper import command, goal_rendering, numbers
 
 SHORT, LONG = 40, 4300
 """Inputs of this file; with those of test_fuzz_formats.py 10,000 in the long tests."""

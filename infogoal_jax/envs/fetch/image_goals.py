@@ -3,8 +3,8 @@ position.
 
 The finite goal space is a grid of rendered positions. Training, validation and test goals lie between its points. The
 true distance decides whether a goal is reached. The nearest grid point decides which goal a position achieves, for
-representation learning and relabelling. Where the goals of a bank of images lie is decided here too; goal_rendering.py
-draws them.
+representation learning and relabelling. Where the goals of a bank of images lie is decided here too;
+`infogoal reproduce goal-images` draws them.
 """
 
 import flax.struct

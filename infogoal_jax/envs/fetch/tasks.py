@@ -200,7 +200,7 @@ class FetchConfig:
     """Positions that are never desired in training: `octant`: those ahead, to the left and above the middle of all, an
     eighth; test goals lie there."""
     goal_images: str = ""
-    """File of goal images, of `infogoal data build fetch`; empty: the one that the project ships for the task."""
+    """File of goal images, of `infogoal reproduce goal-images`; empty: the one that the project ships for the task."""
     backgrounds: str = ""
     """Backgrounds that goal images are corrupted with: `cifar10`, or a folder; empty: the crops of photographs that the
     project ships."""

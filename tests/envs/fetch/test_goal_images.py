@@ -10,9 +10,10 @@ import pytest
 from infogoal_jax import presets
 from infogoal_jax.data import goal_images
 from infogoal_jax.data.goal_images import GRID, TEST, TRAIN, VALIDATION, GoalImages
-from infogoal_jax.envs.fetch import goal_rendering, image_goals
+from infogoal_jax.envs.fetch import image_goals
 from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.errors import UserError
+from infogoal_paper import goal_rendering
 
 SHAPES = {"fetch_reach": (13, 13, 13), "fetch_push": (13, 13, 1), "fetch_pick_and_place": (13, 13, 19)}
 

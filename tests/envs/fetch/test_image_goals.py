@@ -188,7 +188,7 @@ MISTAKES = [
     ),
     ("train fetch_reach --agent.low-level nothing", ["'nothing'", "no such file"]),
     (f"train fetch_reach --env.goal-images {PUSH}", [str(PUSH), "task = 'fetch_push'", "'fetch_reach'"]),
-    ("train fetch_reach --env.goal-images nothing.npz", ["'nothing.npz'", "no such file", "infogoal data build fetch"]),
+    ("train fetch_reach --env.goal-images nothing.npz", ["'nothing.npz'", "no such file", "reproduce goal-images"]),
     ("train fetch_reach --env.backgrounds empty", ["backgrounds = 'empty'", "is empty"]),
     ("train fetch_reach --env.backgrounds nothing", ["backgrounds = 'nothing'", "no such folder"]),
     ("train fetch_slide", ["task = 'fetch_slide'", "no preset"]),
