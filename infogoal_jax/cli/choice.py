@@ -13,7 +13,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from infogoal_jax.cli.commands import Command, Group, TaskCommands, first_word, named
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, nearest
 
 if TYPE_CHECKING:
     from infogoal_jax.config import TrainConfig
@@ -93,6 +93,38 @@ class Choice(Parts):
     """Show the help."""
     help_all: bool = False
     """Show the help with all flags."""
+
+
+ENV = "--env"
+LIBRARIES = {"brax": "--env.id", "playground": "--env.id", "jaxgcrl": "--env.id"}
+"""What can be given by --env, and the flag that says which environment."""
+
+
+def with_environment(arguments: list[str]) -> list[str]:
+    """The words with `--env LIBRARY:NAME`, or LIBRARY:NAME in place of a task, as the task of that library and its
+    flag. Raises `UserError` for another library, and where no name follows."""
+    rest, given, is_name = [], [], False
+    for number, word in enumerate(arguments):
+        flag, sign, value = word.partition("=")
+        follows, is_name = is_name, False
+        if follows and not word.startswith("-"):
+            given[-1] = word
+        elif flag == ENV:
+            given.append(value)
+            is_name = not sign
+        elif number == 0 and word.partition(":")[0] in LIBRARIES and ":" in word:
+            given.append(word)
+        else:
+            rest.append(word)
+    if not given:
+        return arguments
+    library, _, name = given[0].partition(":")
+    remedy = f"give {' or '.join(f'{known}:NAME' for known in LIBRARIES)}"
+    if len(given) > 1 or library not in LIBRARIES or not name:
+        raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, list(LIBRARIES))}".rstrip("."))
+    if first_word(rest):
+        raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
+    return [library, LIBRARIES[library], name, *rest]
 
 
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:

@@ -12,6 +12,7 @@ import tyro
 
 import infogoal_jax
 from infogoal_jax.cli import training, tuning
+from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
@@ -91,7 +92,7 @@ def run(arguments: list[str]) -> int:
         CHECKS[arguments[0]](arguments)
     if arguments[0] in BY_TASK:
         words.append(arguments[0])
-        command, arguments, registry = BY_TASK[arguments[0]](arguments[1:])
+        command, arguments, registry = BY_TASK[arguments[0]](with_environment(arguments[1:]))
         check_names(command, arguments, f"{words[-1]} ")
     while isinstance(command, Group) and first_word(arguments) in command.commands:
         word, *arguments = arguments

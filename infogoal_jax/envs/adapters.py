@@ -7,11 +7,14 @@ wrappers reset an episode to the first state that they ever drew, goal included;
 of its own.
 """
 
+import contextlib
 import dataclasses
 import importlib
 import importlib.util
+import io
 import sys
 import types
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -197,22 +200,40 @@ def from_playground(env: Any, *, config_overrides: dict[str, Any] | None = None,
     """An environment of MuJoCo Playground as a task: the environment, or its name there, such as "FishSwim". It is then
     simulated by MJX in JAX, not by Warp, unless `config_overrides` says otherwise. arguments: of `from_brax`.
 
-    Playground 0.2.0 cannot make its reacher with MuJoCo 3.10 or later: it compares the versions as texts.
-
     Raises `UserError` as `from_brax`, where Playground is not installed, and for a name that it does not have.
     """
     if isinstance(env, str):
         by_name = config_overrides is None or isinstance(config_overrides, dict)
         require(by_name, "config_overrides", config_overrides, "give a dictionary of values by their names")
-        registry = imported("mujoco_playground", 'pip install "infogoal-jax[playground]"').registry
-        known = [*registry.ALL_ENVS]
-        require(env in known, "env", env, f"Playground has no such environment.{nearest(env, known)}")
-        name, overrides = env, {"impl": "jax"} | (config_overrides or {})
-        env = checks.called("env", lambda: registry.load(name, config_overrides=overrides))
-        arguments = {"source": f"{name} of MuJoCo Playground, simulated"} | arguments
+        arguments = {"source": f"{env} of MuJoCo Playground, simulated"} | arguments
+        env = playground_environment(env, config_overrides or {})
     else:
         require(config_overrides is None, "config_overrides", config_overrides, "give env by its name, or leave it out")
     return from_brax(env, **arguments)
+
+
+def playground_environment(name: str, overrides: dict[str, Any]) -> Any:
+    """The environment of Playground of this name. Raises `UserError` where Playground is not installed, and for a name
+    that it does not have.
+
+    Playground 0.2.0 compares the versions of MuJoCo as texts, so that its reacher asks MuJoCo 3.10 or later for
+    `MjSpec.find_body`, which is `MjSpec.body` there.
+    """
+    registry = imported("mujoco_playground", 'pip install "infogoal-jax[playground]"').registry
+    known = [*registry.ALL_ENVS]
+    require(name in known, "env", name, f"Playground has no such environment.{nearest(name, known)}")
+    spec = imported("mujoco", "pip install mujoco").MjSpec
+    if not hasattr(spec, "find_body"):
+        spec.find_body = spec.body
+    return made_quietly("env", lambda: registry.load(name, config_overrides={"impl": "jax"} | overrides))
+
+
+def made_quietly(field: str, make: Callable[[], Any]) -> Any:
+    """What this makes, without warnings, such as that of brax that its environments are no longer maintained. Raises
+    `UserError`, naming the field, where it fails."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return checks.called(field, make)
 
 
 JAXGCRL = {
@@ -264,7 +285,7 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
     Raises `UserError` as `from_brax`, where JaxGCRL is not installed, and for a name that it does not have.
     """
     made, given = jaxgcrl_environment(name)
-    env = checks.called("name", lambda: made(**given))
+    env = made_quietly("name", lambda: made(**given))
     # Its observation is the state and then the goal; `goal_indices` are places of the state.
     radius = getattr(env, "goal_reach_thresh", RADII.get(name))
     known = radius is not None or "radius" in arguments
@@ -433,8 +454,11 @@ def one_of(goals: np.ndarray, key: jax.Array) -> jax.Array:
 
 
 def imported(module: str, remedy: str) -> Any:
-    """An optional module. Raises `UserError` with the remedy where it, or what it needs, cannot be imported."""
+    """An optional module, without what it says while it is imported. Raises `UserError` with the remedy where it, or
+    what it needs, cannot be imported."""
     try:
-        return importlib.import_module(module)
+        with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return importlib.import_module(module)
     except ImportError as error:
         raise UserError(f"{module}: cannot be imported ({error}); {remedy}") from error

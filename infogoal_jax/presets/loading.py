@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
+from infogoal_jax.envs import named
 from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.field_types import checked
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import registry
+from infogoal_jax.presets.plane import of_library
 from infogoal_jax.presets.preset import Preset
 
 REGISTRIES = {
@@ -64,6 +66,7 @@ def preset_of(task: str) -> Preset:
     """The preset of a task, or a `UserError`."""
     known = ", ".join(registry)  # Tasks that can be trained, as the help lists them.
     require(isinstance(task, str), "task", task, f"give the name of a task. Known: {known}")
+    take_library(task)
     found = task in registry or task in envs.registry
     require(found, "task", task, f"no such task.{nearest(task, list(registry))} Known: {known}")
     envs.registry.entry(task)
@@ -197,6 +200,14 @@ def load(
 def name_in(kind: str, asked: Any) -> str:
     """The name of a part that was asked for by its name or as its configuration."""
     return asked if isinstance(asked, str) else REGISTRIES[kind].name_of(asked)
+
+
+def take_library(task: str) -> None:
+    """Register the task of another library's environments (`envs/named.py`) where it is asked for: lists of tasks do
+    not have it before."""
+    if task in named.LIBRARIES and task not in envs.registry:
+        envs.registry[task] = named.LIBRARIES[task]
+        registry[task] = of_library(task)
 
 
 def own_relabelling(task: str, agent: str) -> str:

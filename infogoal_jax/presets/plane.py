@@ -1,5 +1,7 @@
 """The tasks in the plane, for two cores: floats chosen on training and validation goals [M]."""
 
+import dataclasses
+
 from infogoal_jax.presets.preset import Changes, Preset
 
 HYPER = {
@@ -41,6 +43,14 @@ def preset(description: str, num_epochs: int) -> Preset:
         hyper=HYPER,
         methods={"infogoal": INFOGOAL, "cogoal": Changes(learner=SIMILAR)},
     )
+
+
+def of_library(task: str) -> Preset:
+    """The preset of another library's environments (`envs/named.py`)."""
+    words = {"brax": "brax", "playground": "MuJoCo Playground", "jaxgcrl": "JaxGCRL"}
+    env = {"episode_length": 1001, "ends_at_goal": False} if task == "jaxgcrl" else {}
+    of_task = preset(f"An environment of {words[task]}, by its name: --env {task}:NAME.", 100)
+    return dataclasses.replace(of_task, env=env)
 
 
 PRESETS = {

@@ -104,6 +104,7 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
         raise place.refusal(f"{place.prefix}{missing[0]} is missing")
     names = {kind: name_of_part(values[kind], kind, place) for kind in presets.REGISTRIES}
     task = decode_value(str, values["task"], "task", place)
+    presets.take_library(task)
     if task not in presets.registry:
         raise UserError(
             f"{place.path}: {place.prefix}task = {task!r}: no such task here; import the file that "

@@ -1,0 +1,143 @@
+"""Environments of brax, MuJoCo Playground and JaxGCRL by their names: `infogoal train --env brax:reacher`. A task of
+each library, whose configuration has the id, so that a run remembers it. `presets/loading.py` registers such a task
+when it is asked for."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from infogoal_jax.envs import adapters
+from infogoal_jax.envs.adapters import AdaptedTask
+from infogoal_jax.envs.environment import Traits
+from infogoal_jax.envs.goal_task import GoalTaskConfig
+from infogoal_jax.envs.recordings import recorded_in
+from infogoal_jax.errors import nearest, require
+from infogoal_jax.registry import Entry
+
+FLAGS = "--env.goal 4 5 --env.achieved 0 1 --env.radius 0.1"
+
+
+@dataclasses.dataclass(frozen=True)
+class NamedConfig(GoalTaskConfig):
+    """Which environment, and where its goal stands in the flattened observation."""
+
+    id: str = ""
+    """Of the environment, as its library has it."""
+    episode_length: int = 1000
+    """Steps of an episode."""
+    radius: float = 0.0
+    """Distance below which a goal is reached; 0: the environment's own."""
+    goal: tuple[int, ...] = ()
+    """Places of the goal that the environment draws; empty: those that are known for it."""
+    achieved: tuple[int, ...] = ()
+    """Places of the goal that is achieved; with `goal`."""
+    hidden: tuple[int, ...] = ()
+    """Further places that tell of the goal; with `goal`."""
+
+    def check(self, config) -> None:
+        """Raise `UserError` for values out of range."""
+        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
+        require(self.radius >= 0, "env.radius", self.radius, "give a distance above 0, or 0 for the environment's own")
+        require(bool(self.goal) == bool(self.achieved), "env.achieved", self.achieved, "goes with --env.goal")
+        require(bool(self.goal) or not self.hidden, "env.hidden", self.hidden, "goes with --env.goal")
+
+
+class BraxConfig(NamedConfig):
+    """As `NamedConfig`, of brax."""
+
+
+class PlaygroundConfig(NamedConfig):
+    """As `NamedConfig`, of MuJoCo Playground."""
+
+
+class JaxGCRLConfig(NamedConfig):
+    """As `NamedConfig`, of JaxGCRL, whose episodes go on at the goal."""
+
+
+BRAX = {
+    "reacher": {
+        "goal": [4, 5],
+        "hidden": [8, 9, 10],
+        "achieved": lambda state: state.obs[4:6] + state.obs[8:10],
+        "radius": 0.02,
+    },
+    "pusher": {"goal": [20, 21, 22], "achieved": [17, 18, 19], "radius": 0.1},
+}
+"""The environments of brax that draw a goal: arguments of `from_brax`. A tip and its target, and a thing that is pushed
+to a place."""
+
+
+def reach(env: Any) -> dict[str, Any]:
+    """The finger of Playground's reacher has to come to the target."""
+    model = env.mj_model
+    finger, target = (model.geom(name).id for name in ("finger", "target"))
+
+    def place(geom: int) -> Callable[[Any], Any]:
+        return lambda state: state.data.geom_xpos[geom, :2]
+
+    return {
+        "goal": place(target),
+        "achieved": place(finger),
+        "hidden": slice(model.nq, -model.nv),
+        "radius": float(model.geom_size[[finger, target], 0].sum()),
+    }
+
+
+PLAYGROUND = {"ReacherEasy": reach, "ReacherHard": reach}
+"""The environments of Playground whose goal is known here: functions of the environment to arguments of `from_brax`."""
+
+
+def arguments_of(task: str, config: NamedConfig, known: dict[str, Any] | None) -> dict[str, Any]:
+    """What `from_brax` is told: the places that are given, or what is known of the environment."""
+    told = {"episode_length": config.episode_length, "ends_at_goal": config.ends_at_goal}
+    if config.radius:
+        told["radius"] = config.radius
+    if config.goal:
+        require(config.radius > 0, "env.radius", config.radius, f"goes with --env.goal; give {FLAGS}")
+        return told | {"goal": list(config.goal), "achieved": list(config.achieved), "hidden": list(config.hidden)}
+    remedy = f"no goal of {task}:{config.id} is known; name places of its observation, as {FLAGS}"
+    require(known is not None, "env.goal", config.goal, remedy)
+    return known | told
+
+
+def make_brax(config: BraxConfig) -> AdaptedTask:
+    """The environment of brax."""
+    brax = adapters.imported("brax.envs", "pip install brax")
+    names = sorted(brax._envs)
+    require(config.id in names, "env.id", config.id, f"brax has no such environment.{nearest(config.id, names)}")
+    told = arguments_of("brax", config, BRAX.get(config.id))
+    made = adapters.made_quietly("env.id", lambda: brax.get_environment(config.id))
+    return adapters.from_brax(made, **told, source=f"{config.id} of brax, simulated")
+
+
+def make_playground(config: PlaygroundConfig) -> AdaptedTask:
+    """The environment of Playground, simulated by MJX."""
+    env = adapters.playground_environment(config.id, {})
+    known = PLAYGROUND[config.id](env) if config.id in PLAYGROUND and not config.goal else None
+    source = f"{config.id} of MuJoCo Playground, simulated"
+    return adapters.from_brax(env, **arguments_of("playground", config, known), source=source)
+
+
+def make_jaxgcrl(config: JaxGCRLConfig) -> AdaptedTask:
+    """The environment of JaxGCRL, which knows its goal."""
+    return adapters.from_jaxgcrl(config.id, **arguments_of("jaxgcrl", config, {}))
+
+
+def with_recordings(make: Callable[[NamedConfig], AdaptedTask], config: NamedConfig) -> AdaptedTask:
+    """The task, with what it learns from offline where a file is named."""
+    return recorded_in(make(config), config.dataset)
+
+
+def traits(config: NamedConfig) -> Traits:
+    """What such a task can be combined with."""
+    recorded = bool(config.dataset)
+    return Traits(finite_goals=False, moves=False, recorded=recorded, ends_at_goal=config.ends_at_goal)
+
+
+LIBRARIES = {
+    "brax": Entry(BraxConfig, partial(with_recordings, make_brax), traits=traits),
+    "playground": Entry(PlaygroundConfig, partial(with_recordings, make_playground), traits=traits),
+    "jaxgcrl": Entry(JaxGCRLConfig, partial(with_recordings, make_jaxgcrl), traits=traits),
+}
+"""The task of each library, by its name."""

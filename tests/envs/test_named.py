@@ -1,0 +1,108 @@
+"""Environments of other libraries by their names, from the command line to a run that remembers them."""
+
+import dataclasses
+import sys
+
+import pytest
+
+from infogoal_jax import envs, presets
+from infogoal_jax.cli.choice import with_environment
+from infogoal_jax.cli.main import main
+from infogoal_jax.envs import named
+from infogoal_jax.errors import UserError
+from infogoal_jax.loading import load_environment
+from infogoal_jax.runs import configuration
+
+# Of brax itself, about the fields of MuJoCo that it reads.
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+FAMILIES = ("brax", "playground", "jaxgcrl")
+SMALL = "--num-epochs 1 --epochs-per-evaluation 1 --env.episode-length 10 --rollout-steps 10 --num-envs 2"
+SMALL += " --updates-per-epoch 2 --batch-size 8 --evaluation-starts 1 --no-figures"
+
+
+@pytest.fixture(autouse=True)
+def _as_before(monkeypatch):
+    """What a test registers is forgotten after it."""
+    before = dict(envs.registry), dict(presets.registry)
+    yield
+    for registry, entries in zip((envs.registry, presets.registry), before, strict=True):
+        for name in registry.keys() - entries.keys():
+            del registry[name]
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("--env brax:reacher --seeds 2", "brax --env.id reacher --seeds 2"),
+        ("--seeds 2 --env=jaxgcrl:ant", "jaxgcrl --env.id ant --seeds 2"),
+        ("playground:ReacherEasy --help", "playground --env.id ReacherEasy --help"),
+        ("point_maze --env.held-out", "point_maze --env.held-out"),
+        ("", ""),
+    ],
+)
+def test_words_mean_a_task_and_a_name(words, meant):
+    assert with_environment(words.split()) == meant.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--env brx:reacher", "env = 'brx:reacher': give brax:NAME or playground:NAME or jaxgcrl:NAME. Did you mean"),
+        ("--env brax:", "env = 'brax:': give brax:NAME"),
+        ("--env", "env = '': give brax:NAME"),
+        ("point_maze --env brax:reacher", "'point_maze' is a task already"),
+        ("--env brax:reachr", "env.id = 'reachr': brax has no such environment. Did you mean 'reacher'?"),
+        ("--env brax:ant", "env.goal = (): no goal of brax:ant is known; name places"),
+        ("--env brax:reacher --env.goal 4 5", "env.achieved = (): goes with --env.goal"),
+        ("--env brax:reacher --env.goal 4 --env.achieved 99 --env.radius 1", "achieved = [99]: give places"),
+        ("--env brax:reacher --env.goal 4 --env.achieved 0", "env.radius = 0.0: goes with --env.goal"),
+        ("--env brax:reacher --env.radius -1", "env.radius = -1.0: give a distance"),
+    ],
+)
+def test_what_is_not_there_is_one_line(words, said, capsys):
+    assert main(["train", *words.split(), "--method", "none"]) == 2
+    output, error = capsys.readouterr()
+    assert said in error and error.count("\n") == 1 and not output
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_missing_package_is_one_line(family, monkeypatch):
+    for module in ("brax.envs", "mujoco_playground"):
+        monkeypatch.setitem(sys.modules, module, None)
+    config = presets.load(family, "none")
+    with pytest.raises(UserError, match=r"cannot be imported .*; pip install") as error:
+        load_environment(dataclasses.replace(config, env=dataclasses.replace(config.env, id="reacher")))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_lists_of_tasks_have_it_only_once_it_is_asked_for(family):
+    assert family not in presets.registry and family not in envs.registry
+    config = presets.load(family, "none")
+    config = dataclasses.replace(config, env=dataclasses.replace(config.env, id="x", goal=(1,), achieved=(2,)))
+    values = configuration.to_dict(config)
+    for registry in (envs.registry, presets.registry):
+        del registry[family]
+    assert configuration.from_dict(values) == config  # A run of it is read in a process that never heard of it.
+
+
+def test_what_brax_has_is_what_is_told():
+    """The goal is where the tip has to be, and the agent sees none of it."""
+    config = presets.load("brax", "none").env
+    task = named.make_brax(dataclasses.replace(config, id="reacher", episode_length=7))
+    assert task.goals.shape == (2,) and task.radius == 0.02 and task.episode_length == 7
+    assert task.shown == (0, 1, 2, 3, 6, 7) and task.source == "reacher of brax, simulated"
+    own = named.make_brax(dataclasses.replace(config, id="reacher", goal=(4, 5), achieved=(0, 1), radius=0.3))
+    assert own.shown == (0, 1, 2, 3, 6, 7, 8, 9, 10) and own.radius == 0.3
+
+
+@pytest.mark.long
+def test_a_run_remembers_its_environment(tmp_path, capsys):
+    """It is trained, gone on with, evaluated and exported."""
+    run = str(tmp_path / "run")
+    assert main(["train", "--env", "brax:reacher", "--method", "none", *SMALL.split(), "--out", run]) == 0
+    assert "reacher of brax" in capsys.readouterr().out
+    for words in (["train", "--resume", run, "--num-epochs", "2", "--no-figures"], ["evaluate", run]):
+        assert main(words) == 0
+    assert main(["export", run, "--out", str(tmp_path / "policy.npz")]) == 0
+    assert (tmp_path / "policy.npz").exists()
