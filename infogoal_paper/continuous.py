@@ -93,6 +93,16 @@ def solved(setting: Setting) -> str:
     return f"{(values >= SOLVED).sum()} of {len(values)}"
 
 
+def seeds_below(settings: list[Setting]) -> dict[str, list[list[str]]]:
+    """How many settings of FetchReach leave each seed below half of the test goals, and below `SOLVED`."""
+    ends = np.stack([np.asarray(each["test"])[:, -1] for each in settings if each["task"] == TASKS[2]])
+    counts = {bound: (ends < bound).sum(0) for bound in (0.5, SOLVED)}
+    return {
+        "head": [f"of {len(ends)} settings", *(f"seed {seed}" for seed in range(ends.shape[1]))],
+        "rows": [[f"below {bound}", *map(str, count)] for bound, count in counts.items()],
+    }
+
+
 def by_task(settings: list[Setting]) -> dict[tuple[str, str], Setting]:
     """The settings by task, and by name without it."""
     return {(each["task"], each["name"].removeprefix(f"{each['task']} ")): each for each in settings}
@@ -125,7 +135,8 @@ def tables() -> dict[str, str]:
         cells = [wrong, f"{np.mean(each['nearest_negative']):.2f}", f"{each['ms_an_update']:.2f}"]
         rule = each["learner"]["dissimilar_by"]
         lines["negatives"].append([f"`{rule}`", last(each, "validation"), last(each, "test"), *cells])
-    return {
+    below = seeds_below([*studies["causes"]["settings"], *studies["methods"]["settings"]])
+    return {"seeds": markdown_lines(below["head"], below["rows"])} | {
         name: f"{markdown_lines(heads[name], lines[name])}\n\n5 seeds; {studies[name]['machine']}." for name in heads
     }
 

@@ -1,5 +1,5 @@
-"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of a Fetch task. No
-screen and no OpenGL needed."""
+"""Videos: pictures to an mp4 file through OpenCV or to a GIF through Pillow, and whole episodes of Fetch and of tasks
+that draw themselves. No screen and no OpenGL needed."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -173,25 +173,34 @@ def episode_video(
 
 
 def can_draw(env: Any) -> bool:
-    """Whether a task draws its own states, and its agent acts in it as it is."""
-    return env is env.unwrapped and getattr(type(env), "draw", Environment.draw) is not Environment.draw
+    """Whether states of a task can be drawn, and its agent acts in it as it is."""
+    draws = isinstance(env, Fetch) or getattr(type(env), "draw", Environment.draw) is not Environment.draw
+    return env is env.unwrapped and draws
 
 
-def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: int, fps: float = 10) -> list[bool]:
-    """Play episodes of a run's policy on its test goals, or on its training goals where there are none, and write the
-    pictures that the task draws, scaled to this height. Returns whether each episode reached its goal.
+def painter(env: Any, height: int) -> tuple[Callable[[Any], np.ndarray], int]:
+    """What makes a picture uint8 [height, W, 3] of a state, and pictures a second. It raises `UserError` for a picture
+    of the task's own that is no uint8 [H, W, 3]."""
+    if isinstance(env, Fetch):
+        return lambda state: draw_fetch(env, state, (height, height * 4 // 3)), 25
+    draw = jax.jit(env.draw)
 
-    Raises `UserError` for a picture that is no uint8 [H, W, 3].
-    """
-    env, policy, reached = run.env, jax.jit(run.policy()), []
-    group = env.goals.groups.index("test" if "test" in env.goals.groups else "train")
-    goals = env.goals.evaluated[np.asarray(env.goals.in_groups()[group])]
-    step, draw, observe = jax.jit(env.step), jax.jit(env.draw), jax.jit(env.observe)
-
-    def picture(state: Any) -> np.ndarray:
+    def scaled(state: Any) -> np.ndarray:
         (frame,) = of_one_size([draw(state)])
         width = max(round(frame.shape[1] * height / frame.shape[0]), 1)
         return cv2.resize(frame, (width, height), interpolation=cv2.INTER_NEAREST)
+
+    return scaled, 10
+
+
+def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: int) -> list[bool]:
+    """Play episodes of a run's policy on its test goals, or on its training goals where there are none, and write
+    pictures of this height, as `painter` makes them. Returns whether each episode ends at its goal."""
+    env, policy, reached = run.env, jax.jit(run.policy()), []
+    group = env.goals.groups.index("test" if "test" in env.goals.groups else "train")
+    goals = env.goals.evaluated[np.asarray(env.goals.in_groups()[group])]
+    step, observe = jax.jit(env.step), jax.jit(env.observe)
+    picture, fps = painter(env, height)
 
     def frames() -> Iterator[np.ndarray]:
         for episode in range(episodes):
@@ -206,8 +215,8 @@ def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: in
                 yield picture(state)
                 if state.terminated | state.truncated:
                     break
-            reached.append(bool(state.terminated))
-            for _ in range(round(fps)):
+            reached.append(bool(env.reached(env.achieved(state), goal)))
+            for _ in range(fps):
                 yield picture(state)
 
     write_video(path, frames(), fps)

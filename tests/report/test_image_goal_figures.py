@@ -9,6 +9,7 @@ import math
 import re
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import cv2
 import hand_made_points
@@ -29,7 +30,7 @@ from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluat
 from infogoal_jax.report.runs import table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
-from infogoal_jax.report.video import episode_video, random_policy, write_video
+from infogoal_jax.report.video import can_draw, drawn_video, episode_video, random_policy, write_video
 from infogoal_jax.runner import training
 from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
 from infogoal_jax.train.parts import Setup
@@ -266,6 +267,18 @@ def test_an_episode_becomes_a_video_at_its_own_speed(tmp_path):
     capture = cv2.VideoCapture(str(tmp_path / "episode.mp4"))
     assert capture.get(cv2.CAP_PROP_FPS) == 25
     assert len(read(tmp_path / "episode.mp4")) == 2 * (4 + 25)
+
+
+def test_a_run_whose_goals_are_positions_becomes_a_video(tmp_path):
+    """The scene with the goal in it; an episode has reached its goal where its last state has."""
+    env = envs.load("fetch_reach_positions", dataclasses.replace(CONFIG, goals="positions", episode_length=2))
+    towards = jax.vmap(lambda observation, goal: jnp.append(10 * (goal - observation[:3]), 0.0).clip(-1, 1))
+    run = SimpleNamespace(env=env, policy=lambda: lambda observations, goals, key: towards(observations, goals))
+    assert can_draw(env)
+    reached = drawn_video(run, tmp_path / "episode.mp4", episodes=2, seed=0, height=96)
+    shown = read(tmp_path / "episode.mp4")
+    assert len(reached) == 2 and len(shown) == 2 * (3 + 25) and shown[0].shape == (96, 128, 3)
+    assert not np.array_equal(shown[0], shown[3])  # The arm moves.
 
 
 def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
