@@ -71,6 +71,17 @@ SEARCH_WITHOUT_SERVER = """if (location.protocol === "file:") {
 """The search runs in a worker, which browsers refuse to a page that was opened from a folder. There, and only there,
 this runs it in a hidden frame that answers in the same way. The worker looks for the name IFrameWorker to find its
 files."""
+SEARCHED_FIRST = {
+    "start": 4,
+    "guides": 4,
+    "reference/goal_inputs.md": 4,
+    "reference/api.md": 0.5,
+    "research": 0.5,
+    "changelog.md": 0.5,
+    "contributing.md": 0.5,
+}
+"""How much more a word counts in the search on pages of these folders, or on these pages: who searches wants to do
+something."""
 LANGUAGES = {".py": "python", ".json": "json", ".md": "markdown", ".yml": "yaml", ".toml": "toml", ".xml": "xml"}
 
 
@@ -154,6 +165,9 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
     if uri.startswith("source/"):
         return markdown
     origin = source_of(uri).parent
+    boost = SEARCHED_FIRST.get(uri) or SEARCHED_FIRST.get(uri.partition("/")[0])
+    if boost:
+        page.meta["search"] = {"boost": boost}
 
     def link(found: re.Match) -> str:
         target, anchor = found[1] or "", found[2] or ""

@@ -193,7 +193,7 @@ def gathered_by_writer(tree: Any) -> Any:
             slices = process_allgather(own)
             if writes:
                 found[:, seed] = slices
-        return found.reshape(-1, *mine.shape[1:]) if writes else None
+        return found.reshape(count * len(mine), *mine.shape[1:]) if writes else None
 
     trees = jax.tree.map(whole, tree)
     return trees if writes else None

@@ -65,7 +65,7 @@ def draw_starts(env, goals: jax.Array, num_starts: int, seed: int = EVALUATION_S
     """Draw start states for each goal: goals [M, *shape] to states [M, num_starts]."""
     desired = jnp.repeat(goals, num_starts, axis=0)
     states = jax.vmap(env.reset_to)(jax.random.split(seed_key(seed), desired.shape[0]), desired)
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, num_starts, *leaf.shape[1:]), states)
+    return jax.tree.map(lambda leaf: leaf.reshape(len(goals), num_starts, *leaf.shape[1:]), states)
 
 
 def evaluate(policy: Policy, env, goals: jax.Array | GoalView, starts: Any = 10, seed: int = EVALUATION_SEED) -> Scores:
@@ -120,7 +120,7 @@ def run_side_by_side(
 
 def flat(leaf: jax.Array) -> jax.Array:
     """The array [M, S, ...] as [M * S, ...]."""
-    return leaf.reshape(-1, *leaf.shape[2:])
+    return leaf.reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:])  # Not -1: the array may be empty.
 
 
 def score(env, starts: Any, episodes: Episodes) -> Scores:

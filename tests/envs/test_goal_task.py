@@ -188,6 +188,30 @@ def test_a_report_says_what_epochs_tell_of_a_task():
     assert not remarks_on(RunTable([0], np.arange(1), {"collect/success_rate": np.full((1, 1), 0.1)}))
 
 
+def test_a_world_may_have_empty_arrays(registered):
+    """As `mjx.Data` of a robot that touches nothing has."""
+
+    @flax.struct.dataclass
+    class Robot(Square):
+        def begin(self, key):
+            return {"place": super().begin(key), "contacts": jnp.zeros((0, 3))}
+
+        def move(self, world, action):
+            return world | {"place": super().move(world["place"], action)}
+
+        def observation(self, world):
+            return super().observation(world["place"])
+
+        def achieved_goal(self, world):
+            return world["place"]
+
+    registered(Robot(GOALS, radius=0.2), "robot")
+    sizes = dict(num_epochs=1, epochs_per_evaluation=1, num_envs=4, rollout_steps=10, buffer_steps=80)
+    train = make_train(presets.load("robot", "none", updates_per_epoch=1, batch_size=8, evaluation_starts=2, **sizes))
+    shapes = jax.eval_shape(train, jax.random.key(0))
+    assert shapes.metrics["test_goal/success_rate"].shape == (1,)
+
+
 def test_an_episode_keeps_what_the_task_does_not():
     """Time, its end, and no start at the goal."""
     env = Square(GOALS, radius=0.5, episode_length=2)
