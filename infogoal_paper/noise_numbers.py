@@ -260,7 +260,7 @@ def read() -> list[Row]:
 
 def is_development(task: str, data_set: int) -> bool:
     """Whether a data set is there for its validation goals alone, and is not shown."""
-    return task == "object_search" and data_set == tuning.SEED
+    return task.partition("+")[0] == "object_search" and data_set == tuning.SEED
 
 
 def at_shared_updates(rows: Sequence[Row]) -> list[Row]:
@@ -312,14 +312,9 @@ def success_table(numbers: Numbers) -> str:
     images = [task for task in TASKS if task in IMAGE_TASKS]
     columns = [(task, "test") for task in TASKS] + [(task, "corrupted_test") for task in images]
 
-    def cell(task: str, kind: str, method: str) -> str:
-        if not numbers.has(task, method):
-            return ""
-        epsilons = 0.0, SAME, numbers.best(task, method)
-        values = [list(numbers.success(task, method, epsilon, kind=kind).values()) for epsilon in epsilons]
-        return "/".join(f"{np.mean(each):.2f}" for each in values)
-
-    rows = [[title, *(cell(task, kind, method) for task, kind in columns)] for method, title in METHODS.items()]
+    rows = [
+        [title, *(three_of(numbers, task, kind, method) for task, kind in columns)] for method, title in METHODS.items()
+    ]
     return markdown_lines(["method", *(goals_of(task, kind) for task, kind in columns)], rows)
 
 
@@ -417,17 +412,81 @@ RULES = {
 """Columns of differences: the rule, and the codes."""
 
 
-def difference_table(numbers: Numbers, tasks: Sequence[str], pairs: Sequence[tuple[str, str]]) -> str:
-    """A row for each task, kind of goals and pair of methods: the difference by each of `RULES`."""
+def difference_table(
+    numbers: Numbers, tasks: Sequence[str], pairs: Sequence[tuple[str, str]], rules: Sequence[str] = tuple(RULES)
+) -> str:
+    """A row for each task, kind of goals and pair of methods: the difference by each of these of `RULES`."""
     rows = []
     for task, kind, pair in itertools.product(tasks, ("test", "corrupted_test"), pairs):
         if not all(numbers.has(task, method) for method in pair):
             continue
-        found = [difference(numbers, task, pair, kind, *rule) for rule in RULES.values()]
+        found = [difference(numbers, task, pair, kind, *RULES[rule]) for rule in rules]
         if None not in found:
             named = " - ".join(methods_of(task)[method].replace(" + ", "+") for method in pair)
             rows.append([goals_of(task, kind), named, *map(signed, found)])
-    return markdown_lines(["test goals of", "difference", *RULES], rows)
+    return markdown_lines(["test goals of", "difference", *rules], rows)
+
+
+def carries_on_fetch(numbers: Numbers) -> str:
+    """A row for each method with and without the head on Fetch: success greedy, at `SAME` and at its own best."""
+    columns = [(task, kind) for task in HELD_OUT_FETCH for kind in ("test", "corrupted_test")]
+    rows = []
+    for method, title in CARRYING.items():
+        ran = [numbers.has(task, method) for task in HELD_OUT_FETCH]
+        if any(ran):
+            rows.append([title, *(three_of(numbers, task, kind, method) for task, kind in columns)])
+    return (
+        markdown_lines(["method", *(goals_of(task, kind) for task, kind in columns)], rows) if rows else "Not run yet."
+    )
+
+
+def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
+    """Success greedy, at `SAME` and at a method's own best, `0.80/0.82/0.83`; nothing where it was not run."""
+    if not numbers.has(task, method):
+        return ""
+    epsilons = 0.0, SAME, numbers.best(task, method)
+    values = [list(numbers.success(task, method, epsilon, kind=kind).values()) for epsilon in epsilons]
+    return "/".join(f"{np.mean(each):.2f}" for each in values) if all(values) else ""
+
+
+READ_METHODS = ("infogoal", "infogoal+her", "her", "none", "infobot+her")
+"""Methods of the table of readings, in order."""
+
+
+def readings_table(numbers: Numbers, kind: str) -> str:
+    """A row for each reading, a column for each task and method that was run under one: success at its own best noise,
+    bold where it differs from that of the preset on the same seeds and data sets for sure. kind: of goals."""
+    columns = [
+        (task, method)
+        for task in READ
+        for method in READ_METHODS
+        if any(numbers.has(task, f"{method}@{reading}") for reading in READINGS)
+        and (kind == "test" or task.partition("+")[0] in IMAGE_TASKS)
+    ]
+    if not columns:
+        return "Not run yet."
+
+    def reached(task: str, method: str) -> dict[tuple[int, int], float]:
+        return numbers.success(task, method, numbers.best(task, method), kind=kind)
+
+    def cell(task: str, method: str, reading: str) -> str:
+        read = {name: reached(task, f"{method}@{name}") for name in READINGS if numbers.has(task, f"{method}@{name}")}
+        preset = reached(task.partition("+")[0], method)
+        if not reading:  # On the data sets on which there is something to compare it with.
+            return f"{np.mean([preset[place] for place in set().union(*read.values()) & preset.keys()]):.2f}"
+        if reading not in read:
+            return ""
+        shared = sorted(read[reading].keys() & preset.keys())
+        gain = paired_difference(*([each[place] for place in shared] for each in (read[reading], preset)))
+        text = f"{np.mean([read[reading][place] for place in shared]):.2f}"
+        return f"**{text}**" if gain.low > 0 or gain.high < 0 else text
+
+    rows = [
+        [READING_WORDS.get(reading, "preset"), *(cell(*column, reading) for column in columns)]
+        for reading in ("", *READINGS)
+    ]
+    heads = [f"{TITLES[task]}: {METHODS[method]}" for task, method in columns]
+    return markdown_lines(["reading", *heads], [row for row in rows if any(row[1:])])
 
 
 def carries_table(numbers: Numbers) -> str:
@@ -485,6 +544,12 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     return {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),
+        "readings": readings_table(numbers, "test"),
+        "readings_corrupted": readings_table(numbers, "corrupted_test"),
+        "carries_fetch": carries_on_fetch(numbers),
+        "carries_fetch_differences": difference_table(
+            numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("greedy", "each at its own best")
+        ),
         "carries": carries_table(numbers),
         "carries_differences": difference_table(numbers, [HELD_OUT], CARRYING_PAIRS),
         "success": success_table(numbers),

@@ -162,3 +162,23 @@ def test_a_reading_changes_its_preset_alone():
     assert settings == {"learner.positives": "listed", "learner.radius": 0.25, "training_corruption": 0.4}
     assert noise_numbers.settings_of("fetch_reach+read", "infogoal@listed_1")["learner.radius"] == 0.05
     assert noise_numbers.settings_of("fetch_reach", "infogoal") == {}
+
+
+def test_a_reading_is_compared_with_the_preset_on_the_same_data_sets_and_seeds():
+    """The preset ran on three cubes, the reading on one: what the others say of the preset does not count."""
+    presets_ = [
+        row("her", epsilon, test="0.5" if number == 7 else "0.1", data_set=str(number), seed=str(seed))
+        for epsilon in EPSILONS
+        for number in (7, 8, 9)
+        for seed in range(3)
+    ]
+    read = [
+        row("her@desired", epsilon, test=f"{0.7 + seed / 100}", task="object_manipulation+read", seed=str(seed))
+        for epsilon in EPSILONS
+        for seed in range(3)
+    ]
+    lines = noise_numbers.readings_table(Numbers(presets_ + read), "test").splitlines()
+    assert lines[0] == "| reading | cube: HER |" and lines[2:] == [
+        "| preset | 0.50 |",
+        "| all goals desired | **0.71** |",
+    ]
