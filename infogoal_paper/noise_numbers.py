@@ -384,15 +384,16 @@ def first_table(numbers: Numbers) -> str:
     for task, kind in FIRST:
         row = [goals_of(task, kind.removesuffix("_goal"))]
         for reading in claims.READINGS:
-            for rule in ("0", str(SAME), "best"):
+            for rule in (str(SAME), "best"):
                 found = is_first(numbers, task, kind, reading, rule)
-                effect = "not run" if found.effect is None else f"{found.effect.value:+.2f}"
-                row.append(f"{found.verdict}, {effect} ({found.words})")
+                effect = "" if found.effect is None else f" {found.effect.value:+.2f}"
+                row.append(f"{IS_FIRST[found.verdict]}{effect} {found.words}")
         rows.append(row)
-    heads = [f"{words}, {rule}" for words in READING_NAMES for rule in ("greedy", f"ε {SAME}", "own best")]
+    heads = [f"{words}, {rule}" for words in READING_NAMES for rule in (f"ε {SAME}", "own best")]
     return markdown_lines(["goals of", *heads], rows)
 
 
+IS_FIRST = {"holds": "first", "fails": "**behind**", "cannot be told": "open"}
 READING_NAMES = ("Algorithm 1", "text")
 """Of the readings `claims.READINGS`."""
 
@@ -541,15 +542,16 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         return {}
     numbers = Numbers(rows)
     machines = machines_in_words(sorted({row["machine"] for row in rows}))
-    return {
+    ran, beside = {row["task"] for row in rows}, {}
+    if ran & READ.keys():
+        beside |= {"readings": readings_table(numbers, "test")}
+        beside |= {"readings_corrupted": readings_table(numbers, "corrupted_test")}
+    if ran & set(HELD_OUT_FETCH):
+        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("greedy", "each at its own best")
+        beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
+    return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),
-        "readings": readings_table(numbers, "test"),
-        "readings_corrupted": readings_table(numbers, "corrupted_test"),
-        "carries_fetch": carries_on_fetch(numbers),
-        "carries_fetch_differences": difference_table(
-            numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("greedy", "each at its own best")
-        ),
         "carries": carries_table(numbers),
         "carries_differences": difference_table(numbers, [HELD_OUT], CARRYING_PAIRS),
         "success": success_table(numbers),
