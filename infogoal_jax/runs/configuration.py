@@ -39,7 +39,8 @@ OF_HEADS = {"bounded": False, "layer_norm": False}
 ADDED: dict[type, dict[str, Any]] = {
     DQNConfig: {"head": "concatenated", "head_size": 128} | OF_HEADS,
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
-    InfoGoalConfig: {"dissimilar_by": "trajectory"},
+    TrainConfig: {"desired_goals": "training"},
+    InfoGoalConfig: {"dissimilar_by": "trajectory", "positives": "trajectory", "radius": 0.15},
     InfoGoalHyperparameters: {"beta_margin": 0.005},
     GCBConfig: {"grounded": False},
     InfoBotConfig: {"reward": "rarity"},
