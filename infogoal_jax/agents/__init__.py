@@ -1,6 +1,6 @@
 """Reinforcement-learning agents, one file each. A new one is registered in `registry`."""
 
-from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hrac, offline, qrl, sac, td3
+from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hiql, hrac, offline, qrl, sac, td3
 from infogoal_jax.registry import Entry, Registry
 
 registry = Registry(
@@ -13,6 +13,14 @@ registry = Registry(
         "crl": Entry(crl.CRLConfig, crl.make, crl.CRLHyperparameters, crl.traits, of_relabelling=crl.OF_RELABELLING),
         "gcivl": Entry(gcivl.GCIVLConfig, gcivl.make, gcivl.GCIVLHyperparameters, offline.traits, relabelling="mixed"),
         "gciql": Entry(gciql.GCIQLConfig, gciql.make, gciql.GCIQLHyperparameters, offline.traits, relabelling="mixed"),
+        "hiql": Entry(
+            hiql.HIQLConfig,
+            hiql.make,
+            hiql.HIQLHyperparameters,
+            offline.traits,
+            of_relabelling=hiql.OF_RELABELLING,
+            relabelling="mixed",
+        ),
         "qrl": Entry(
             qrl.QRLConfig,
             qrl.make,

@@ -59,6 +59,23 @@ class ActorGoals:
 
 
 @flax.struct.dataclass
+class Waypoints:
+    """The states that the episodes of transitions reach some steps later, all without gradient: w_g on the way to the
+    actor's goal, no further than this, and w anywhere."""
+
+    low_code: jax.Array
+    """float32 [B, d] of what w achieves, in the first state."""
+    next_low_code: jax.Array
+    """float32 [B, d] of what w achieves, in the last state."""
+    code: jax.Array
+    """float32 [B, d] of what w_g achieves, in the first state."""
+    features: jax.Array
+    """float32 [B, F] of w_g."""
+    code_there: jax.Array
+    """float32 [B, d] of the actor's goal, in w_g."""
+
+
+@flax.struct.dataclass
 class AgentBatch:
     """B encoded transitions. The gradient of the agent's loss flows through `features` and `code` into the encoders."""
 
@@ -98,6 +115,8 @@ class AgentBatch:
     """float32 [B, d] of the desired goal in the first state, by the target encoder."""
     actor: ActorGoals | None = None
     """Goals of the actor, without gradient, where the relabelling draws some (`relabelling/mixed.py`)."""
+    waypoints: Waypoints | None = None
+    """States on the way to them, where the relabelling draws some."""
 
 
 def in_bounds(target: jax.Array, batch: AgentBatch) -> jax.Array:

@@ -105,16 +105,23 @@ def actor_inputs(batch: AgentBatch) -> tuple[jax.Array, jax.Array]:
 def implicit_values(
     value: Any, params: dict, target_params: dict, batch: AgentBatch, expectile: jax.Array
 ) -> tuple[jax.Array, dict]:
-    """The loss of twin values V(s, g) of transitions alone, and metrics (OGBench, Eq. 4: IQL without Q).
-
-    value: module of params["value"], [B, D] to [2, B, 1]. The advantage is that of the target networks, so that the
-    weight of a difference does not depend on it.
-    """
+    """`implicit_loss` of twin values V(s, g), and metrics. value: module of params["value"], [B, D] to [2, B, 1]."""
     first = td3.joined(batch.first_target_features, batch.first_target_code)
     following = value.apply(target_params["value"], td3.joined(batch.target_features, batch.target_code))[..., 0]
-    target = jax.lax.stop_gradient(batch.reward + batch.discount * following)
     now = value.apply(target_params["value"], first)[..., 0].mean(0)
-    advantage = jax.lax.stop_gradient(target.min(0) - now)
     values = value.apply(params["value"], td3.joined(batch.features, batch.code))[..., 0]
+    return implicit_loss(batch, following, now, values, expectile)
+
+
+def implicit_loss(
+    batch: AgentBatch, following: jax.Array, now: jax.Array, values: jax.Array, expectile: jax.Array
+) -> tuple[jax.Array, dict]:
+    """The loss of twin values of transitions alone, and metrics (OGBench, Eq. 4: IQL without Q).
+
+    following: [2, B] of the target networks after the transitions; now: [B], their mean before them, so that the weight
+    of a difference does not depend on it; values: [2, B], which learn.
+    """
+    target = jax.lax.stop_gradient(batch.reward + batch.discount * following)
+    advantage = jax.lax.stop_gradient(target.min(0) - now)
     loss = expectile_loss(advantage, target - values, expectile).mean(-1).sum()
     return loss, {"value_loss": loss, "value": values.mean()}

@@ -107,13 +107,21 @@ def future_goal(
     The later step is drawn by `choose` among those that achieve a goal, the goal uniformly among those achieved there.
     """
     choose_step, choose_goal = jax.random.split(key)
-    width = achievements.goals.shape[1]
-    here = row * width + step
-    before, until = achievements.count[here], achievements.count[here + achievements.steps_left[row, step]]
-    rank = choose(choose_step, before, until)
-    place = jnp.minimum(jnp.searchsorted(achievements.count, rank, side="right"), achievements.count.shape[0] - 1)
+    place, found = future_place(choose_step, achievements, row, step, choose)
     goals = pairs.choose_goal(choose_goal, achievements.goals.reshape(-1, *achievements.goals.shape[2:])[place])
-    return select(until > before, goals, no_goals_like(goals))
+    return select(found, goals, no_goals_like(goals))
+
+
+def future_place(
+    key: jax.Array, achievements: Achievements, row: jax.Array, step: jax.Array, choose: Callable
+) -> tuple[jax.Array, jax.Array]:
+    """Draw by `choose` a step after `step` of the same episode that achieves a goal: its place among all steps of all
+    rows, int32 [B], and whether there is one, bool [B]."""
+    here = row * achievements.goals.shape[1] + step
+    before, until = achievements.count[here], achievements.count[here + achievements.steps_left[row, step]]
+    rank = choose(key, before, until)
+    place = jnp.minimum(jnp.searchsorted(achievements.count, rank, side="right"), achievements.count.shape[0] - 1)
+    return place, until > before
 
 
 @flax.struct.dataclass

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from infogoal_jax import pairs
 from infogoal_jax.errors import require
 from infogoal_jax.goals import is_goal, select
-from infogoal_jax.relabelling.her import any_known, any_of, future_goal
-from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
+from infogoal_jax.relabelling.her import any_known, any_of, future_goal, future_place
+from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +36,8 @@ class MixedConfig:
     datasets that have to be stitched."""
     actor_geometric: bool = False
     """As `geometric`, of the actor's goals."""
+    subgoal_steps: int = 0
+    """Steps after which a state is a subgoal, for agent hiql; 0: none."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range, and for returns of several steps."""
@@ -44,6 +46,8 @@ class MixedConfig:
             require(0 <= share <= 1, f"relabelling.{name}", share, "give a share from 0 to 1")
         room = f"must leave room for current_share = {self.current_share}: together at most 1"
         require(self.current_share + self.future_share <= 1, "relabelling.future_share", self.future_share, room)
+        remedy = "give 0 or more steps"
+        require(self.subgoal_steps >= 0, "relabelling.subgoal_steps", self.subgoal_steps, remedy)
         steps = getattr(config.agent, "num_steps", 1)
         require(steps == 1, "agent.num_steps", steps, "relabelling mixed counts the cost of one step; give 1")
 
@@ -92,7 +96,29 @@ def make(config: MixedConfig) -> Relabelling:
     def actor_goal(key, table, row, step, goal):
         return mixture(key, table, row, step, goal, 0.0, config.actor_future_share, config.actor_geometric)
 
+    def waypoints(key, table, row, step, goal):
+        keys, achieved = jax.random.split(key, 6), table.achievements
+        place, found = future_place(keys[0], achieved, row, step, table.later(config.actor_geometric))
+        from_episode = found & (jax.random.uniform(keys[1], row.shape, jnp.float32) < config.actor_future_share)
+        end, ahead = step + achieved.steps_left[row, step], step + config.subgoal_steps
+        of_goal = jnp.where(from_episode, place - row * achieved.goals.shape[1], end)
+
+        def achieved_at(key, step):
+            there = pairs.choose_goal(key, achieved.goals[row, step])
+            return select(is_goal(there), there, goal)
+
+        anything = any_known(keys[2], achieved.known, goal)
+        low_step, high_step = jnp.minimum(ahead, end), jnp.minimum(ahead, of_goal)
+        return Waypoints(
+            actor_goal=select(from_episode, achieved_at(keys[3], of_goal), anything),
+            low_goal=achieved_at(keys[4], low_step),
+            step=high_step,
+            goal=achieved_at(keys[5], high_step),
+        )
+
     def prepare(context: Context) -> Table:
         return Table(context.achievements, context.discount)
 
+    if config.subgoal_steps:
+        return Relabelling(prepare, relabel, waypoints=waypoints, costs=True)
     return Relabelling(prepare, relabel, actor_goal=actor_goal, costs=True)

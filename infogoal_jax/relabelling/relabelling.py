@@ -67,6 +67,20 @@ class AllGoalsSpec(NamedTuple):
     """The agent learns from the means of codes and acts on them, in place of samples."""
 
 
+@flax.struct.dataclass
+class Waypoints:
+    """The actor's goals, and which states their episodes reach some steps after transitions."""
+
+    actor_goal: jax.Array
+    """[B, *shape]."""
+    low_goal: jax.Array
+    """[B, *shape], achieved so many steps later, or at the end of the episode."""
+    step: jax.Array
+    """int32 [B], the step so many later, but not after the one that achieves the actor's goal."""
+    goal: jax.Array
+    """[B, *shape], achieved there."""
+
+
 class Relabelling(NamedTuple):
     """A relabelling: pure functions over the table of an epoch."""
 
@@ -86,6 +100,8 @@ class Relabelling(NamedTuple):
     """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
     actor_goal: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
     """As `relabel`: the goals that the actor learns for; None: the same."""
+    waypoints: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], "Waypoints"] | None = None
+    """As `actor_goal`, in its place, with states on the way to these goals; None: without."""
     costs: bool = False
     """Whether rewards are -1 for each step from a state that does not achieve the goal, after which nothing follows, in
     place of 1 for the step that reaches it. Of returns of one step."""

@@ -63,6 +63,8 @@ class Sample:
     """float32 [G], of each of these goals in the agent's loss, as in `AllGoals`; None without."""
     actor_goal: jax.Array | None = None
     """[B, *shape], the goals that the actor learns for; None: those of the transitions."""
+    waypoints: tuple | None = None
+    """(goal, goal on the way to the actor's, observation there) [B], as in `relabelling.Waypoints`; None without."""
 
 
 def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
@@ -86,6 +88,12 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
             jax.random.fold_in(key, 6), experience.relabelling, row, step, buffer.goal[row, step]
         )
         drawn = drawn.replace(actor_goal=goal)
+    if parts.relabelling is not None and parts.relabelling.waypoints is not None:
+        way = parts.relabelling.waypoints(
+            jax.random.fold_in(key, 6), experience.relabelling, row, step, buffer.goal[row, step]
+        )
+        there = jax.tree.map(lambda leaf: leaf[row, way.step], buffer.observation)
+        drawn = drawn.replace(actor_goal=way.actor_goal, waypoints=(way.low_goal, way.goal, there))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))

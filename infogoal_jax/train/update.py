@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax.agents.agent import ActorGoals, AgentBatch, AllGoals
+from infogoal_jax.agents.agent import ActorGoals, AgentBatch, AllGoals, Waypoints
 from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
@@ -117,15 +117,31 @@ def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: ja
     )
 
 
-def actor_goals(setup: Setup, networks: Networks, goal: jax.Array, batch: AgentBatch, key: jax.Array) -> ActorGoals:
-    """The actor's goals [B, *shape] as codes, without gradient."""
-    parts, params = setup.parts, jax.lax.stop_gradient(networks.params["goal"])
-    code = GoalEncoding(parts.learner, params, setup.env.goals, setup.config.batch_size).of_any()(goal)
-    codes = [
-        code_seen(parts, conditioned(parts.learner, params, code, jax.lax.stop_gradient(features)), each)
-        for features, each in zip((batch.features, batch.next_features), jax.random.split(key), strict=True)
-    ]
-    return ActorGoals(*codes)
+def with_actor_goals(setup: Setup, networks: Networks, drawn: Sample, batch: AgentBatch, key: jax.Array) -> AgentBatch:
+    """The transitions with the actor's goals as codes, and with what lies on the way to them, without gradient."""
+    parts, params = setup.parts, jax.lax.stop_gradient(networks.params)
+    encode = GoalEncoding(parts.learner, params["goal"], setup.env.goals, setup.config.batch_size).of_any()
+    here, last = jax.lax.stop_gradient((batch.features, batch.next_features))
+
+    def code_in(number, features, goal):
+        code = conditioned(parts.learner, params["goal"], encode(goal), features)
+        return code_seen(parts, code, jax.random.fold_in(key, number))
+
+    goal = drawn.actor_goal
+    batch = batch.replace(actor=ActorGoals(code_in(0, here, goal), code_in(1, last, goal)))
+    if drawn.waypoints is None:
+        return batch
+    low_goal, on_the_way, observation = drawn.waypoints
+    there = encode_states(setup, params, setup.config.batch_size)(observation)
+    return batch.replace(
+        waypoints=Waypoints(
+            low_code=code_in(2, here, low_goal),
+            next_low_code=code_in(3, last, low_goal),
+            code=code_in(4, here, on_the_way),
+            features=there,
+            code_there=code_in(5, there, goal),
+        )
+    )
 
 
 def under_all_goals(setup: Setup, networks: Networks, drawn: Sample, key: jax.Array) -> AllGoals:
@@ -236,9 +252,7 @@ def update(
         if spec_of(parts) is not None:
             codes = codes.replace(all_goals=under_all_goals(setup, networks, drawn, jax.random.fold_in(key, 5)))
         if drawn.actor_goal is not None:
-            codes = codes.replace(
-                actor=actor_goals(setup, networks, drawn.actor_goal, codes, jax.random.fold_in(key, 6))
-            )
+            codes = with_actor_goals(setup, networks, drawn, codes, jax.random.fold_in(key, 6))
         seen = LearnerBatch(
             encode,
             env.goals.inputs_of,

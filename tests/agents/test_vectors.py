@@ -87,6 +87,7 @@ def test_all_goals_at_once_are_learned_from_by_products_alone():
         ("gcivl", "none"),
         ("gciql", "infogoal"),
         ("qrl", "none"),
+        ("hiql", "none"),
     ],
 )
 def test_goes_through_an_epoch_and_an_evaluation(name, method):

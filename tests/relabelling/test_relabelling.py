@@ -275,3 +275,19 @@ def test_mixed_goals_are_current_later_and_any():
     np.testing.assert_allclose(values, expected, atol=0.03)
     np.testing.assert_allclose(actors, [0.5, 0, 0, 0, *[0.125] * 4, 0, 0], atol=0.03)
     assert made.costs
+
+
+def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
+    rows = rows_of(np.ones((1, 6)), np.arange(1, 8).reshape(1, 7, 1))
+    made = relabellings.registry.entry("mixed").make(MixedConfig(subgoal_steps=2))
+
+    @jax.jit
+    def drawn(rows, start):
+        row = jnp.zeros_like(start)
+        return made.waypoints(jax.random.key(0), made.prepare(context(rows)), row, start, row)
+
+    for first, low in ((0, 3), (5, 7)):
+        way = jax.tree.map(np.asarray, drawn(rows, jnp.full(300, first, jnp.int32)))
+        assert set(way.actor_goal.tolist()) == set(range(first + 2, 8)) and (way.low_goal == low).all()
+        np.testing.assert_array_equal(way.goal, np.minimum(way.actor_goal, low))
+        np.testing.assert_array_equal(way.step, way.goal - 1)
