@@ -14,11 +14,12 @@ import flax.struct
 
 from infogoal_jax import hyperparameters
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.field_types import LARGEST_WHOLE, checked, checked_value, hints_of
+from infogoal_jax.field_types import LARGEST_WHOLE, Size, Within, checked, checked_value, hints_of
 from infogoal_jax.hyperparameters import NoHyperparameters, Number, Search
 
 PARTS = ("env", "learner", "agent", "relabelling", "explorer", "state_encoder")
-"""Fields of `TrainConfig` that hold the configuration of a part, which checks itself."""
+"""Fields of `TrainConfig` that hold the configuration of a part. Its fields declare what they may be
+(`field_types.Within`); what depends on other fields is looked at by its method `check(config)`, where it has one."""
 KnownGoals = Literal["train", "held_out", "visited", "all"]
 
 
@@ -61,18 +62,12 @@ class Hyperparameters:
 class StateEncoderConfig:
     """Sizes of psi(s), the encoder of image observations, trained by the agent's loss."""
 
-    patch: int = 8
+    patch: Size = 8
     """Side of the square patches that an image is cut into, in pixels; must divide the image's side."""
-    channels: int = 32
+    channels: Size = 32
     """Numbers that each patch is reduced to."""
-    features: int = 256
+    features: Size = 256
     """Size of the state's code [M]."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            require(value > 0, f"state_encoder.{field.name}", value, "give a whole number greater than 0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,40 +92,40 @@ class TrainConfig:
     """Configuration of the encoder of image observations."""
     hyper: Hyperparameters = dataclasses.field(default_factory=Hyperparameters)
     """Float hyperparameters: default values of arguments of the compiled program."""
-    num_epochs: int = 120
+    num_epochs: Size = 120
     """Epochs: each collects, then updates."""
-    epochs_per_evaluation: int = 10
+    epochs_per_evaluation: Size = 10
     """Epochs between two evaluations; a chunk of the host loop. Must divide `num_epochs`."""
-    num_envs: int = 32
+    num_envs: Size = 32
     """Environments stepped side by side."""
-    rollout_steps: int = 100
+    rollout_steps: Size = 100
     """Steps of each environment in an epoch."""
-    updates_per_epoch: int = 100
+    updates_per_epoch: Size = 100
     """Gradient updates in an epoch [P]."""
-    batch_size: int = 256
+    batch_size: Size = 256
     """Transitions in an update."""
-    buffer_steps: int = 100_000
-    """Environment steps that the replay buffer holds, rounded up to whole epochs."""
+    buffer_steps: Size = 100_000
+    """Environment steps that the replay buffer holds; rounded up to whole epochs."""
     known_goals: KnownGoals = "visited"
     """Goals that may enter relabelling and representation learning: training goals; goals achieved so far (`visited`),
     also with validation and test goals held out (`held_out`); or all. One protocol for every method."""
     desired_goals: Literal["training", "all"] = "training"
     """Goals that are desired while a finite task is acted in: training goals; or all of training, validation and tests,
     so that no goal is unseen (a reading of the paper, docs/reference/infogoal.md)."""
-    training_corruption: float = 0.0
+    training_corruption: Annotated[float, Within("[0, 1)", "give a weight from 0 to below 1")] = 0.0
     """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
-    test_corruption: float = 0.4
+    test_corruption: Annotated[float, Within("[0, 1]", "give a weight from 0 to 1, for example 0.4")] = 0.4
     """Weight of the backgrounds in the evaluation on corrupted goal images [P], in [0, 1]."""
     stop_encoder_gradient: bool = False
     """Keep the gradient of the agent's loss from reaching the goal encoder (the paper lets it through)."""
-    evaluation_starts: int = 10
+    evaluation_starts: Size = 10
     """Start states for each goal in an evaluation."""
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
             value, of_part = getattr(self, field.name), field.name in PARTS
-            if of_part and (isinstance(value, type) or not hasattr(value, "check")):
-                remedy = "give a configuration, see presets.load; one of your own has a method check(self, config)"
+            if of_part and (isinstance(value, type) or not dataclasses.is_dataclass(value)):
+                remedy = "give a configuration, see presets.load; one of your own is a dataclass"
                 raise UserError(f"{field.name} = {reprlib.repr(value)}: {remedy}")
             if field.name == "hyper":
                 new = hyperparameters.checked(value)
@@ -139,18 +134,6 @@ class TrainConfig:
             else:
                 new = checked_value(value, hints_of(TrainConfig)[field.name], field.name)
             object.__setattr__(self, field.name, new)
-        for name in (
-            "num_epochs",
-            "epochs_per_evaluation",
-            "num_envs",
-            "rollout_steps",
-            "updates_per_epoch",
-            "batch_size",
-            "buffer_steps",
-            "evaluation_starts",
-        ):
-            value = getattr(self, name)
-            require(value > 0, name, value, "give a whole number greater than 0")
         if self.num_epochs % self.epochs_per_evaluation:
             nearest = max(1, round(self.num_epochs / self.epochs_per_evaluation)) * self.epochs_per_evaluation
             raise UserError(
@@ -176,20 +159,9 @@ class TrainConfig:
             self.buffer_steps,
             f"is {positions} places with whole epochs and their last observations; give at most {LARGEST_WHOLE}",
         )
-        require(
-            0 <= self.training_corruption < 1,
-            "training_corruption",
-            self.training_corruption,
-            "give a weight from 0 to below 1",
-        )
-        require(
-            0 <= self.test_corruption <= 1,
-            "test_corruption",
-            self.test_corruption,
-            "give a weight from 0 to 1, for example 0.4",
-        )
-        for part in (self.state_encoder, self.env, self.learner, self.agent, self.relabelling, self.explorer):
-            part.check(self)
+        for part in (self.env, self.learner, self.agent, self.relabelling, self.explorer):
+            if hasattr(part, "check"):
+                part.check(self)
 
     @property
     def num_evaluations(self) -> int:

@@ -6,7 +6,7 @@ import os
 import re
 import reprlib
 import typing
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -17,6 +17,31 @@ Record = TypeVar("Record")
 LARGEST_WHOLE = 2**31 - 1
 """Of sizes and counts: programs index by int32."""
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
+
+
+class Within(NamedTuple):
+    """What the numbers of a field may be, each of them where it holds several: `Annotated[int, Within("[1, inf)",
+    "give a whole number greater than 0")]`. interval: such as "(0, 1]"; remedy: what to give instead."""
+
+    interval: str
+    remedy: str
+
+
+Size = Annotated[int, Within("[1, inf)", "give a whole number greater than 0")]
+Sizes = Annotated[tuple[int, ...], Within("[1, inf)", "give widths greater than 0, for example 128 128")]
+Count = Annotated[int, Within("[0, inf)", "give a whole number, 0 or more")]
+Share = Annotated[float, Within("[0, 1]", "give a share from 0 to 1")]
+Weight = Annotated[float, Within("[0, inf)", "give 0 or more")]
+Positive = Annotated[float, Within("(0, inf)", "give a number greater than 0")]
+"""What most fields of configurations are."""
+
+
+def lies_in(value: float, interval: str) -> bool:
+    """Whether the value lies in an interval such as "(0, 1]"."""
+    low, high = (float(end) for end in interval[1:-1].split(","))
+    above = value >= low if interval[0] == "[" else value > low
+    below = value <= high if interval[-1] == "]" else value < high
+    return above and below
 
 
 class WrongTypeError(ValueError):
@@ -68,7 +93,8 @@ def hints_of(record: type) -> dict[str, Any]:
 
 def checked(record: Record, prefix: str = "") -> Record:
     """A frozen configuration with each value as the type of its field. Raises `UserError`, naming the field behind
-    `prefix`, for a value of another type, and for numbers that no program can hold."""
+    `prefix`, for a value of another type, and for numbers that no program can hold or that lie outside of what the
+    field declares (`Within`)."""
     hints, found = hints_of(type(record)), {}
     for field in dataclasses.fields(record):
         value, name = getattr(record, field.name), f"{prefix}{field.name}"
@@ -100,4 +126,7 @@ def checked_value(value: Any, hint: Any, name: str) -> Any:
             raise UserError(f"{name} = {reprlib.repr(value)}: give a whole number of at most {LARGEST_WHOLE}")
         if isinstance(number, float) and not abs(number) <= LARGEST_FLOAT:
             raise UserError(f"{name} = {reprlib.repr(value)}: give a finite number that float32 holds")
+        for within in getattr(hint, "__metadata__", ()):
+            if isinstance(within, Within) and not lies_in(number, within.interval):
+                raise UserError(f"{name} = {reprlib.repr(value)}: {within.remedy}")
     return value

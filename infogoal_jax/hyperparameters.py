@@ -23,7 +23,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.errors import require
-from infogoal_jax.field_types import LARGEST_FLOAT, plain
+from infogoal_jax.field_types import LARGEST_FLOAT, lies_in, plain
 
 
 class Search(NamedTuple):
@@ -65,10 +65,7 @@ class Number(NamedTuple):
 
     def allows(self, value: float) -> bool:
         """Whether the value lies in the interval."""
-        low, high = (float(end) for end in self.interval[1:-1].split(","))
-        above = value >= low if self.interval[0] == "[" else value > low
-        below = value <= high if self.interval[-1] == "]" else value < high
-        return above and below
+        return lies_in(value, self.interval)
 
 
 @flax.struct.dataclass

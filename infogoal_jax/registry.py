@@ -68,8 +68,6 @@ class Registry(CheckedDict):
         field = f"{self.kind} = {name!r}: Entry"
         if not (isinstance(entry.config, type) and dataclasses.is_dataclass(entry.config)):
             raise UserError(f"{field}.config = {shown(entry.config)}: give the class of its configuration, a dataclass")
-        if not callable(getattr(entry.config, "check", None)):
-            raise UserError(f"{field}.config = {entry.config.__name__}: give it a method check(self, config)")
         if not callable(entry.make):
             raise UserError(f"{field}.make = {shown(entry.make)}: give a function of the configuration")
         if not (isinstance(entry.hyper, type) and dataclasses.is_dataclass(entry.hyper)):

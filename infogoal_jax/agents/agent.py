@@ -162,17 +162,3 @@ def check_num_steps(agent: Any, config: Any) -> None:
         agent.num_steps,
         f"must lie between 1 and the episode length, {config.env.episode_length}",
     )
-
-
-def check_sizes(agent: Any, config: Any, *sizes: str) -> None:
-    """Raise `UserError` for the configuration of an agent for vectors with layers, steps or other sizes out of
-    range."""
-    require(
-        all(width > 0 for width in agent.hidden),
-        "agent.hidden",
-        agent.hidden,
-        "give widths greater than 0, for example 256 256",
-    )
-    check_num_steps(agent, config)
-    for name in sizes:
-        require(getattr(agent, name) > 0, f"agent.{name}", getattr(agent, name), "give a whole number greater than 0")

@@ -17,7 +17,8 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import sac, td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
+from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 Energy = Literal["norm", "dot"]
@@ -29,9 +30,9 @@ OF_RELABELLING = {"future_share": 1.0, "strategy": "soon"}
 class CRLConfig:
     """Sizes and switches of contrastive RL."""
 
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: Sizes = (256, 256)
     """Widths of the layers of phi, psi and the actor."""
-    size: int = 64
+    size: Size = 64
     """Size D of the representations."""
     energy: Energy = "norm"
     """How representations are compared: `norm`: minus their distance; `dot`: their scalar product."""
@@ -42,10 +43,6 @@ class CRLConfig:
     def num_steps(self) -> int:
         """Steps of a transition: the representation is of a state and the action there."""
         return 1
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        check_sizes(self, config, "size")
 
 
 @flax.struct.dataclass

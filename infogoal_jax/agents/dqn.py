@@ -9,14 +9,14 @@ import jax.numpy as jnp
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_num_steps
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Sizes
 
 
 @dataclasses.dataclass(frozen=True)
 class DQNConfig:
     """Sizes and switches of DQN."""
 
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: Sizes = (256, 256)
     """Widths of the value head's layers [M]; the authors' 128 128 learns more slowly."""
     num_steps: int = 8
     """Steps of the n-step return [M]; the authors' 3 learns more slowly."""
@@ -25,7 +25,7 @@ class DQNConfig:
     head: value_heads.Kind = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features and code; `product`: the all-goals head;
     `index`: LEO (docs/research/all_goals.md)."""
-    head_size: int = 128
+    head_size: Size = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
     """Normalise what each ReLU of the head gets, as LEO's authors do (docs/research/all_goals.md)."""
@@ -33,15 +33,8 @@ class DQNConfig:
     """Keep values between 0 and 1 by a sigmoid. Not for rewards other than 1 at the goal."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(
-            all(width > 0 for width in self.hidden),
-            "agent.hidden",
-            self.hidden,
-            "give widths greater than 0, for example 128 128",
-        )
+        """Raise `UserError` for returns that are longer than an episode."""
         check_num_steps(self, config)
-        require(self.head_size > 0, "agent.head_size", self.head_size, "give a whole number greater than 0")
 
 
 def traits(config: DQNConfig) -> AgentTraits:

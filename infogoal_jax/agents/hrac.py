@@ -17,6 +17,7 @@ from infogoal_jax import networks, pairs
 from infogoal_jax.agents import td3
 from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Sizes, Within
 from infogoal_jax.hyperparameters import Number, Search
 
 ADJACENT, APART, PENALTY_STARTS = 1.0, 1.2, 1.1
@@ -32,22 +33,24 @@ class HRACConfig:
 
     interval: int = 5
     """Steps k between two subgoals."""
-    subgoal_scale: float = 0.15
+    subgoal_scale: Annotated[float, Within("(0, 1]", "give metres or radians, for example 0.15")] = 0.15
     """Largest displacement of a subgoal along an axis, in m; of a joint, in radians."""
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: Sizes = (256, 256)
     """Widths of the layers of actor and critics."""
-    num_decisions: int = 1
+    num_decisions: Size = 1
     """Subgoals that a return spans before it is bootstrapped."""
-    adjacency_hidden: tuple[int, ...] = (128, 128)
+    adjacency_hidden: Sizes = (128, 128)
     """Widths of the adjacency network's layers."""
-    adjacency_size: int = 32
+    adjacency_size: Size = 32
     """Size of the adjacency network's code."""
-    cell: float = 0.05
+    cell: Annotated[float, Within("[0.02, inf)", "give at least 0.02 m or radians: half takes 64 times the memory")] = (
+        0.05
+    )
     """Side of the cells of the adjacency matrix, in m or radians."""
     critic: Literal["concatenated", "product"] = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
     head (docs/research/all_goals.md)."""
-    critic_size: int = 128
+    critic_size: Size = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
     """Normalise what each ReLU of the critics gets, as LEO's authors do (docs/research/all_goals.md)."""
@@ -57,34 +60,13 @@ class HRACConfig:
     """File or run of a low level, of `infogoal pretrain`; empty: the one that the project ships."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
+        """Raise `UserError` for an interval that is longer than an episode."""
         require(
             0 < self.interval <= config.env.episode_length,
             "agent.interval",
             self.interval,
             f"must lie between 1 and the episode length, {config.env.episode_length}",
         )
-        require(
-            0 < self.subgoal_scale <= 1,
-            "agent.subgoal_scale",
-            self.subgoal_scale,
-            "give metres or radians, above 0 and at most 1, for example 0.15",
-        )
-        require(
-            self.cell >= 0.02,
-            "agent.cell",
-            self.cell,
-            "give at least 0.02 m or radians: with half the side the adjacency matrix is 64 times as large",
-        )
-        for name in ("hidden", "adjacency_hidden"):
-            require(
-                all(width > 0 for width in getattr(self, name)),
-                f"agent.{name}",
-                getattr(self, name),
-                "give widths greater than 0",
-            )
-        for name in ("num_decisions", "adjacency_size", "critic_size"):
-            require(getattr(self, name) > 0, f"agent.{name}", getattr(self, name), "give a whole number greater than 0")
 
 
 @flax.struct.dataclass

@@ -19,7 +19,8 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import AgentBatch, AgentTraits, check_sizes
+from infogoal_jax.agents.agent import AgentBatch, AgentTraits
+from infogoal_jax.field_types import Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 EXPECTILE = Number("(0, 1)", Search(0.6, 0.95, "linear", always=False))
@@ -33,7 +34,7 @@ ActorLoss = Literal["ddpg_bc", "awr"]
 class OfflineConfig:
     """Sizes of an offline agent, OGBench's own."""
 
-    hidden: tuple[int, ...] = (512, 512, 512)
+    hidden: Sizes = (512, 512, 512)
     """Widths of the layers of actor and values."""
     layer_norm: bool = True
     """Normalise what each layer of the values puts out."""
@@ -42,10 +43,6 @@ class OfflineConfig:
     def num_steps(self) -> int:
         """Steps of a transition."""
         return 1
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        check_sizes(self, config)
 
 
 @flax.struct.dataclass

@@ -20,6 +20,7 @@ from infogoal_jax import networks
 from infogoal_jax.agents import offline, td3
 from infogoal_jax.agents.agent import Agent, AgentBatch
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size
 from infogoal_jax.hyperparameters import Number
 
 GROUP = 8
@@ -34,7 +35,7 @@ OF_RELABELLING = {"current_share": 0.2, "future_share": 0.0}
 class QRLConfig(offline.OfflineConfig):
     """Sizes and switches of QRL."""
 
-    size: int = 512
+    size: Size = 512
     """Size Z of the embeddings, a multiple of 8."""
     goals: Literal["codes", "states"] = "codes"
     """`codes`: goals have a network of their own; `states`: features of states and codes of goals mean the same, and
@@ -43,10 +44,8 @@ class QRLConfig(offline.OfflineConfig):
     """As of GCIQL, with -d in the place of values."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        fits = self.size > 0 and self.size % GROUP == 0
-        require(fits, "agent.size", self.size, f"give a multiple of {GROUP} greater than 0")
+        """Raise `UserError` for embeddings that cannot be cut into groups."""
+        require(self.size % GROUP == 0, "agent.size", self.size, f"give a multiple of {GROUP} greater than 0")
 
 
 @flax.struct.dataclass

@@ -20,7 +20,8 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_sizes, in_bounds
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, Exploration, check_num_steps, in_bounds
+from infogoal_jax.field_types import Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 LOG_STDS = (-5.0, 2.0)
@@ -34,7 +35,7 @@ TEMPERATURE = Number("(0, inf)", Search(1e-3, 1.0, "log", always=False))
 class SACConfig:
     """Sizes and switches of SAC."""
 
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: Sizes = (256, 256)
     """Widths of the layers of actor and critics."""
     num_steps: int = 1
     """Steps of the n-step return, without the entropy of those between the first and the last."""
@@ -47,8 +48,8 @@ class SACConfig:
     than 1 at the goal."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        check_sizes(self, config)
+        """Raise `UserError` for returns that are longer than an episode."""
+        check_num_steps(self, config)
 
 
 @flax.struct.dataclass

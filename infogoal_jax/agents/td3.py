@@ -17,7 +17,8 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import value_heads
-from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_sizes, in_bounds
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits, check_num_steps, in_bounds
+from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.hyperparameters import Number, Search
 
 
@@ -25,7 +26,7 @@ from infogoal_jax.hyperparameters import Number, Search
 class TD3Config:
     """Sizes and switches of TD3."""
 
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: Sizes = (256, 256)
     """Widths of the layers of actor and critics."""
     num_steps: int = 1
     """Steps of the n-step return."""
@@ -34,7 +35,7 @@ class TD3Config:
     critic: Literal["concatenated", "product"] = "concatenated"
     """How values depend on the goal: `concatenated`: one network of features, code and action; `product`: the all-goals
     head (docs/research/all_goals.md)."""
-    critic_size: int = 128
+    critic_size: Size = 128
     """Size of the vectors whose product is a value, for `product` alone."""
     layer_norm: bool = False
     """Normalise what each ReLU of the critics gets."""
@@ -45,8 +46,8 @@ class TD3Config:
     """Keep the actor near the actions of the data, for recorded episodes (TD3+BC, Fujimoto & Gu 2021)."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        check_sizes(self, config, "critic_size")
+        """Raise `UserError` for returns that are longer than an episode."""
+        check_num_steps(self, config)
 
 
 @flax.struct.dataclass

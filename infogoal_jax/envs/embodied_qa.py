@@ -16,6 +16,7 @@ from infogoal_jax.data import frames, splits, text
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, frame_edges, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Size
 from infogoal_jax.goal_uses import NO_USE
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.replay import Trajectories
@@ -28,7 +29,7 @@ class EmbodiedQAConfig:
     dataset: str = ""
     """File of an image dataset with detections and trajectories (docs/reference/datasets.md); empty: a generated shelf
     (a stand-in), built once and kept in the user's cache."""
-    generator_seed: int = 0
+    generator_seed: Count = 0
     """Seed of the generated dataset."""
     hovering: bool = False
     """Generate a drone that drifts and blurs its images, with several images for every position."""
@@ -40,15 +41,8 @@ class EmbodiedQAConfig:
     text_embeddings: str = ""
     """Sentence embeddings of names and questions, an npz of `infogoal data embed`; empty: those that the project
     ships."""
-    episode_length: int = 50
+    episode_length: Size = 50
     """Steps after which an episode is truncated [P]."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(
-            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
-        )
-        require(self.generator_seed >= 0, "env.generator_seed", self.generator_seed, "give 0 or more")
 
 
 @flax.struct.dataclass
@@ -103,7 +97,6 @@ def traits(config: EmbodiedQAConfig) -> Traits:
 
 def make(config: EmbodiedQAConfig) -> EmbodiedQA:
     """Make the task of this configuration. Raises `UserError` for values and files that cannot be used."""
-    config.check(None)
     if config.dataset:
         data = frames.load(config.dataset)
     else:

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError
+from infogoal_jax.field_types import Positive, Size
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.shapes import aligned
@@ -23,19 +24,14 @@ STARTS = 8
 class GoalTaskConfig:
     """When an episode ends."""
 
-    episode_length: int = 50
+    episode_length: Size = 50
     """Steps of an episode."""
-    radius: float = 0.1
+    radius: Positive = 0.1
     """Distance below which a goal is reached, in the units of goals."""
     ends_at_goal: bool = True
     """Whether reaching the goal ends the episode."""
     dataset: str = ""
     """File of recorded episodes to learn from offline (docs/reference/datasets.md); empty: the agent acts."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
-        require(self.radius > 0, "env.radius", self.radius, "give a distance above 0, in the units of goals")
 
 
 @flax.struct.dataclass

@@ -14,6 +14,7 @@ from infogoal_jax.envs.goal_task import STARTS, Episode, GoalTask
 from infogoal_jax.envs.graph import frame_edges
 from infogoal_jax.envs.object_manipulation import load_frames
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Size
 from infogoal_jax.goals import GoalBox
 from infogoal_jax.shapes import aligned, with_rank
 
@@ -27,17 +28,12 @@ class JointTargetsConfig:
 
     dataset: str = ""
     """File of an image dataset with joints (docs/reference/datasets.md); empty: the generated arm with a cube."""
-    generator_seed: int = 0
+    generator_seed: Count = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
     """Generate only what the joints of the real arm can reach."""
-    episode_length: int = 20
+    episode_length: Size = 20
     """Steps after which an episode is truncated."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number above 0")
-        require(self.generator_seed >= 0, "env.generator_seed", self.generator_seed, "give 0 or more")
 
 
 @flax.struct.dataclass
@@ -110,7 +106,6 @@ def traits(config: JointTargetsConfig) -> Traits:
 
 def make(config: JointTargetsConfig) -> JointTargets:
     """Make the task of this configuration. Raises `UserError` for a file that cannot be used, or tells no joints."""
-    config.check(None)
     data = load_frames(config.dataset, config.generator_seed, config.physical_limits)
     require(
         data.joints is not None,

@@ -19,6 +19,7 @@ from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import GraphState, GraphWalk, distances, frame_edges, possible_starts, walk_arrays
 from infogoal_jax.envs.target_states import JointSpace
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Size
 from infogoal_jax.goal_uses import MOST_GOALS, NO_USE, USES
 from infogoal_jax.goals import GoalSet
 from infogoal_jax.shapes import aligned
@@ -36,11 +37,11 @@ class ObjectManipulationConfig:
     dataset: str = ""
     """File of an image dataset with poses (docs/reference/datasets.md); empty: a generated arm with a cube (a
     stand-in), built once and kept in the user's cache."""
-    generator_seed: int = 0
+    generator_seed: Count = 0
     """Seed of the generated dataset."""
     physical_limits: bool = False
     """Generate only what the joints of the real arm can reach; otherwise all three turn freely, as in the paper."""
-    goal_seed: int = 0
+    goal_seed: Count = 0
     """Seed by which training, validation and test poses are chosen."""
     num_goals: tuple[int, int, int] = (8, 8, 32)
     """Numbers of training [P], validation and test poses [P]."""
@@ -49,16 +50,11 @@ class ObjectManipulationConfig:
     privileged: bool = False
     """Show poses in place of images, which is what perfect perception could tell (docs/research/trials.md): a goal as
     its rotation matrix, a state as that of the object and the cosines and sines of the joints."""
-    episode_length: int = 30
+    episode_length: Size = 30
     """Steps after which an episode is truncated."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(
-            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
-        )
-        for name in ("generator_seed", "goal_seed"):
-            require(getattr(self, name) >= 0, f"env.{name}", getattr(self, name), "give 0 or more")
         require(
             not (self.privileged and self.backgrounds),
             "env.backgrounds",

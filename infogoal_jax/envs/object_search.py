@@ -6,6 +6,7 @@ arrays hold the rest.
 """
 
 import dataclasses
+from typing import Annotated
 
 import flax.struct
 import jax
@@ -15,6 +16,7 @@ from infogoal_jax.data import active_vision, archives, splits, text
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.graph import DetectionWalk, distances, pad_true, possible_starts, walk_arrays
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Within
 from infogoal_jax.goals import GoalSet
 
 
@@ -34,24 +36,17 @@ class ObjectSearchConfig:
     """Sentence embeddings of the object names, an npz of `infogoal data embed`; empty: those that the project ships."""
     image_size: int = 32
     """Side of the grey images that the agent sees, in pixels."""
-    min_box_size: float = active_vision.DEFAULT_MIN_BOX_SIZE
+    min_box_size: Annotated[float, Within("[0, 1)", "give a share of the image's height, from 0 to below 1")] = (
+        active_vision.DEFAULT_MIN_BOX_SIZE
+    )
     """Shortest side of a box that counts as detected, as a share of the image's height (a clear view)."""
     max_difficulty: int = 4
     """Highest difficulty of a box that counts as detected (the dataset's authors use 4)."""
-    episode_length: int = 100
+    episode_length: Size = 100
     """Steps after which an episode is truncated [A]."""
 
     def check(self, config) -> None:
         """Raise `UserError` for values out of range."""
-        require(
-            self.episode_length > 0, "env.episode_length", self.episode_length, "give a whole number greater than 0"
-        )
-        require(
-            0 <= self.min_box_size < 1,
-            "env.min_box_size",
-            self.min_box_size,
-            "give a share of the image's height, from 0 to below 1",
-        )
         require(
             active_vision.SMALLEST_IMAGE <= self.image_size <= active_vision.LARGEST_IMAGE,
             "env.image_size",

@@ -2,6 +2,7 @@
 an arm of two joints. Goals are continuous, and some lie where training never asks for one."""
 
 import dataclasses
+from typing import Annotated
 
 import flax.struct
 import jax
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 from infogoal_jax.envs.environment import Traits
 from infogoal_jax.envs.goal_task import Episode, GoalTask, GoalTaskConfig
 from infogoal_jax.envs.recordings import recorded_in
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Within
 from infogoal_jax.goals import GoalBox
 
 ROOMS = 3
@@ -32,17 +33,12 @@ TEST_ROOMS, VALIDATION_ROOMS = ((2, 0), (0, 2)), ((2, 2),)
 class PlaneConfig(GoalTaskConfig):
     """Sizes of a task in the plane."""
 
-    episode_length: int = 100
+    episode_length: Size = 100
     """Steps of an episode."""
-    radius: float = 0.15
+    radius: Annotated[float, Within("(0, 1)", "give a distance above 0 and below 1")] = 0.15
     """Distance below which a goal is reached; rooms, and the parts of the arm, are 1 long."""
     held_out: bool = True
     """Whether parts of the plane are never desired in training; test goals lie there."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        require(0 < self.radius < 1, "env.radius", self.radius, "give a distance above 0 and below 1")
 
 
 def traits(config: PlaneConfig) -> Traits:

@@ -44,9 +44,6 @@ class Explorer(NamedTuple):
 class NoneConfig:
     """No explorer, no settings."""
 
-    def check(self, config) -> None:
-        """Nothing to validate."""
-
 
 def make_none(config: NoneConfig) -> None:
     """No explorer: the program leaves it out."""

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
-from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer, Moves
+from infogoal_jax.field_types import Size, Weight
 from infogoal_jax.learners.goal_encoder import kl_to_standard_normal, weighted_mean
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.replay import Trajectories
@@ -32,35 +32,21 @@ class SSEDBConfig:
     """Sizes and weights of the dynamic bottleneck. Sizes are about a quarter of the original's, for images of a quarter
     of the side."""
 
-    latent_size: int = 32
+    latent_size: Size = 32
     """Size of the code z of a move; the original has 128."""
-    width: int = 128
+    width: Size = 128
     """Width of all layers; the original has 256."""
-    projection_size: int = 64
+    projection_size: Size = 64
     """Size of the projections for InfoNCE; the original has 128."""
-    kl_weight: float = 0.001
+    kl_weight: Weight = 0.001
     """alpha 1: weight of the KL of the code to N(0, I). The authors have 0.1, and 0.001 for some games. With 0.1 the
     shared state encoder collapses here [M]. 0 or more."""
-    prediction_weight: float = 0.1
+    prediction_weight: Weight = 0.1
     """alpha 2: weight of the log-likelihood of the next state's features. 0 or more."""
-    contrastive_weight: float = 0.1
+    contrastive_weight: Weight = 0.1
     """alpha 3: weight of InfoNCE, which tells the next state apart from others. 0 or more."""
     square_root: bool = False
     """Take the square root of the bonus, as the paper has it; the authors' code does not."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        for name in ("latent_size", "width", "projection_size"):
-            require(
-                getattr(self, name) > 0, f"explorer.{name}", getattr(self, name), "give a whole number greater than 0"
-            )
-        for name in ("kl_weight", "prediction_weight", "contrastive_weight"):
-            require(
-                0 <= getattr(self, name) < float("inf"),
-                f"explorer.{name}",
-                getattr(self, name),
-                "give 0 or more, for example 0.1",
-            )
 
 
 @flax.struct.dataclass

@@ -11,12 +11,12 @@ import dataclasses
 
 import jax.numpy as jnp
 
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Weight
 from infogoal_jax.goals import same
 from infogoal_jax.learners import none
 from infogoal_jax.learners.goal_encoder import (
     GoalEncoderConfig,
-    check_pairs,
+    check_window,
     contrastive_bound,
     log_score,
     weighted_mean,
@@ -30,18 +30,16 @@ class CoGoalConfig(GoalEncoderConfig):
 
     window: int = 4
     """Steps within which two achieved goals count as similar, as InfoGoal's."""
-    num_pairs: int = 256
+    num_pairs: Size = 256
     """Positive pairs in an update, as InfoGoal's."""
-    num_negatives: int = 1
+    num_negatives: Size = 1
     """Negatives for each positive pair, drawn at random among the known goals."""
-    norm_penalty: float = 1e-5
+    norm_penalty: Weight = 1e-5
     """Weight of the mean squared norm of the codes. Without noise nothing else bounds the distances. 0 turns it off."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        check_pairs(self, config)
-        require(self.norm_penalty >= 0, "learner.norm_penalty", self.norm_penalty, "give 0 or more, for example 1e-5")
+        """Raise `UserError` for a window that is longer than an episode."""
+        check_window(self, config)
 
 
 def make(config: CoGoalConfig) -> Learner:

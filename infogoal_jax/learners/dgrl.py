@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Positive, Size, Weight
 from infogoal_jax.learners import vae
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
@@ -31,40 +32,27 @@ INITIAL_NOISE = (
 class DGRLConfig(GoalEncoderConfig):
     """Sizes of encoder, decoder and codebook."""
 
-    num_goals: int = 64
+    num_goals: Size = 64
     """Known goals, desired or achieved, that an update reconstructs."""
-    factors: int = 8
+    factors: Size = 8
     """Segments of a code."""
-    codes: int = 64
+    codes: Size = 64
     """Vectors in the codebook that all segments share."""
-    commitment: float = 0.25
+    commitment: Weight = 0.25
     """Weight of the commitment loss, which pulls a segment to its code vector (van den Oord et al.)."""
-    revival: float = 1.0
+    revival: Weight = 1.0
     """Weight of the loss that pulls unused code vectors back to the segments; 0: they stay unused."""
-    vector_std: float = 0.05
+    vector_std: Positive = 0.05
     """Standard deviation of the decoder for goals that are vectors, as in the VAE. It sets the weight of their
     reconstruction."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        for name in ("num_goals", "factors", "codes"):
-            require(
-                getattr(self, name) > 0, f"learner.{name}", getattr(self, name), "give a whole number greater than 0"
-            )
+        """Raise `UserError` for a code that cannot be cut into its factors."""
         require(
             self.latent_size % self.factors == 0,
             "learner.factors",
             self.factors,
             f"must divide learner.latent_size, {self.latent_size}",
-        )
-        for name in ("commitment", "revival"):
-            require(getattr(self, name) >= 0, f"learner.{name}", getattr(self, name), "give 0 or more")
-        require(
-            self.vector_std > 0,
-            "learner.vector_std",
-            self.vector_std,
-            "give a standard deviation greater than 0, for example 0.05",
         )
 
 

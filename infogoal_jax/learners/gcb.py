@@ -19,14 +19,14 @@ Three things differ from the authors' code:
 """
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Share, Sizes, Within
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 from infogoal_jax.relabelling import her
@@ -36,43 +36,18 @@ from infogoal_jax.relabelling import her
 class GCBConfig(GoalEncoderConfig):
     """Sizes and switches of GCB."""
 
-    paired_hidden: tuple[int, ...] = (128, 128)
+    paired_hidden: Sizes = (128, 128)
     """Widths of the layers of phi(s, g) after state and goal are joined, and of psi(s)."""
-    reward_weight: float = 1.0
+    reward_weight: Annotated[float, Within("(0, inf)", "give a number greater than 0: 0 makes all pairs alike")] = 1.0
     """Weight c_r of the difference of rewards in the target distance; 1 or 10 in the authors' code."""
-    reward_hidden: int = 512
+    reward_hidden: Count = 512
     """Width of the reward decoder [A]; 0: no decoder."""
-    relabelled_share: float = 0.3
+    relabelled_share: Share = 0.3
     """Share of the transitions that the losses see with a goal achieved later. The authors add 4 such to every 10."""
     grounded: bool = False
     """Subtract phi(g, g) from the target of psi, as in the authors' code; for tasks whose goals are observations."""
     policy_input: Literal["difference", "goal"] = "difference"
     """Input of the policy. `difference`: psi(g) - psi(s), as in the paper; `goal`: psi(g) alone."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        require(
-            all(width > 0 for width in self.paired_hidden),
-            "learner.paired_hidden",
-            self.paired_hidden,
-            "give widths greater than 0, for example 128 128",
-        )
-        require(
-            self.reward_hidden >= 0, "learner.reward_hidden", self.reward_hidden, "give a width, or 0 for no decoder"
-        )
-        require(
-            0 <= self.relabelled_share <= 1,
-            "learner.relabelled_share",
-            self.relabelled_share,
-            "give a share from 0 to 1",
-        )
-        require(
-            self.reward_weight > 0,
-            "learner.reward_weight",
-            self.reward_weight,
-            "give a number greater than 0: 0 makes all pairs alike",
-        )
 
 
 class PairedEncoder(nn.Module):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size, Sizes
 from infogoal_jax.learners.learner import GoalCode
 
 
@@ -14,30 +15,17 @@ from infogoal_jax.learners.learner import GoalCode
 class GoalEncoderConfig:
     """Sizes of the goal encoder."""
 
-    latent_size: int = 32
+    latent_size: Size = 32
     """Size d of the goal code [A]."""
-    hidden: tuple[int, ...] = (128, 128, 128)
+    hidden: Sizes = (128, 128, 128)
     """Widths of the goal encoder's layers [A]. A decoder has them in reverse order."""
     standardise_images: bool = False
     """Give every goal image the same mean and contrast before it is encoded. This makes codes robust to corruption
     (docs/reference/fetch.md)."""
 
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.latent_size > 0, "learner.latent_size", self.latent_size, "give a whole number greater than 0")
-        require(
-            all(width > 0 for width in self.hidden),
-            "learner.hidden",
-            self.hidden,
-            "give widths greater than 0, for example 128 128 128",
-        )
 
-
-def check_pairs(learner, config) -> None:
-    """Raise `UserError` for numbers of goal pairs, and a window to pair goals within, that are out of range."""
-    for name in ("num_pairs", "num_negatives"):
-        value = getattr(learner, name)
-        require(value > 0, f"learner.{name}", value, "give a whole number greater than 0")
+def check_window(learner, config) -> None:
+    """Raise `UserError` for a window to pair goals within that is longer than an episode."""
     require(
         0 <= learner.window <= config.env.episode_length,
         "learner.window",

@@ -12,9 +12,6 @@ from infogoal_jax.learners.learner import GoalCode, Learner, no_loss
 class IndexConfig:
     """No settings."""
 
-    def check(self, config) -> None:
-        """Nothing to validate."""
-
 
 def make(config: IndexConfig) -> Learner:
     """The learner of goals that are shown as their numbers, int32 [..., 1] (`GoalSet.by_index`)."""

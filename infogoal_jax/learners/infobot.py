@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import Encode, GoalCode, Learner, LearnerBatch, NewSteps, SampleSpec, Visited
@@ -28,18 +28,13 @@ class InfoBotConfig(GoalEncoderConfig):
     state_conditioned: bool = False
     """Condition the code on the state too, p(z | s, g), as in the original. The comparisons of InfoGoal's paper encode
     the goal alone."""
-    warm_up: int = 2000
+    warm_up: Count = 2000
     """Updates over which beta rises from 0 [M]. Before the first reward nothing opposes the KL, and the code would
     collapse for good."""
     reward: Literal["rarity", "first_seen"] = "rarity"
     """Intrinsic reward. `rarity`: for goals whose code says much, in cells that were rarely visited; `first_seen`: 1
     for each known goal that the episode sees for the first time, as in the maze of InfoGoal's authors [A]. The latter
     does not fade with training, and does not depend on the code."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
 
 
 @flax.struct.dataclass

@@ -15,12 +15,13 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Positive, Size
 from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import goal_encoder
 from infogoal_jax.learners.goal_encoder import (
     GoalEncoderConfig,
-    check_pairs,
+    check_window,
     contrastive_bound,
     kl_to_standard_normal,
     weighted_mean,
@@ -46,9 +47,9 @@ class InfoGoalConfig(GoalEncoderConfig):
 
     window: int = 4
     """Steps within which two achieved goals count as similar [M]. The authors' 10 spans two rooms of a small house."""
-    num_pairs: int = 256
+    num_pairs: Size = 256
     """Positive pairs in an update."""
-    num_negatives: int = 1
+    num_negatives: Size = 1
     """Negatives for each positive pair [A]. More of them shift the scale of beta."""
     loss: Literal["nce", "ratio"] = "nce"
     """`nce`: Eq. 13 with the positive in the denominator; `ratio`: the authors' bounded exp(D+ - D-), with the KL in
@@ -64,7 +65,7 @@ class InfoGoalConfig(GoalEncoderConfig):
     """Which goals of a finite set are similar. `trajectory`: achieved within the window (Algorithm 1); `distance`:
     known goals whose true positions lie at most `radius` apart; `listed`: likewise of all training, validation and test
     goals, achieved or not, and of no others [A]. The last two need a task that says where its goals lie."""
-    radius: float = 0.15
+    radius: Positive = 0.15
     """Of similar goals with another `positives` than `trajectory`, in the unit of `env.goal_positions`. 0.15 m are
     three steps of a Fetch gripper; the authors' is the length of a step times the window."""
     negatives: Literal["anchored", "independent"] = "anchored"
@@ -75,10 +76,8 @@ class InfoGoalConfig(GoalEncoderConfig):
     Fig. 15); `relative`: Eq. 15 with a threshold that follows the accuracy of the mean codes (not in the paper)."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        check_pairs(self, config)
-        require(self.radius > 0, "learner.radius", self.radius, "give a distance greater than 0")
+        """Raise `UserError` for what does not go together."""
+        check_window(self, config)
         require(
             self.loss == "nce" or self.score == "distance",
             "learner.loss",

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Positive
 from infogoal_jax.learners import none
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import Learner
@@ -20,23 +21,15 @@ from infogoal_jax.learners.learner import Learner
 class RADConfig(GoalEncoderConfig):
     """Sizes of the plain goal encoder, and the range of the augmentation."""
 
-    shift: int = 4
+    shift: Count = 4
     """Largest shift of an image along each axis, in pixels, filled with zeros. 0 turns shifts off."""
-    amplitude_low: float = 0.6
+    amplitude_low: Positive = 0.6
     """Smallest factor of a vector, as for some tasks of the paper on RAD. Greater than 0."""
     amplitude_high: float = 1.2
     """Largest factor of a vector."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        require(self.shift >= 0, "learner.shift", self.shift, "give a whole number of pixels, 0 or more")
-        require(
-            self.amplitude_low > 0,
-            "learner.amplitude_low",
-            self.amplitude_low,
-            "give a factor greater than 0, for example 0.6",
-        )
+        """Raise `UserError` for factors whose ends are the wrong way round."""
         require(
             self.amplitude_low <= self.amplitude_high,
             "learner.amplitude_high",

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax import networks
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Positive, Size, Weight
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig, kl_to_standard_normal, warmed_up
 from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, SampleSpec
 
@@ -20,30 +20,17 @@ from infogoal_jax.learners.learner import GoalCode, Learner, LearnerBatch, Sampl
 class VAEConfig(GoalEncoderConfig):
     """Sizes of encoder and decoder, and weights of the bound."""
 
-    num_goals: int = 64
+    num_goals: Size = 64
     """Known goals, desired or achieved, that an update reconstructs."""
-    vae_beta: float = 1.0
+    vae_beta: Weight = 1.0
     """Weight of the KL. 1 is the evidence lower bound. RIG uses 20 to 30 with smaller codes."""
-    warm_up: int = 2000
+    warm_up: Count = 2000
     """Updates over which the weight of the KL rises from 0 [M]. At full weight from the start the KL can outweigh what
     an untrained decoder gains, and codes of text goals stay at N(0, I) for good."""
-    vector_std: float = 0.05
+    vector_std: Positive = 0.05
     """Standard deviation of the decoder for goals that are vectors [M]: about 1 / sqrt(384), the size of the numbers of
     a sentence embedding of length 1. With 1, the value for images in the scale -1 to 1, no code of a text goal is worth
     its KL, and every posterior collapses to N(0, I)."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        require(self.num_goals > 0, "learner.num_goals", self.num_goals, "give a whole number greater than 0")
-        require(self.warm_up >= 0, "learner.warm_up", self.warm_up, "give a number of updates, 0 or more")
-        require(self.vae_beta >= 0, "learner.vae_beta", self.vae_beta, "give 0 or more; 1 is the evidence lower bound")
-        require(
-            self.vector_std > 0,
-            "learner.vector_std",
-            self.vector_std,
-            "give a standard deviation greater than 0, for example 0.05",
-        )
 
 
 def init_decoder(key: jax.Array, hidden: tuple[int, ...], latent_size: int, goal_inputs: jax.Array):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Count, Share
 from infogoal_jax.keys import draw_chance
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
@@ -20,23 +21,19 @@ OF_AGENT = {"head": "product", "critic": "product", "bounded": True, "layer_norm
 class AllGoalsConfig:
     """Which goals an update learns from."""
 
-    num_goals: int = 0
+    num_goals: Count = 0
     """Goals drawn for an update; 0: all that are known. For 256 transitions, 6 actions and 6,384 goals each set of
     values takes 39 MB."""
-    achieved_share: float = 0.5
+    achieved_share: Share = 0.5
     """Share of those drawn that the transitions of the batch achieve: under other goals a transition is a failure."""
-    desired_share: float = 0.0
+    desired_share: Share = 0.0
     """Share of those drawn that were desired where the transitions of the batch were collected, so that what was missed
     enters the loss too. The rest is any known goal."""
     code: Literal["sampled", "mean"] = "sampled"
     """`sampled`: a goal's code is drawn once an update; `mean`: its mean, on which the policy then acts too."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        require(self.num_goals >= 0, "relabelling.num_goals", self.num_goals, "give a whole number, 0 for all goals")
-        for name in ("achieved_share", "desired_share"):
-            value = getattr(self, name)
-            require(0 <= value <= 1, f"relabelling.{name}", value, "give a share from 0 to 1")
+        """Raise `UserError` for shares that are more than all."""
         together = self.achieved_share + self.desired_share
         require(
             together <= 1 + 1e-6,

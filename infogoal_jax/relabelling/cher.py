@@ -15,7 +15,7 @@ import flax.struct
 import jax
 import jax.numpy as jnp
 
-from infogoal_jax.errors import require
+from infogoal_jax.field_types import Weight
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Relabelling
 
@@ -32,19 +32,13 @@ class CHERConfig(her.HERConfig):
     similarity: Literal["nearest", "dense"] = "nearest"
     """Which goals cover each other. `nearest`: each its nearest neighbour alone (the authors' code); `dense`: all goals
     (their paper)."""
-    proximity_weight: float = 1.0
+    proximity_weight: Weight = 1.0
     """lambda_0, the weight of proximity before the first update. 0 or more."""
-    proximity_growth: float = 1e-4
+    proximity_growth: Weight = 1e-4
     """eta, the relative growth of lambda in an update. 0 or more."""
     proximity_unit: Literal["mean", "world"] = "mean"
     """Unit of the distances to what was achieved. `mean`: their mean over the candidates; `world`: the positions' own
     (the authors' code)."""
-
-    def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        super().check(config)
-        for name in ("proximity_weight", "proximity_growth"):
-            require(getattr(self, name) >= 0, f"relabelling.{name}", getattr(self, name), "give 0 or more")
 
 
 @flax.struct.dataclass

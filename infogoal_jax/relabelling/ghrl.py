@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import replay
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Share
 from infogoal_jax.pairs import KnownGoals
 from infogoal_jax.relabelling import her
 from infogoal_jax.relabelling.relabelling import Context, Relabelling
@@ -27,10 +28,10 @@ VALUES_AT_ONCE = 256  # Episodes whose first observations and goals are encoded 
 class GHRLConfig:
     """Shares of the transitions that get another goal, and which goals are accepted."""
 
-    share: float = 0.5
+    share: Share = 0.5
     """Share that gets a goal of its episode, if that comes later. With 0.5, original and relabelled ones count equally,
     as in the code of GHRL's authors."""
-    random_share: float = 0.0
+    random_share: Share = 0.0
     """Share that gets any known goal, as in HER. These are mostly failures, which offline learning sees nowhere
     else."""
     choice: Literal["first_occurrence", "best"] = "first_occurrence"
@@ -41,11 +42,7 @@ class GHRLConfig:
     start; with choice `best` alone."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        for name in ("share", "random_share"):
-            require(
-                0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1"
-            )
+        """Raise `UserError` for what does not go together."""
         require(
             self.share + self.random_share <= 1,
             "relabelling.random_share",

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Share
 from infogoal_jax.goals import axes_of, is_goal, no_goals_like, select
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling
 from infogoal_jax.replay import Trajectories
@@ -25,9 +26,9 @@ from infogoal_jax.replay import Trajectories
 class HERConfig:
     """Shares of the transitions that get another goal."""
 
-    future_share: float = 0.8
+    future_share: Share = 0.8
     """Share that gets a goal achieved later in the same episode (four of five, as in the paper on HER)."""
-    random_share: float = 0.0
+    random_share: Share = 0.0
     """Share that gets any known goal. These are mostly failures, which offline learning sees nowhere else."""
     strategy: Literal["future", "soon", "prefix"] = "future"
     """`future`: every later step that achieves a goal is equally likely; `soon`: each is less likely by the discount
@@ -38,11 +39,7 @@ class HERConfig:
     is until it is moved: no action is needed for such a goal (filtered HER, Manela and Biess 2019)."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range."""
-        for name in ("future_share", "random_share"):
-            require(
-                0 <= getattr(self, name) <= 1, f"relabelling.{name}", getattr(self, name), "give a share from 0 to 1"
-            )
+        """Raise `UserError` for shares that are more than all."""
         require(
             self.future_share + self.random_share <= 1,
             "relabelling.random_share",

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Share
 from infogoal_jax.goals import is_goal, select
 from infogoal_jax.relabelling.her import any_known, any_of, future_goal, future_place
 from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabelling, Waypoints
@@ -24,14 +25,14 @@ from infogoal_jax.relabelling.relabelling import Achievements, Context, Relabell
 class MixedConfig:
     """Shares of the goals, OGBench's own for GCIVL, GCIQL and HIQL."""
 
-    current_share: float = 0.2
+    current_share: Share = 0.2
     """Share of the goals of values that are achieved now already."""
-    future_share: float = 0.5
+    future_share: Share = 0.5
     """Share of them that the episode achieves later; the rest is any known goal."""
     geometric: bool = True
     """Whether each later step is less likely by the discount than the one before it, what lies beyond the end of the
     episode counting as its last; else all are equally likely."""
-    actor_future_share: float = 1.0
+    actor_future_share: Share = 1.0
     """Share of the actor's goals that the episode achieves later; the rest is any known goal. OGBench has 0.5 for its
     datasets that have to be stitched."""
     actor_geometric: bool = False
@@ -40,10 +41,7 @@ class MixedConfig:
     """Steps after which a state is a subgoal, for agent hiql; 0: none."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range, and for returns of several steps."""
-        for name in ("current_share", "future_share", "actor_future_share"):
-            share = getattr(self, name)
-            require(0 <= share <= 1, f"relabelling.{name}", share, "give a share from 0 to 1")
+        """Raise `UserError` for shares that are more than all, and for returns of several steps."""
         room = f"must leave room for current_share = {self.current_share}: together at most 1"
         require(self.current_share + self.future_share <= 1, "relabelling.future_share", self.future_share, room)
         remedy = "give 0 or more steps"

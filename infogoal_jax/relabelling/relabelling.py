@@ -111,9 +111,6 @@ class Relabelling(NamedTuple):
 class NoneConfig:
     """No relabelling, no settings."""
 
-    def check(self, config) -> None:
-        """Nothing to validate."""
-
 
 def make_none(config: NoneConfig) -> None:
     """No relabelling: the program leaves it out."""

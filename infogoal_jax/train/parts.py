@@ -57,7 +57,7 @@ def make_parts(config: TrainConfig, env) -> Parts:
     return Parts(
         config=config,
         name=learners.registry.name_of(config.learner),
-        learner=checked_part("learner", learners.registry.entry_of(config.learner), config, env),
+        learner=make_learner(config),
         agent=checked_part("agent", agents.registry.entry_of(config.agent), config, env),
         relabelling=checked_part("relabelling", relabelling.registry.entry_of(config.relabelling), config, env),
         explorer=checked_part("explorer", exploration.registry.entry_of(config.explorer), config, env),
@@ -89,9 +89,7 @@ def code_seen(parts: Parts, code: GoalCode, key: jax.Array) -> jax.Array:
 
 def make_learner(config: TrainConfig) -> Learner:
     """The learner that the configuration names. Raises `UserError` for one of a user's own that is none."""
-    learner = learners.registry.entry_of(config.learner).make(config.learner)
-    require(isinstance(learner, Learner), "learner", type(learner).__name__, "its make has to return a Learner")
-    return learner
+    return checked_part("learner", learners.registry.entry_of(config.learner), config, None)
 
 
 def make_state_encoder(size: StateEncoderConfig, env):

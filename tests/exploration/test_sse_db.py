@@ -304,4 +304,4 @@ def test_a_task_without_a_finite_set_of_observations_is_refused():
 )
 def test_values_out_of_range_are_named(field, value):
     with pytest.raises(UserError, match=f"explorer.{field} = "):
-        dataclasses.replace(SMALL, **{field: value}).check(None)
+        dataclasses.replace(hand_made.config(), explorer=dataclasses.replace(SMALL, **{field: value}))

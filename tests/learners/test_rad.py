@@ -1,5 +1,6 @@
 """RAD varies what the agent's updates see of goals, each goal by a draw of its own, and nothing else."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import hand_made
@@ -157,7 +158,7 @@ def test_a_goal_is_varied_anew_for_each_place_in_a_batch():
 )
 def test_values_out_of_range_are_named(field, changes):
     with pytest.raises(UserError, match=field):
-        rad.RADConfig(**changes).check(None)
+        dataclasses.replace(hand_made.config(), learner=rad.RADConfig(**changes))
 
 
 @pytest.mark.long

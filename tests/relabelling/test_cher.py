@@ -1,8 +1,10 @@
 """CHER chooses, of candidates that HER relabelled, those whose goals are diverse and nearly reached."""
 
+import dataclasses
 import functools
 import itertools
 
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -200,7 +202,7 @@ def test_many_updates_draw_side_by_side_what_each_draws_alone():
 @pytest.mark.parametrize("fields", [{"proximity_weight": -1.0}, {"proximity_growth": -1e-4}])
 def test_fields_that_cannot_be(fields):
     with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
-        cher.CHERConfig(**fields).check(None)
+        dataclasses.replace(hand_made.config(), relabelling=cher.CHERConfig(**fields))
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -1,5 +1,8 @@
 """GHRL gives an episode the goal that it reached better than other episodes did."""
 
+import dataclasses
+
+import hand_made
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -242,4 +245,4 @@ def test_filter_goes_through_all_episodes(monkeypatch):
 )
 def test_fields_that_cannot_be(fields):
     with pytest.raises(UserError, match=f"relabelling.{next(iter(fields))}"):
-        ghrl.GHRLConfig(**fields).check(None)
+        dataclasses.replace(hand_made.config(), relabelling=ghrl.GHRLConfig(**fields))

@@ -1,6 +1,7 @@
 """Relabelling in hindsight: goals are achieved later in the same episode, and rewards follow from them, whichever
 method chooses them."""
 
+import dataclasses
 from collections import Counter
 from types import SimpleNamespace
 
@@ -166,7 +167,7 @@ def test_rows_too_long_for_the_prefixes_name_the_remedy():
 def test_shares_that_cannot_be(config):
     """Shares beyond 1, or below 0, name their field."""
     with pytest.raises(UserError, match=r"relabelling\.(future|random)_share"):
-        config.check(None)
+        dataclasses.replace(hand_made.config(), relabelling=config)
 
 
 @pytest.mark.long

@@ -213,7 +213,6 @@ class TargetReaching(Environment):
 
 def make(name: str, config: TargetsConfig) -> TargetReaching:
     """The target states of a Fetch task."""
-    config.check(None)
     robot = environment.make(
         name, FetchConfig(faithful=config.faithful, episode_length=config.episode_length, ends_at_goal=False)
     )
