@@ -6,6 +6,7 @@ regular grid, and the moves are the steps between neighbours. Rows are numbered 
 1.
 """
 
+import contextlib
 import csv
 import io
 import itertools
@@ -31,8 +32,6 @@ PLACE = ("x", "y", "z")
 KNOWN = ("image", *MOVES, "state", *QUATERNION, *ANGLES, *PLACE, "objects")
 ALLOWED = f"allowed are {', '.join(KNOWN)} and joint_NAME (degrees; metres if NAME ends in _m)"
 UNIT_WITHIN = 1e-3
-Rows = list[tuple[int, dict[str, str]]]
-"""Each row of the CSV: its number and its cells by column, stripped."""
 MOST_DIGITS = 9
 """Of the number of a step, which is kept as int32."""
 MOST_BYTES = 4e9
@@ -44,8 +43,25 @@ SAME_WITHIN = 1e-6
 """Joints that differ by less, in degrees or metres, are the same."""
 
 
+class Row(NamedTuple):
+    """A row of the CSV. number: as a spreadsheet counts; cells: by column, stripped."""
+
+    table: Path
+    number: int
+    cells: dict[str, str]
+
+    def refusal(self, column: str, problem: str) -> UserError:
+        """What is wrong with a cell of this row, and what to do."""
+        return UserError(f"{self.table}: row {self.number}: {column} = {self.cells[column]!r}: {problem}")
+
+    def wants(self, condition: bool, column: str, problem: str) -> None:
+        """Raise the `refusal`, unless the condition holds."""
+        if not condition:
+            raise self.refusal(column, problem)
+
+
 class Move(NamedTuple):
-    """A move as in `FrameDataset`, but with the action's name. row: of the CSV, for messages."""
+    """A move as in `FrameDataset`, but with the action's name. row: where the CSV names it."""
 
     frame: int
     name: str
@@ -53,7 +69,7 @@ class Move(NamedTuple):
     trajectory: int
     time: int
     terminal: bool
-    row: int
+    row: Row
 
 
 def import_folder(
@@ -81,28 +97,28 @@ def import_folder(
         "no such folder; give the folder that the CSV's column image is relative to",
     )
     rows = read_rows(table)
-    columns = tuple(rows[0][1])
+    columns = tuple(rows[0].cells)
     joints = tuple(column for column in columns if column.startswith("joint_"))
     moves = set(columns) & set(MOVES)
     check_columns(table, columns, joints, bool(moves))
     require(not (wrap and moves), "wrap", tuple(wrap), f"{table} lists recorded moves; wrap is for a grid of poses")
-    frame_of, frame_rows = number_images(table, rows)
-    poses = read_poses(table, frame_rows, joints)
-    states = [cells.get("state", "") for _, cells in frame_rows]
+    frame_of, frame_rows = number_images(rows)
+    poses = read_poses(frame_rows, joints)
+    states = [row.cells.get("state", "") for row in frame_rows]
     if "state" in columns:
-        for number, cells in frame_rows:
-            wants(cells["state"] != "", table, number, "state", "", "name the state that the image shows")
+        for row in frame_rows:
+            row.wants(row.cells["state"] != "", "state", "name the state that the image shows")
         state = np.unique(states, return_inverse=True)[1]
     else:
         state = np.arange(len(frame_rows))
     if moves:
-        recorded, actions = read_moves(table, rows, frame_of), []
+        recorded, actions = read_moves(rows, frame_of), []
     else:
-        values = joint_numbers(table, frame_rows, joints)
+        values = joint_numbers(frame_rows, joints)
         recorded, actions = grid_moves(table, frame_rows, joints, values, state, "state" in columns, wrap)
     fields = move_fields(recorded, actions)
-    contradicting(table, recorded, fields, state)
-    pixels, recorded_size = read_images(images, table, frame_rows, size, progress)
+    contradicting(recorded, fields, state)
+    pixels, recorded_size = read_images(images, frame_rows, size, progress)
     command = f"infogoal data import {shlex.quote(str(images))} {shlex.quote(str(table))}"
     command += (f" --size {size[0]} {size[1]}" if size else "") + "".join(
         f" --wrap {shlex.quote(joint)}" for joint in wrap
@@ -119,12 +135,12 @@ def import_folder(
 
 
 def read_images(
-    folder: Path, table: Path, rows: Rows, size: tuple[int, int] | None, progress: Callable[[float], None] | None
+    folder: Path, rows: list[Row], size: tuple[int, int] | None, progress: Callable[[float], None] | None
 ) -> tuple[np.ndarray, list[int]]:
     """The images in the order of the rows, uint8 RGB [K, H, W, 3], and height and width of the first file."""
     if size is not None:
         require(min(size) >= 1, "size", tuple(size), "give height and width, at least 1 pixel each")
-    first = read_image(folder, table, *rows[0])
+    first = read_image(folder, rows[0])
     height, width = size or first.shape[:2]
     total = len(rows) * height * width * 3
     require(
@@ -135,36 +151,22 @@ def read_images(
     )
     pixels = np.empty((len(rows), height, width, 3), np.uint8)
 
-    def read_into(row: int) -> None:
+    def read_into(place: int) -> None:
         """Decoding and shrinking let other threads run."""
-        number, cells = rows[row]
-        image = read_image(folder, table, number, cells)
+        row = rows[place]
+        image = read_image(folder, row)
         here, expected = image.shape[:2], first.shape[:2]
         found = (
-            f"is {here[0]} x {here[1]} pixels high and wide, but {rows[0][1]['image']!r} in row {rows[0][0]} is "
+            f"is {here[0]} x {here[1]} pixels high and wide, but {rows[0].cells['image']!r} in row {rows[0].number} is "
             f"{expected[0]} x {expected[1]}"
         )
         if size is None:
-            wants(
-                here == expected,
-                table,
-                number,
-                "image",
-                cells["image"],
-                f"{found}; give --size HEIGHT WIDTH to bring all to one size",
-            )
+            row.wants(here == expected, "image", f"{found}; give --size HEIGHT WIDTH to bring all to one size")
         else:  # The same shape, but for what rounding to whole pixels costs.
             alike = abs(here[1] - here[0] * expected[1] / expected[0]) <= max(1, here[0] / expected[0])
-            wants(
-                alike,
-                table,
-                number,
-                "image",
-                cells["image"],
-                f"{found}, another shape; crop it, so that nothing is distorted",
-            )
+            row.wants(alike, "image", f"{found}, another shape; crop it, so that nothing is distorted")
             image = pictures.resized(image, *size)
-        pixels[row] = image
+        pixels[place] = image
 
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as threads:
         for done, _ in enumerate(threads.map(read_into, range(len(rows))), 1):
@@ -173,40 +175,23 @@ def read_images(
     return pixels, list(first.shape[:2])
 
 
-def read_image(folder: Path, table: Path, number: int, cells: dict[str, str]) -> np.ndarray:
+def read_image(folder: Path, row: Row) -> np.ndarray:
     """One image as OpenCV decodes it, uint8 RGB [H, W, 3]."""
-    name = cells["image"]
+    name = row.cells["image"]
     try:
         content = read_bytes(folder / name)
     except FileNotFoundError:
         hint = nearest(name, [path.name for path in folder.iterdir()])
-        raise UserError(
-            f"{table}: row {number}: image = {name!r}: no such file in {folder}.{hint} Add it, or correct the row"
-        ) from None
+        raise row.refusal("image", f"no such file in {folder}.{hint} Add it, or correct the row") from None
     except (OSError, ValueError) as error:  # A name with a zero byte is a ValueError.
-        raise UserError(
-            f"{table}: row {number}: image = {name!r}: cannot be read ({error}); correct the name, or the rights of "
-            "the file"
-        ) from error
+        raise row.refusal("image", f"cannot be read ({error}); correct the name, or the rights of the file") from error
     image = pictures.decoded(content)
-    wants(
-        image is not None,
-        table,
-        number,
-        "image",
-        name,
-        f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row",
-    )
+    damaged = f"{folder / name} is damaged or no image that OpenCV reads; replace it or remove the row"
+    row.wants(image is not None, "image", damaged)
     return image
 
 
-def wants(condition: bool, table: Path, number: int, column: str, value: str, remedy: str) -> None:
-    """Raise a `UserError` that names the CSV's row, unless the condition holds."""
-    if not condition:
-        raise UserError(f"{table}: row {number}: {column} = {value!r}: {remedy}")
-
-
-def read_rows(table: Path) -> Rows:
+def read_rows(table: Path) -> list[Row]:
     """The rows of the CSV below its header; blank lines are left out, but counted."""
     try:
         content = io.StringIO(read_text(table, encoding="utf-8-sig"), newline="")
@@ -229,7 +214,7 @@ def read_rows(table: Path) -> Rows:
                     f"{table}: row {number}: has {len(cells)} cells, but the header has {len(header)}; separate cells "
                     "with commas"
                 )
-            rows.append((number, dict(zip(header, cells, strict=True))))
+            rows.append(Row(table, number, dict(zip(header, cells, strict=True))))
     repeated = [column for place, column in enumerate(header) if column in header[:place]]
     if repeated:
         raise UserError(f"{table}: row 1: has the column {repeated[0]!r} twice; remove one")
@@ -264,148 +249,116 @@ def check_columns(table: Path, columns: tuple[str, ...], joints: tuple[str, ...]
         )
 
 
-def number_images(table: Path, rows: Rows) -> tuple[dict[str, int], Rows]:
+def number_images(rows: list[Row]) -> tuple[dict[str, int], list[Row]]:
     """The index of each image by its name, and the row that each is first named in. A row that names one again must say
     the same of it."""
     frame_of: dict[str, int] = {}
-    frame_rows: Rows = []
-    for number, cells in rows:
-        wants(cells["image"] != "", table, number, "image", "", "name a file of the folder")
-        if cells["image"] not in frame_of:
-            frame_of[cells["image"]] = len(frame_rows)
-            frame_rows.append((number, cells))
+    frame_rows: list[Row] = []
+    for row in rows:
+        name = row.cells["image"]
+        row.wants(name != "", "image", "name a file of the folder")
+        if name not in frame_of:
+            frame_of[name] = len(frame_rows)
+            frame_rows.append(row)
             continue
-        first, said = frame_rows[frame_of[cells["image"]]]
-        if "trajectory" not in cells:
-            raise UserError(
-                f"{table}: row {number}: image = {cells['image']!r}: is in row {first} already; give each pose an "
-                "image of its own"
-            )
-        for column in set(cells) - set(MOVES):
-            remedy = f"row {first} says {said[column]!r} of the same image; correct one"
-            wants(cells[column] == said[column], table, number, column, cells[column], remedy)
+        first = frame_rows[frame_of[name]]
+        moves = "trajectory" in row.cells
+        row.wants(moves, "image", f"is in row {first.number} already; give each pose an image of its own")
+        for column in set(row.cells) - set(MOVES):
+            said = first.cells[column]
+            remedy = f"row {first.number} says {said!r} of the same image; correct one"
+            row.wants(row.cells[column] == said, column, remedy)
     return frame_of, frame_rows
 
 
-def numbers(table: Path, rows: Rows, columns: Sequence[str], unit: str) -> np.ndarray:
+def numbers(rows: list[Row], columns: Sequence[str], unit: str) -> np.ndarray:
     """These columns as numbers, float64 [rows, columns]."""
-    values = np.empty((len(rows), len(columns)))
-    for row, (number, cells) in enumerate(rows):
+    values = np.full((len(rows), len(columns)), np.nan)
+    for index, row in enumerate(rows):
         for column, name in enumerate(columns):
-            try:
-                values[row, column] = float(cells[name])
-            except ValueError:
-                values[row, column] = np.nan
-            wants(
-                bool(np.isfinite(values[row, column])),
-                table,
-                number,
-                name,
-                cells[name],
-                f"give a number in {unit}, with a decimal point",
-            )
+            with contextlib.suppress(ValueError):
+                values[index, column] = float(row.cells[name])
+            finite = bool(np.isfinite(values[index, column]))
+            row.wants(finite, name, f"give a number in {unit}, with a decimal point")
     return values
 
 
-def joint_numbers(table: Path, rows: Rows, joints: Sequence[str]) -> np.ndarray:
+def joint_numbers(rows: list[Row], joints: Sequence[str]) -> np.ndarray:
     """The joints as the CSV has them, degrees or metres, float64 [rows, J]."""
-    return np.concatenate(
-        [numbers(table, rows, [joint], "metres" if joint.endswith("_m") else "degrees") for joint in joints], 1
-    )
+    units = ("metres" if joint.endswith("_m") else "degrees" for joint in joints)
+    return np.concatenate([numbers(rows, [joint], unit) for joint, unit in zip(joints, units, strict=True)], 1)
 
 
-def read_poses(table: Path, rows: Rows, joints: tuple[str, ...]) -> dict:
+def read_poses(rows: list[Row], joints: tuple[str, ...]) -> dict:
     """The fields rotation, joints, position and detected of the dataset, with their names, as far as the CSV has
     them."""
-    columns, fields = set(rows[0][1]), {}
+    columns, fields = set(rows[0].cells), {}
     if "qw" in columns:
-        quaternion = numbers(table, rows, QUATERNION, "parts of a quaternion")
+        quaternion = numbers(rows, QUATERNION, "parts of a quaternion")
         length = np.linalg.norm(quaternion, axis=1)
         for row in np.flatnonzero(np.abs(length - 1) > UNIT_WITHIN):
-            words = ", ".join(rows[row][1][column] for column in QUATERNION)
+            words = ", ".join(rows[row].cells[column] for column in QUATERNION)
             raise UserError(
-                f"{table}: row {rows[row][0]}: qw, qx, qy, qz = {words}: has the length {length[row]:.4f}, not 1; "
-                "divide by it"
+                f"{rows[row].table}: row {rows[row].number}: qw, qx, qy, qz = {words}: has the length "
+                f"{length[row]:.4f}, not 1; divide by it"
             )
         fields["rotation"] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     if "roll" in columns:  # R = Rz(yaw) Ry(pitch) Rx(roll): capital letters are turns about the axes that turned along.
         fields["rotation"] = Rotation.from_euler(
-            "ZYX", numbers(table, rows, ANGLES, "degrees")[:, ::-1], degrees=True
+            "ZYX", numbers(rows, ANGLES, "degrees")[:, ::-1], degrees=True
         ).as_matrix()
     if joints:
-        values = joint_numbers(table, rows, joints)
+        values = joint_numbers(rows, joints)
         fields["joints"] = np.where([joint.endswith("_m") for joint in joints], values, np.radians(values))
     if "x" in columns:
-        fields["position"] = numbers(table, rows, [axis for axis in PLACE if axis in columns], "metres")
+        fields["position"] = numbers(rows, [axis for axis in PLACE if axis in columns], "metres")
     fields = {field: values.astype(np.float32) for field, values in fields.items()}
     if joints:
         fields["joint_names"] = tuple(joint.removeprefix("joint_") for joint in joints)
     if "objects" in columns:
-        seen = [{name.strip() for name in cells["objects"].split(";")} - {""} for _, cells in rows]
+        seen = [{name.strip() for name in row.cells["objects"].split(";")} - {""} for row in rows]
         if names := tuple(sorted(set().union(*seen))):  # A column that names none says no more than no column.
             fields |= {"objects": names, "detected": np.array([[name in found for name in names] for found in seen])}
     return fields
 
 
-def read_moves(table: Path, rows: Rows, frame_of: dict[str, int]) -> list[Move]:
+def read_moves(rows: list[Row], frame_of: dict[str, int]) -> list[Move]:
     """The recorded moves: from each row of a trajectory to the next in time."""
-    trajectories: dict[str, list[tuple[int, int, dict[str, str]]]] = {}
-    for number, cells in rows:
-        wants(
-            cells["trajectory"] != "", table, number, "trajectory", "", "name the trajectory that the image belongs to"
-        )
-        whole = cells["time"].isascii() and cells["time"].isdecimal() and len(cells["time"]) <= MOST_DIGITS
-        wants(whole, table, number, "time", cells["time"], "give the number of the step, a whole number: 0, 1, 2, ...")
-        trajectories.setdefault(cells["trajectory"], []).append((int(cells["time"]), number, cells))
+    trajectories: dict[str, list[tuple[int, Row]]] = {}
+    for row in rows:
+        name, time = row.cells["trajectory"], row.cells["time"]
+        row.wants(name != "", "trajectory", "name the trajectory that the image belongs to")
+        whole = time.isascii() and time.isdecimal() and len(time) <= MOST_DIGITS
+        row.wants(whole, "time", "give the number of the step, a whole number: 0, 1, 2, ...")
+        trajectories.setdefault(name, []).append((int(time), row))
     moves = []
     for index, (name, steps) in enumerate(trajectories.items()):
-        steps.sort(key=lambda step: step[:2])
+        steps.sort(key=lambda step: (step[0], step[1].number))
         where = f"of trajectory {name!r}"
-        wants(
-            len(steps) > 1,
-            table,
-            steps[0][1],
-            "trajectory",
-            name,
-            "has one row only, so no move; add the image after it, or remove the row",
-        )
-        for position, ((time, number, cells), (later, next_number, after)) in enumerate(itertools.pairwise(steps)):
-            wants(
-                later != time,
-                table,
-                next_number,
-                "time",
-                after["time"],
-                f"row {number} {where} has the same time; give each step its own",
-            )
-            remedy = (
-                f"a gap {where}, after time {time} in row {number}; add what is missing, or give the rest another "
-                "trajectory"
-            )
-            wants(later == time + 1, table, next_number, "time", after["time"], remedy)
-            wants(
-                cells["action"] != "",
-                table,
-                number,
-                "action",
-                "",
-                f"is not the last row {where}; name the action taken after this image",
-            )
-            ends = frame_of[cells["image"]], frame_of[after["image"]]
-            moves.append(Move(ends[0], cells["action"], ends[1], index, position, position == len(steps) - 2, number))
-        _, number, cells = steps[-1]
+        alone = "has one row only, so no move; add the image after it, or remove the row"
+        steps[0][1].wants(len(steps) > 1, "trajectory", alone)
+        for position, ((time, row), (later, after)) in enumerate(itertools.pairwise(steps)):
+            same = f"row {row.number} {where} has the same time; give each step its own"
+            after.wants(later != time, "time", same)
+            gap = f"a gap {where}, after time {time} in row {row.number}"
+            after.wants(later == time + 1, "time", f"{gap}; add what is missing, or give the rest another trajectory")
+            action = row.cells["action"]
+            row.wants(action != "", "action", f"is not the last row {where}; name the action taken after this image")
+            ends = frame_of[row.cells["image"]], frame_of[after.cells["image"]]
+            moves.append(Move(ends[0], action, ends[1], index, position, position == len(steps) - 2, row))
+        last = steps[-1][1]
         remedy = f"is the last row {where}, and no image shows where it led; leave it empty"
-        wants(cells["action"] == "", table, number, "action", cells["action"], remedy)
+        last.wants(last.cells["action"] == "", "action", remedy)
     return moves
 
 
-def contradicting(table: Path, moves: list[Move], fields: dict, state: np.ndarray) -> None:
+def contradicting(moves: list[Move], fields: dict, state: np.ndarray) -> None:
     """Raise a `UserError` for two rows whose state and action are the same, but not the state that follows."""
     for one, other in frames_check.contradictions(state, fields["frame"], fields["action"], fields["next_frame"]):
+        row = moves[other].row
         raise UserError(
-            f"{table}: row {moves[other].row}: action = {moves[other].name!r}: leads from the same state as in row "
-            f"{moves[one].row} to another; "
-            f"correct one, or tell the states apart in the column state"
+            f"{row.table}: row {row.number}: action = {moves[other].name!r}: leads from the same state as in row "
+            f"{moves[one].row.number} to another; correct one, or tell the states apart in the column state"
         )
 
 
@@ -429,7 +382,7 @@ def move_fields(moves: Sequence[Move], actions: Sequence[str] = ()) -> dict:
 
 def grid_moves(
     table: Path,
-    rows: list[tuple[int, dict[str, str]]],
+    rows: list[Row],
     joints: Sequence[str],
     values: np.ndarray,
     state: np.ndarray,
@@ -465,11 +418,8 @@ def grid_moves(
     for frame, point in enumerate(points):
         first = image_at.setdefault(point, frame)
         if first != frame and not (states_given and state[first] == state[frame]):
-            raise UserError(
-                f"{table}: row {rows[frame][0]}: image = {rows[frame][1]['image']!r}: has the joints of row "
-                f"{rows[first][0]}; "
-                f"remove one, or give both the same value in a column state"
-            )
+            same = f"has the joints of row {rows[first].number}"
+            raise rows[frame].refusal("image", f"{same}; remove one, or give both the same value in a column state")
     moving = [column for column in range(len(joints)) if np.ptp(places[column])]
     require(bool(moving), f"{table}: joints", joints, "no joint ever moves; give at least two values of one joint")
     actions = [f"{names[column]} {sign}" for column in moving for sign in "+-"]
@@ -480,9 +430,8 @@ def grid_moves(
                 place = point[column] + step
                 after = (*point[:column], place % turns[column] if turns[column] else place, *point[column + 1 :])
                 if after in image_at:
-                    moves.append(
-                        Move(frame, f"{names[column]} {sign}", image_at[after], len(moves), 0, True, rows[frame][0])
-                    )
+                    action = f"{names[column]} {sign}"
+                    moves.append(Move(frame, action, image_at[after], len(moves), 0, True, rows[frame]))
     unused = sorted(set(actions) - {move.name for move in moves})
     require(
         not unused,
@@ -493,9 +442,7 @@ def grid_moves(
     return moves, actions
 
 
-def axis_of(
-    table: Path, rows: list[tuple[int, dict[str, str]]], joint: str, values: np.ndarray, wraps: bool
-) -> tuple[np.ndarray, int]:
+def axis_of(table: Path, rows: list[Row], joint: str, values: np.ndarray, wraps: bool) -> tuple[np.ndarray, int]:
     """The place of each value on its joint's grid, int [K], and the number of places of a full turn, 0 where the joint
     does not go round."""
     settings, which = np.unique(values, return_inverse=True)
@@ -514,11 +461,9 @@ def axis_of(
     step = steps[low[commonest] : high[commonest]].mean()
     apart = np.rint(gaps / step).astype(int)
     for place in np.flatnonzero(np.abs(gaps / step - apart) > GRID_WITHIN)[:1]:
-        number, cells = rows[int(np.flatnonzero(which == place + 1)[0])]
-        raise UserError(
-            f"{table}: row {number}: {joint} = {cells[joint]!r}: is off the grid: the value below is "
-            f"{settings[place]:g}, others are {step:g} apart; "
-            f"correct it, and give joints as they were commanded, not as they were measured"
+        off = f"is off the grid: the value below is {settings[place]:g}, others are {step:g} apart"
+        raise rows[int(np.flatnonzero(which == place + 1)[0])].refusal(
+            joint, f"{off}; correct it, and give joints as they were commanded, not as they were measured"
         )
     places = np.append(0, np.cumsum(apart))[which]
     if not wraps:
