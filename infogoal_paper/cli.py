@@ -50,7 +50,8 @@ def study(
         tasks: Tasks; empty: all.
         methods: Rows of Table I, or of the table of all_goals (none, her, leo, all_goals, infogoal+all_goals,
             infobot+all_goals); empty: all.
-        variants: Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too.
+        variants: Of Table I: paper, in which HER, CHER and GHRL alone relabel; her, in which every learner has HER too;
+            text, in which InfoGoal, InfoBot and GCB have it.
         sets: Goal sets; empty: all of each task.
         seeds: Seeds of each run, from 0 on.
         out: Folder of the runs, tables and figures; processes that have the same folder share the work.
