@@ -178,6 +178,11 @@ def all_of(*tasks: str) -> tuple[tuple[str, str, tuple[int, ...]], ...]:
 
 
 SOONEST = ("infogoal+all_goals", "cogoal+all_goals", "all_goals", "her")
+FETCH_READ, CUBE_READ = ("fetch_reach+read", "fetch_pick_and_place+read"), "object_manipulation+read"
+SOONEST_READ = (
+    *("infogoal@desired", "infogoal+her@listed", "infogoal@listed", "her@corrupted", "infogoal+her@corrupted"),
+    *("infogoal@corrupted", "her@desired", "infogoal@listed_corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
+)
 PARTS = {
     "A": Part(4, tuple((HELD_OUT, method, (10,)) for method in SOONEST)),
     "B": Part(
@@ -185,11 +190,20 @@ PARTS = {
         all_of(*HELD_OUT_FETCH)
         + tuple((task, "gcb+her", DATA_SETS[task]) for task in ("object_search", *presets.FETCH_TASKS)),
     ),
-    "C": Part(12, all_of("object_search+read", "fetch_reach+read")),
-    "D": Part(12, all_of("fetch_pick_and_place+read")),
-    "E": Part(4, all_of("object_manipulation+read")[:4]),
+    "C": Part(
+        16,
+        (
+            *all_of(CUBE_READ)[:2],
+            *all_of("object_search+read"),
+            *((task, method, (0,)) for method in SOONEST_READ for task in FETCH_READ),
+        ),
+    ),
+    "D": Part(
+        6, tuple((task, method, (0,)) for task in FETCH_READ for method in OF_FETCH if method not in SOONEST_READ)
+    ),
+    "E": Part(4, all_of(CUBE_READ)[2:5]),
     "F": Part(3, tuple((HELD_OUT, method, (10,)) for method in CARRYING if method not in SOONEST)),
-    "G": Part(4, all_of("object_manipulation+read")[4:]),
+    "G": Part(4, all_of(CUBE_READ)[5:]),
 }
 """What is to be run, in order, and by how many processes side by side."""
 
@@ -507,10 +521,13 @@ def carries_table(numbers: Numbers) -> str:
         cells = ["/".join(shown(method, epsilon, kind) for epsilon in epsilons) for kind in kinds]
         rows.append([CARRYING[method], f"{epsilons[-1]:g}", *cells, shown(method, SAME, "test", "mean")])
     head = ["method", "best ε", "validation", "test", "corrupted test", f"test, ε {SAME}, mean code"]
-    runs = numbers.values[HELD_OUT, ran[0], EPSILONS[0], "sampled"]
-    (updates,) = {int(row["updates"]) for row in runs.values()}
-    sets = sorted({data_set for data_set, _ in runs})
-    said = f"{len(runs) // len(sets)} seeds on each of the cubes {' and '.join(map(str, sets))}, {updates:,} updates."
+    runs = {method: numbers.values[HELD_OUT, method, EPSILONS[0], "sampled"] for method in ran}
+    (updates,) = {int(row["updates"]) for own in runs.values() for row in own.values()}
+    cubes = {method: sorted({data_set for data_set, _ in own}) for method, own in runs.items()}
+    most = max(cubes.values(), key=len)
+    said = f"{len(runs[ran[0]]) // len(cubes[ran[0]])} seeds on each of the cubes {', '.join(map(str, most))}"
+    fewer = [f"{CARRYING[method]} on {', '.join(map(str, own))}" for method, own in cubes.items() if own != most]
+    said += "".join(f"; {words} alone" for words in fewer) + f". {updates:,} updates."
     return f"{markdown_lines(head, rows)}\n\n{said}"
 
 
@@ -547,7 +564,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         beside |= {"readings": readings_table(numbers, "test")}
         beside |= {"readings_corrupted": readings_table(numbers, "corrupted_test")}
     if ran & set(HELD_OUT_FETCH):
-        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("greedy", "each at its own best")
+        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),

@@ -22,12 +22,12 @@ class Cell(NamedTuple):
 
     def words(self, short: bool = False) -> str:
         """`0.85 ± 0.03 / 0.07†`: mean, interval over seeds, interval over goal sets; nothing where there is no run.
-        short: `0.85 ± 0.07†`, with the wider of the two."""
+        short: `0.85±0.07†`, with the wider of the two."""
         if self.ours is None:
             return ""
         if short:
             finite = [half for half in (self.ours.seeds, self.ours.sets) if math.isfinite(half)]
-            return f"{self.ours.mean:.2f}{f' ± {max(finite):.2f}' if finite else ''}{self.marks}"
+            return f"{self.ours.mean:.2f}{f'±{max(finite):.2f}' if finite else ''}{self.marks}"
         seeds = f" ± {self.ours.seeds:.2f}" if math.isfinite(self.ours.seeds) else ""
         sets = f" / {self.ours.sets:.2f}" if math.isfinite(self.ours.sets) else ""
         return f"{self.ours.mean:.2f}{seeds}{sets}{self.marks}"
