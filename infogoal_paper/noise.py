@@ -7,12 +7,11 @@ their means.
 
 A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
 on every data set at each of `EPSILONS`. Every task and method is a file of FOLDER; what lies there is not run again,
-and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows,
-but on cubes of the studies beside, where half of the updates are evaluated, three quarters, and all. --list prints the
-queue, `noise_numbers.PARTS`, which names what is to be run in order of what it would tell; --part runs what is missing
-of one of its parts. --merge puts the files of FOLDER into docs/results/noise.csv.gz, in place of what was there of the
-same tasks, methods and data sets; `pages.py noise` then writes the tables of docs/research/noise_at_test.md, which says
-what came of it.
+and several processes may work on one folder. --minutes stops in time: what is not trained to its end leaves no rows.
+Cubes of the studies beside are trained half as long. --list prints the queue, `noise_numbers.PARTS`, in order of what
+it would tell; --part runs what is missing of one of its parts. --merge puts the files of FOLDER into
+docs/results/noise.csv.gz, in place of what was there of the same tasks, methods and data sets; `pages.py noise` then
+writes the tables of docs/research/noise_at_test.md, which says what came of it.
 """
 
 import argparse
@@ -47,9 +46,9 @@ from infogoal_paper.trial_numbers import Row
 CHUNKS = 4
 """Of an equal number of updates, after each of which there is an evaluation."""
 HALF = 2
-"""The chunk from which on the held-out cube is evaluated at every noise; the others are at their end alone."""
-UNFINISHED = (HELD_OUT, "object_manipulation+read")
-"""Tasks whose runs are shown as far as they came."""
+"""The cubes of the studies beside are trained for this share of their preset's updates, which take the most time."""
+BY_HALVES = (HELD_OUT, noise_numbers.CUBE_READ)
+"""These studies."""
 GROUPS = ("train", "validation", "test")
 
 
@@ -65,17 +64,18 @@ def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
     return Run(name, learner, relabelling, None, data_set, lane, seeds, toy, agent, known_goals)
 
 
-def to_its_end(config: TrainConfig, run: Run) -> TrainConfig:
-    """The configuration of a run, trained for as many updates as its preset says."""
+def to_its_end(config: TrainConfig, run: Run, share: int = 1) -> TrainConfig:
+    """The configuration of a run, trained for as many updates as its preset says, or a share of them."""
     if run.toy:
         return config
     preset = run.preset()
-    epochs = preset.num_epochs * preset.updates_per_epoch // config.updates_per_epoch
+    epochs = preset.num_epochs * preset.updates_per_epoch // config.updates_per_epoch // share
     return dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs // CHUNKS)
 
 
-def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any]) -> list[batches.Batch]:
-    """The batches of a method on data sets of a task, with these settings in place of its preset's. The house of the
+def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any], share: int = 1) -> list[batches.Batch]:
+    """The batches of a method on data sets of a task, with these settings in place of its preset's, trained for a share
+    of its updates. The house of the
     tuning has a batch of its own, as its goals are split differently; it is built in FOLDER unless it is there."""
     others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
     found = batches.batches_of(others, None, most_lanes=64, settings=settings) if others else []
@@ -86,7 +86,7 @@ def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any]) -> list[
         )
         lanes = tuple((run.lane, seed) for seed in run.seeds)
         found.append(batches.Batch(config, (load_environment(config),), lanes, {(0, run.lane): run}))
-    return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0])) for batch in found]
+    return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0], share)) for batch in found]
 
 
 class Watch(Callback):
@@ -121,7 +121,7 @@ class Watch(Callback):
             if (name := f"{self.learner}/{metric}") in sweep.learned:
                 self.learned.setdefault(metric, []).append(np.asarray(sweep.learned[name]))
         print(f"{self.name}: chunk {sweep.evaluations} in {sweep.last_seconds:.0f} s", flush=True)
-        if sweep.finished or (self.task in UNFINISHED and sweep.evaluations >= HALF):
+        if sweep.finished:
             self.rows += rows_of(self, sweep.evaluations * sweep.config.epochs_per_evaluation)
             with open(self.partial, "w", newline="") as file:
                 table = csv.DictWriter(file, self.rows[0])
@@ -196,14 +196,14 @@ def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, 
     settings = noise_numbers.settings_of(task, method)
     if toy:
         settings.pop("updates_per_epoch", None)
-    for batch in batches_on(runs, path.parent, settings):
+    for batch in batches_on(runs, path.parent, settings, HALF if task in BY_HALVES else 1):
         training = batches.begin(batch)
         watch = Watch(task, method, training, deadline, rows, partial)
         train_sweep(training.sweep, watch, stop)
         if not watch.ended:
             print(f"{watch.name}: no time was left", flush=True)
             break
-    if rows and (watch.ended or task in UNFINISHED):
+    if rows and watch.ended:
         partial.rename(path)
         print(f"{task} {method}: written", flush=True)
 
