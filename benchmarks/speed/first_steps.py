@@ -3,7 +3,7 @@ other in an empty home, with the seconds until each thing that a newcomer wants 
 
     python benchmarks/speed/first_steps.py [--seeds 2] [--checkout FOLDER] [--only own]
 
-Milestones are the first result, the first picture, the first own run, the first own task, the first comparison and the
+Milestones are the first result and picture, the first own run, the first own task, the first comparison and the
 first policy that runs elsewhere. Installation is not part of it. Nothing comes from a cache but what an earlier step
 left there. CPU seconds are those of all processes of a step, and hardly change when the machine is busy. --checkout
 plays the hour with the code and the pages of another checkout; a step that its commands cannot do yet is left out.
@@ -63,12 +63,11 @@ def python(script: str, shown: str, milestone: str = "", folder: str = ".") -> S
 
 def steps_of(seeds: int, own_task: str) -> list[Step]:
     """What is typed, in this order. own_task: its name in the registry."""
-    train = f"train object_search --seeds {seeds}"
+    train = f"train object_search --seeds {seeds} --num-epochs 50"
     return [
         Step("", 'python -c "import infogoal_jax"', [sys.executable, "-c", "import infogoal_jax"]),
         infogoal("--help"),
-        infogoal("evaluate shipped/object_search", "first result"),
-        infogoal("report shipped/object_search", "first picture"),
+        infogoal("report shipped/object_search", "first result and picture"),
         infogoal(f"{train} --out infogoal", "first own run"),
         python("own_task.py", "python own_task.py  # the script of the guide", "first own task"),
         infogoal(
@@ -104,7 +103,8 @@ def cpu_seconds() -> float:
 def play(steps: list[Step], home: Path, checkout: Path) -> Iterator[tuple[Step, float, float, int]]:
     """Each step with its seconds, its CPU seconds and its exit status."""
     environment = {name: value for name, value in os.environ.items() if name not in ("XDG_CACHE_HOME", "XLA_FLAGS")}
-    environment |= {"HOME": str(home), "PYTHONPATH": str(checkout)}
+    paths = filter(None, [str(checkout), os.environ.get("PYTHONPATH")])
+    environment |= {"HOME": str(home), "PYTHONPATH": os.pathsep.join(paths)}
     for step in steps:
         if not (checkout / step.needs).exists():
             continue

@@ -33,6 +33,8 @@ TOY = {
 """Every preset is that short."""
 SMALLER = (
     ("--num-epochs 200", "--num-epochs 2"),
+    ("--seeds 2 --num-epochs 50", "--seeds 2 --num-epochs 1"),
+    ("--num-epochs 100", "--num-epochs 2"),
     ("object_search --seeds 16", "object_search --seeds 2"),
     ("fetch_push --seeds 5", "fetch_push --seeds 1"),
     ("--seeds 48 --vmap-size 12", "--seeds 4 --vmap-size 2"),
