@@ -44,6 +44,8 @@ def with_recordings(task: GoalTask, episodes: Episodes, seed: int = 0) -> GoalTa
     for name, goals in (("achieved_goals", achieved), ("desired_goals", episodes.desired_goals)):
         fits = goals is None or goals.shape[1:] == (size,)
         require(fits, name, list(np.shape(goals)), f"give goals float32 [N, {size}]")
+    if episodes.desired_goals is not None:
+        task.goals.checked(episodes.desired_goals, "desired_goals", 1)
     rows = rows_of(task, observations, achieved, episodes, seed)
     # Of a task whose source is settled by its class, nothing says which recordings it had.
     told = "source" in {field.name for field in dataclasses.fields(task)}
@@ -60,7 +62,8 @@ def recorded_in(task: GoalTask, path: str) -> GoalTask:
     try:
         return with_recordings(task, load(path))
     except UserError as error:
-        raise UserError(f"env.dataset = {path!r}: {error}") from error
+        said = str(error).removeprefix(f"dataset = {path!r}: ")
+        raise UserError(f"env.dataset = {path!r}: {said}") from error
 
 
 def rows_of(
