@@ -30,6 +30,7 @@ from matplotlib.figure import Figure
 from infogoal_jax import presets
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval
+from infogoal_jax.report.summary import LEAST_BETA
 from infogoal_paper import claims, trial_numbers, tuning
 from infogoal_paper.manifest import RELABELLED
 from infogoal_paper.paper import IMAGE_TASKS
@@ -91,10 +92,11 @@ READINGS: dict[str, dict[str, Any]] = {
     "listed_corrupted": {"learner.positives": "listed", "training_corruption": 0.4},
     "prefix": {"relabelling.strategy": "prefix"},
     "updates_100": {"updates_per_epoch": 100},
+    "floor": {"hyper.learner.beta_floor": 1e-3},
 }
 """Other readings of the paper, by what they change of the preset: all goals desired in training; similar goals by true
 distance, of known goals or of the listed ones, also one step apart; training on corrupted images; the authors'
-relabelling; 100 updates an epoch of as many steps."""
+relabelling; 100 updates an epoch of as many steps. The last is none: does a least beta mend the seed that collapsed?"""
 RADII = {"fetch_reach": 0.25, "fetch_pick_and_place": 0.15, "object_manipulation": 0.369}
 """Distances within which goals are similar there: the preset's window times the length of a step, 5 cm or 15 degrees
 (in the unit of `goal_positions`)."""
@@ -106,7 +108,7 @@ OF_FETCH = (
 READ = {
     "object_search+read": (
         *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
-        *("infogoal+her@prefix", "infobot+her@prefix"),
+        *("infogoal+her@prefix", "infobot+her@prefix", "infogoal@floor"),
     ),
     **dict.fromkeys(("fetch_reach+read", "fetch_pick_and_place+read"), OF_FETCH),
     "object_manipulation+read": (
@@ -163,6 +165,7 @@ READING_WORDS = {
     "listed_corrupted": "listed goals, corrupted images",
     "prefix": "the authors' relabelling",
     "updates_100": "100 updates an epoch",
+    "floor": "beta of at least 0.001",
 }
 
 
@@ -244,8 +247,6 @@ LINES = {
     "none": "tab:orange",
 }
 """Methods of the figure, with their colours."""
-LEAST_BETA = 1e-4
-"""A beta below it compresses nothing: seeds that do not collapse end above 0.001."""
 LEARNED = ("accuracy", "beta", "kl_half", "kl")
 """Columns of InfoGoal."""
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "noise.csv.gz"

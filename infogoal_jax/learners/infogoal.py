@@ -98,6 +98,8 @@ class InfoGoalHyperparameters:
     """alpha of Eq. 15: the accuracy above which beta grows [A]."""
     beta_margin: Annotated[float, Number("(0, 1)", Search(1e-3, 0.1, "log", always=False))] = 0.005
     """With `--learner.beta-rule relative`: the accuracy that the noise of the codes may cost, in place of alpha."""
+    beta_floor: Annotated[float, Number("[0, 1]")] = 0.0
+    """Least value of beta; 0: none, as in the paper. Where the accuracy never reaches alpha, beta falls to it."""
     fixed_beta: Annotated[float, Number("[0, 1]")] = 0.01
     """Final value of beta with `--learner.beta-rule fixed`; it grows by 1e-5 an update [A]."""
 
@@ -121,7 +123,7 @@ def log_score(params: dict, first: jax.Array, second: jax.Array) -> jax.Array:
 
 
 def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, threshold, hyper) -> jax.Array:
-    """beta after an update (Eq. 15), clipped to [0, 1]: a negative beta would reward a growing KL.
+    """beta after an update (Eq. 15), clipped to [beta_floor, 1]: a negative beta would reward a growing KL.
 
     threshold: alpha, or with the relative rule what the mean codes get right less `beta_margin`. How well goals can be
     told apart differs from task to task: a threshold that one task never reaches costs another half of its code.
@@ -133,7 +135,7 @@ def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, thre
         beta = beta + SIGN_STEP * jnp.sign(surplus)
     else:
         beta = jnp.minimum(beta + SIGN_STEP, hyper.fixed_beta)
-    return jnp.clip(beta, 0.0, 1.0)
+    return jnp.clip(beta, hyper.beta_floor, 1.0)
 
 
 class SimilarityClassifier(nn.Module):

@@ -65,7 +65,27 @@ def remarks_on(epochs: RunTable) -> list[str]:
     steps = int(values["collect/diverged"].sum()) if "collect/diverged" in values else 0
     if steps:
         found.append(f"{counted(steps, 'step')} of training led to numbers that are not finite, and were taken back")
-    return found
+    return found + collapses(epochs)
+
+
+LEAST_BETA, LEAST_EPOCHS = 1e-4, 20
+"""A beta of InfoGoal below it compresses nothing, and by then it has left its first value."""
+
+
+def collapses(epochs: RunTable) -> list[str]:
+    """A sentence for the seeds whose codes are no bottleneck: InfoGoal's beta is 0, and the KL still grows."""
+    values = epochs.values
+    if not {"infogoal/beta", "infogoal/kl"} <= values.keys() or values["infogoal/kl"].shape[1] < LEAST_EPOCHS:
+        return []
+    beta, kl = values["infogoal/beta"], values["infogoal/kl"]
+    lost = np.flatnonzero((beta[:, -1] < LEAST_BETA) & (kl[:, -1] > kl[:, kl.shape[1] // 2]))
+    if not lost.size:
+        return []
+    named = ", ".join(str(epochs.seeds[place]) for place in lost)
+    return [
+        f"beta is 0 and the KL still grows in {counted(lost.size, 'seed')} ({named}): the accuracy stays below "
+        "learner.beta_threshold, and codes are not compressed; see --hyper.learner.beta-floor"
+    ]
 
 
 def score_table(scores: dict[str, np.ndarray]) -> Table:

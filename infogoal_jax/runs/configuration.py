@@ -41,7 +41,7 @@ ADDED: dict[type, dict[str, Any]] = {
     HRACConfig: {"critic": "concatenated", "critic_size": 128} | OF_HEADS,
     TrainConfig: {"desired_goals": "training"},
     InfoGoalConfig: {"dissimilar_by": "trajectory", "positives": "trajectory", "radius": 0.15},
-    InfoGoalHyperparameters: {"beta_margin": 0.005},
+    InfoGoalHyperparameters: {"beta_margin": 0.005, "beta_floor": 0.0},
     GCBConfig: {"grounded": False},
     InfoBotConfig: {"reward": "rarity"},
     HERConfig: {"skip_reached": False},

@@ -181,6 +181,16 @@ def test_steps_to_numbers_that_are_not_finite_are_counted(registered):
     assert np.isfinite(rows.observation).all()
 
 
+def test_a_report_names_seeds_whose_codes_are_no_bottleneck():
+    """Beta of the second seed is 0 to the end while its KL grows; that of the third is too, but it does not."""
+    beta = np.array([0.01, 0.0, 0.0])[:, None] * np.ones((3, 20))
+    kl = np.stack([np.full(20, 9.0), np.linspace(10, 1400, 20), np.linspace(50, 40, 20)])
+    (said,) = remarks_on(RunTable([4, 5, 6], np.arange(20), {"infogoal/beta": beta, "infogoal/kl": kl}))
+    assert "in 1 seed (5)" in said and "--hyper.learner.beta-floor" in said
+    early = {"infogoal/beta": beta[:, :19], "infogoal/kl": kl[:, :19]}
+    assert not remarks_on(RunTable([4, 5, 6], np.arange(19), early))
+
+
 def test_a_report_says_what_epochs_tell_of_a_task():
     never = RunTable([0], np.arange(2), {"collect/success_rate": np.zeros((1, 2)), "collect/diverged": np.ones((1, 2))})
     first, second = remarks_on(never)

@@ -92,6 +92,14 @@ def test_beta_never_leaves_zero_to_one():
         assert beta == start
 
 
+def test_beta_stays_above_its_floor():
+    hyper = InfoGoalHyperparameters(beta_floor=1e-3)
+    beta = jnp.asarray(0.0)
+    for accuracy, expected in ((0.0, 1e-3), (1.0, 1e-3 + 2.5e-4 * 0.04)):
+        beta = infogoal.next_beta(infogoal.InfoGoalConfig(), beta, jnp.asarray(accuracy), 0.96, hyper)
+        assert np.isclose(beta, expected, atol=1e-8)
+
+
 def test_fixed_beta_ramps_to_its_value_and_stays():
     config, hyper = infogoal.InfoGoalConfig(beta_rule="fixed"), InfoGoalHyperparameters(fixed_beta=3e-5)
     example = hand_made.example(np.zeros((1, 4), np.float32))
