@@ -84,7 +84,7 @@ def test_each_kind_of_device_has_options_of_its_own(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "")
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(compilation, "is_known", lambda option, value: True)
-    assert compiler_options() == {"xla_gpu_triton_gemm_any": False}
+    assert compiler_options() == OPTIONS["gpu"]
 
 
 def test_options_that_the_compiler_does_not_have_are_left_out(monkeypatch):
