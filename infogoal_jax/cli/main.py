@@ -145,6 +145,14 @@ def check_given(arguments: list[str]) -> None:
         require(not empty, flag, "", "is empty; give a folder, or leave the flag out")
 
 
+def at_words(line: str) -> str:
+    """The line as it is; on a terminal that is narrower it is broken between words."""
+    if not sys.stderr.isatty():
+        return line
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point. A `UserError` is printed without a traceback, and so is what the system says of a path that was
     given; the exit status is then 2."""
@@ -153,7 +161,7 @@ def main(arguments: list[str] | None = None) -> int:
         check_given(arguments)
         return run(take_imports(arguments))
     except UserError as error:
-        print(f"infogoal: {error}", file=sys.stderr)
+        print(at_words(f"infogoal: {error}"), file=sys.stderr)
         return 2
     except KeyboardInterrupt as stopped:
         print(f"infogoal: stopped; {stopped or NOTHING}", file=sys.stderr)
@@ -164,11 +172,11 @@ def main(arguments: list[str] | None = None) -> int:
         mistake = refused_devices()
         if not mistake:
             raise
-        print(f"infogoal: {mistake}", file=sys.stderr)
+        print(at_words(f"infogoal: {mistake}"), file=sys.stderr)
         return 2
     except OSError as error:
         mistake = mistake_of(error, arguments)
         if mistake is None:
             raise
-        print(f"infogoal: {mistake}", file=sys.stderr)
+        print(at_words(f"infogoal: {mistake}"), file=sys.stderr)
         return 2

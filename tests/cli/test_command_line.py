@@ -324,3 +324,13 @@ def test_the_run_in_a_folder_comes_before_the_task_of_its_name(tmp_path, monkeyp
     (tmp_path / "fetch_reach" / "config.json").write_text("{")
     assert main(["video", "fetch_reach", "--out", "episode.mp4"]) == 2
     assert "config.json: is damaged" in capsys.readouterr().err
+
+
+def test_an_error_is_one_line_that_a_narrow_terminal_breaks_between_words(monkeypatch, capsys):
+    assert main(["train", "objct_search"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["train", "objct_search"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 60 and " ".join(lines) == line
