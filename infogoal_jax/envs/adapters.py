@@ -445,6 +445,8 @@ def drawn_goals(task: AdaptedTask) -> np.ndarray:
     keys = jax.random.split(from_seed(np.uint32(0)), GOALS_DRAWN)
     drawn = np.asarray(jax.jit(jax.vmap(lambda key: task.read_goal(task.begin(key))))(keys))
     require(np.isfinite(drawn).all(), "goal", drawn[~np.isfinite(drawn).all(1)][:1], "is not finite after env.reset")
+    remedy = "is the same after every env.reset; read it where the environment draws it, or give low and high"
+    require(bool((np.ptp(drawn, 0) > 0).any()), "goal", drawn[0].tolist(), remedy)
     return drawn
 
 

@@ -3,6 +3,7 @@ of them without a warning, and works from a folder, without a server or a networ
 
 import ast
 import contextlib
+import dataclasses
 import functools
 import importlib.util
 import io
@@ -26,8 +27,10 @@ from places import ROOT
 
 import infogoal_jax
 from infogoal_jax import learners, presets
+from infogoal_jax.cli.choice import ENV
 from infogoal_jax.cli.commands import Group
 from infogoal_jax.cli.main import BY_TASK, commands, main
+from infogoal_jax.envs.named import NamedConfig
 from infogoal_jax.imports import FLAG
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*/*.md"))]
@@ -187,7 +190,8 @@ def test_every_file_that_is_named_is_there(page):
 
 @each_page
 def test_every_flag_is_a_flag(page):
-    assert flags_in(page.read_text()) <= {FLAG, *known_flags()}
+    places = {f"--env.{field.name.replace('_', '-')}" for field in dataclasses.fields(NamedConfig)}
+    assert flags_in(page.read_text()) <= {FLAG, ENV, *places, *known_flags()}
 
 
 @each_page
