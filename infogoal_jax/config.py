@@ -113,9 +113,9 @@ class TrainConfig:
     """Goals that are desired while a finite task is acted in: training goals; or all of training, validation and tests,
     so that no goal is unseen (a reading of the paper, docs/reference/infogoal.md)."""
     training_corruption: Annotated[float, Within("[0, 1)", "give a weight from 0 to below 1")] = 0.0
-    """Weight of the backgrounds that goal images are corrupted with while training, in [0, 1); 0: they are clean."""
+    """Weight of the backgrounds on goal images in training, in [0, 1); 0: they are clean."""
     test_corruption: Annotated[float, Within("[0, 1]", "give a weight from 0 to 1, for example 0.4")] = 0.4
-    """Weight of the backgrounds in the evaluation on corrupted goal images [P], in [0, 1]."""
+    """Weight of the backgrounds in the evaluation on corrupted goals, in [0, 1]; the paper's."""
     stop_encoder_gradient: bool = False
     """Keep the gradient of the agent's loss from reaching the goal encoder (the paper lets it through)."""
     evaluation_starts: Size = 10

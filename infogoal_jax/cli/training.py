@@ -57,8 +57,8 @@ def train(
     Args:
         parts: Their names, which are in the configuration already.
         config: That of the task and the parts.
-        resume: Folder of a run to go on with, from its last checkpoint. auto: the run in --out, or the newest under
-            runs/ of this configuration and these seeds; a new one where there is none.
+        resume: Folder of a run to go on with. auto: the run in --out, or the newest under runs/ of this configuration
+            and these seeds; a new one where there is none.
         seeds: Seeds that are trained side by side: 0, 1, 2, ...
         first_seed: Number of the first seed.
         out: Folder of the run; empty: a new one under runs/.

@@ -113,7 +113,7 @@ def test_a_chunk_in_two_programs_is_the_chunk_of_training():
     begin = jax.jit(lambda: train.initial(jax.random.key(0), *shared[1:]))
     finish = chunk_of(train.epochs, train.evaluation).compiling(jax.eval_shape(begin), *shared)
     states, expected = begin(), jax.jit(train.chunk)(begin(), *shared)
-    found = finish()(states, *shared)
+    found = finish()(states, shared[0])
     assert jax.tree.leaves(states.params)[0].is_deleted()  # Its memory was given back.
     for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         if not jnp.issubdtype(one.dtype, jax.dtypes.prng_key):

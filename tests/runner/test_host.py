@@ -79,7 +79,7 @@ def train_on_two_devices(folder: Path, program: str, epochs: int, at_once: int) 
     }
     command = [sys.executable, "-c", ON_TWO_DEVICES, str(folder), program, str(epochs), str(at_once)]
     environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(TESTS)])
-    subprocess.run(command, cwd=TESTS / "train", env=environment, check=True)
+    subprocess.run(command, cwd=TESTS / "runner", env=environment, check=True)
 
 
 @pytest.mark.long
