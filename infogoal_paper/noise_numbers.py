@@ -474,44 +474,40 @@ def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
     return "/".join(f"{np.mean(each):.2f}" for each in values) if all(values) else ""
 
 
-READ_METHODS = ("infogoal", "infogoal+her", "her", "none", "infobot+her")
-"""Methods of the table of readings, in order."""
+READ_METHODS = ("infogoal", "infogoal+her", "infobot+her", "her", "none")
+"""Methods of a cell of the table of readings, in order."""
 
 
-def readings_table(numbers: Numbers, kind: str) -> str:
-    """A row for each reading, a column for each task and method that was run under one: success at its own best noise,
-    bold where it differs from that of the preset on the same seeds and data sets for sure. kind: of goals."""
-    columns = [
-        (task, method)
-        for task in READ
-        for method in READ_METHODS
-        if any(numbers.has(task, f"{method}@{reading}") for reading in READINGS)
-        and (kind == "test" or task.partition("+")[0] in IMAGE_TASKS)
-    ]
-    if not columns:
-        return "Not run yet."
+def readings_table(numbers: Numbers) -> str:
+    """A row for each reading, a column for each task and kind of goals, in a cell the methods `READ_METHODS`, each at
+    its own best noise: success, bold where it differs from that of the preset on the same seeds and data sets for sure,
+    `-` where it was not run."""
+    columns = [(task, "test") for task in READ if any(numbers.has(task, method) for method in READ[task])]
+    columns += [(task, "corrupted_test") for task, _ in columns if task.partition("+")[0] in IMAGE_TASKS]
 
-    def reached(task: str, method: str) -> dict[tuple[int, int], float]:
+    def reached(task: str, method: str, kind: str) -> dict[tuple[int, int], float]:
         return numbers.success(task, method, numbers.best(task, method), kind=kind)
 
-    def cell(task: str, method: str, reading: str) -> str:
-        read = {name: reached(task, f"{method}@{name}") for name in READINGS if numbers.has(task, f"{method}@{name}")}
-        preset = reached(task.partition("+")[0], method)
-        if not reading:  # On the data sets on which there is something to compare it with.
-            return f"{np.mean([preset[place] for place in set().union(*read.values()) & preset.keys()]):.2f}"
-        if reading not in read:
-            return ""
-        shared = sorted(read[reading].keys() & preset.keys())
-        gain = paired_by_set(read[reading], preset)
-        text = f"{np.mean([read[reading][place] for place in shared]):.2f}"
+    def of_method(task: str, method: str, kind: str, reading: str) -> str:
+        names = [name for name in READINGS if numbers.has(task, f"{method}@{name}")]
+        preset = reached(task.partition("+")[0], method, kind) if names else {}
+        if names and not reading:  # On the data sets on which there is something to compare it with.
+            places = set().union(*(reached(task, f"{method}@{name}", kind) for name in names))
+            return f"{np.mean([preset[place] for place in places & preset.keys()]):.2f}"
+        if reading not in names:
+            return "-"
+        found = reached(task, f"{method}@{reading}", kind)
+        gain = paired_by_set(found, preset)
+        text = f"{np.mean([found[place] for place in found.keys() & preset.keys()]):.2f}"
         return f"**{text}**" if gain.low > 0 or gain.high < 0 else text
 
-    rows = [
-        [READING_WORDS.get(reading, "preset"), *(cell(*column, reading) for column in columns)]
-        for reading in ("", *READINGS)
-    ]
-    heads = [f"{TITLES[task]}: {METHODS[method]}" for task, method in columns]
-    return markdown_lines(["reading", *heads], [row for row in rows if any(row[1:])])
+    rows = []
+    for reading in ("", *READINGS):
+        cells = [[of_method(*column[:1], method, column[1], reading) for method in READ_METHODS] for column in columns]
+        cells = ["/".join(cell) if {*cell} != {"-"} else "" for cell in cells]
+        if any(cells):
+            rows.append([READING_WORDS.get(reading, "preset"), *cells])
+    return markdown_lines(["reading", *(goals_of(task, kind) for task, kind in columns)], rows)
 
 
 def carries_table(numbers: Numbers) -> str:
@@ -571,8 +567,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     machines = machines_in_words(sorted({row["machine"] for row in rows}))
     ran, beside = {row["task"] for row in rows}, {}
     if ran & READ.keys():
-        beside |= {"readings": readings_table(numbers, "test")}
-        beside |= {"readings_corrupted": readings_table(numbers, "corrupted_test")}
+        beside |= {"readings": readings_table(numbers)}
     if ran & set(HELD_OUT_FETCH):
         shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}

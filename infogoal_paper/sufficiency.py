@@ -190,7 +190,7 @@ def interval_of(rows: list[Row], column: str) -> str:
         return ""
     interval = mean_interval(np.array(values))
     digits = 2 if column in ("agreement", "rank", "overlap") else 3
-    return f"{interval.mean:.{digits}f} ± {interval.half_width:.{digits}f}"
+    return f"{interval.mean:.{digits}f}±{interval.half_width:.{digits}f}"
 
 
 def read() -> list[Row]:

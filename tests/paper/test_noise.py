@@ -177,8 +177,10 @@ def test_a_reading_is_compared_with_the_preset_on_the_same_data_sets_and_seeds()
         for epsilon in EPSILONS
         for seed in range(3)
     ]
-    lines = noise_numbers.readings_table(Numbers(presets_ + read), "test").splitlines()
-    assert lines[0] == "| reading | cube: HER |" and lines[2:] == [
-        "| preset | 0.50 |",
-        "| all goals desired | **0.71** |",
+    for each in presets_ + read:
+        each["corrupted_test"] = "0.3"
+    lines = noise_numbers.readings_table(Numbers(presets_ + read)).splitlines()
+    assert lines[0] == "| reading | cube | cube, corrupted |" and lines[2:] == [
+        "| preset | -/-/-/0.50/- | -/-/-/0.30/- |",
+        "| all goals desired | -/-/-/**0.71**/- | -/-/-/0.30/- |",
     ]

@@ -51,3 +51,19 @@ def test_codes_of_rooms_have_clusters_within_which_values_are_equal_and_random_o
     assert good["between"] == good["between_rooms"] > 0.01 and good["nearest"] == pytest.approx(0)
     assert good["overlap"] == pytest.approx(4 / 28) and good["overlapping"] == pytest.approx(0)
     assert bad["within"] > 0.005 and bad["agreement"] < 0.6 and bad["overlap"] == 0
+
+
+def test_the_table_has_a_row_for_each_method_that_ran_and_what_rooms_themselves_would_give():
+    columns = ("within", "between", "nearest", "agreement", "rank", "overlap", "overlapping")
+    rows = [
+        {"method": method, "data_set": "7", "seed": str(seed), "machine": "a machine, 2026-11-28"}
+        | {"within_rooms": "0.02", "between_rooms": "0.14"}
+        | dict.fromkeys(columns, str(0.1 + 0.1 * seed))
+        | ({"overlapping": "nan"} if method == "none" else {})
+        for method in ("none", "infogoal")
+        for seed in range(2)
+    ]
+    lines = sufficiency.tables(rows)["differences"].splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:5]] == ["| InfoGoal", "| bare agent", "| rooms themselves"]
+    assert lines[4].startswith("| rooms themselves | 0.020 | 0.140 |") and lines[3].endswith("|  |")
+    assert not sufficiency.tables([])
