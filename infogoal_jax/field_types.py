@@ -29,7 +29,7 @@ class Within(NamedTuple):
 
 Size = Annotated[int, Within("[1, inf)", "give a whole number greater than 0")]
 Sizes = Annotated[tuple[int, ...], Within("[1, inf)", "give widths greater than 0, for example 128 128")]
-Count = Annotated[int, Within("[0, inf)", "give a whole number, 0 or more")]
+Count = Annotated[int, Within("[0, inf)", "give 0 or more")]
 Share = Annotated[float, Within("[0, 1]", "give a share from 0 to 1")]
 Weight = Annotated[float, Within("[0, inf)", "give 0 or more")]
 Positive = Annotated[float, Within("(0, inf)", "give a number greater than 0")]
