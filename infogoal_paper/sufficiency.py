@@ -121,7 +121,8 @@ def rows_of(training: batches.Training, method: str) -> list[Row]:
         legal = np.asarray(env.action_mask(np.arange(env.num_observations)))
         discount = float(batch.config.hyper.discount)
         exact = optimal_values(np.asarray(env.next_node), np.asarray(env.in_view)[:, goals], discount)
-        legal = legal & (exact.max((0, 2)) > 0)[:, None]  # Places that were added to give houses one shape lead nowhere.
+        # Places that were added to give houses one shape lead nowhere.
+        legal = legal & (exact.max((0, 2)) > 0)[:, None]
         values = pairwise(exact, legal / legal.sum())
         encode = jax.jit(jax.vmap(learner.encode, in_axes=(0, None)))
         params = jax.tree.map(lambda leaf, run=run: leaf[batch.index(run)], training.states.params["goal"])
