@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, AllGoals, Waypoints
 from infogoal_jax.agents.value_heads import returns_of_all
 from infogoal_jax.exploration.explorer import Moves
-from infogoal_jax.learners.learner import GoalEncoding, LearnerBatch, Steps, Visited, conditioned
+from infogoal_jax.learners.learner import Encode, GoalEncoding, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
@@ -73,19 +73,22 @@ def goal_encoding(setup: Setup, params: dict, view_key: jax.Array | None) -> Goa
     return GoalEncoding(setup.parts.learner, params["goal"], setup.env.goals, setup.config.batch_size, view, view_key)
 
 
-def agent_batch(setup: Setup, networks: Networks, batch: Transitions, reward: jax.Array, key: jax.Array) -> AgentBatch:
+def agent_batch(
+    setup: Setup, networks: Networks, batch: Transitions, reward: jax.Array, key: jax.Array, table: Encode | None = None
+) -> AgentBatch:
     """The transitions as codes, each occurrence of a goal with noise of its own, its input varied in the same way
-    before and after the step."""
+    before and after the step. table: the codes of all goals by the trained parameters, where they are encoded."""
     parts, hyper, env = setup
     params, target_params, view_key = networks
     keys = jax.random.split(key, 3)
     target_key = jax.random.fold_in(key, 3)
     see, see_by_target = (encode_states(setup, given, 2 * setup.config.batch_size) for given in (params, target_params))
-    encodings = [goal_encoding(setup, given, view_key) for given in (params, target_params)]
-    code, target_code = (  # A relabelled goal may be any, not a training goal alone.
-        (encoding.of_desired_goals() if parts.relabelling is None else encoding.of_any())(batch.goal)
-        for encoding in encodings
-    )
+
+    def encode(given):  # A relabelled goal may be any, not a training goal alone.
+        encoding = goal_encoding(setup, given, view_key)
+        return encoding.of_desired_goals() if parts.relabelling is None else encoding.of_any()
+
+    code, target_code = (table or encode(params))(batch.goal), encode(target_params)(batch.goal)
     features, next_features, target_features = (
         see(batch.observation),
         see(batch.next_observation),
@@ -247,8 +250,11 @@ def update(
 
     def total_loss(params):
         networks = Networks(params, targets, view_key)
-        encode = goal_encoding(setup, params, view_key).of_any()
-        codes = agent_batch(setup, networks, batch, reward, code_key)
+        encoding = goal_encoding(setup, params, view_key)
+        encode = encoding.of_any()
+        # Goals of a table are encoded once for agent and learner, so that their gradients go back as one.
+        table = encode if encoding.has_table and encoding.view is None else None
+        codes = agent_batch(setup, networks, batch, reward, code_key, table)
         if spec_of(parts) is not None:
             codes = codes.replace(all_goals=under_all_goals(setup, networks, drawn, jax.random.fold_in(key, 5)))
         if drawn.actor_goal is not None:
