@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from infogoal_jax import agents, checks, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
-from infogoal_jax.agents.sac import SACConfig
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.envs import target_states
 from infogoal_jax.envs.contract import check_contract, check_goals, check_kind
@@ -221,8 +220,7 @@ def refusals_of_all_goals(config: TrainConfig) -> Iterator[Refusal]:
 def refusals_of_episodes_that_go_on(config: TrainConfig) -> Iterator[Refusal]:
     """Parts that rely on an episode's end at its goal, and so on values between 0 and 1: a sigmoid, but no clipping."""
     reason = f"an episode of {config.task} goes on at its goal, where every step is worth 1"
-    critics = "concatenated" if isinstance(config.agent, SACConfig) else getattr(config.agent, "critic", "product")
-    if getattr(config.agent, "bounded", False) and critics == "product":
+    if traits_of(config.agent).sigmoid:
         yield Refusal("agent.bounded", True, reason, "give False, or env.ends_at_goal True")
     if relabelling.registry.name_of(config.relabelling) == "all_goals":
         yield Refusal("relabelling", "all_goals", reason, "give her, or env.ends_at_goal True")

@@ -29,6 +29,8 @@ class AgentTraits(NamedTuple):
     costs: bool = False
     """Whether it learns from costs, -1 a step until the goal, and its actor from goals of its own: of relabelling
     `mixed`."""
+    sigmoid: bool = False
+    """Whether its values pass a sigmoid, and so lie between 0 and 1."""
 
 
 @flax.struct.dataclass

@@ -39,7 +39,7 @@ class DQNConfig:
 
 def traits(config: DQNConfig) -> AgentTraits:
     """It chooses among moves, and can learn from all goals at once."""
-    return AgentTraits("moves", all_goals=True)
+    return AgentTraits("moves", all_goals=True, sigmoid=config.bounded)
 
 
 def greedy(values: jax.Array, action_mask: jax.Array) -> jax.Array:

@@ -97,7 +97,8 @@ def length(vectors: jax.Array) -> jax.Array:
 
 def traits(config: HRACConfig) -> AgentTraits:
     """Its actions are target states; product critics learn from all goals at once."""
-    return AgentTraits("target_states", all_goals=config.critic == "product")
+    product = config.critic == "product"
+    return AgentTraits("target_states", all_goals=product, sigmoid=product and config.bounded)
 
 
 def make(config: HRACConfig, env) -> Agent:

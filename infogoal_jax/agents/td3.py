@@ -312,7 +312,8 @@ def loss_of_all(
 
 def traits(config: TD3Config) -> AgentTraits:
     """Its actions are vectors; product critics learn from all goals at once."""
-    return AgentTraits("vectors", all_goals=config.critic == "product")
+    product = config.critic == "product"
+    return AgentTraits("vectors", all_goals=product, sigmoid=product and config.bounded)
 
 
 def make(config: TD3Config, env) -> Agent:

@@ -26,14 +26,8 @@ from infogoal_jax.report.canvas import (
     save,
     seeds_in_words,
 )
-from infogoal_jax.report.figures import (
-    evaluated_mask,
-    finish_length_axis,
-    finish_progress_axis,
-    progress,
-    success_within,
-)
-from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, table_of
+from infogoal_jax.report.figures import finish_length_axis, finish_progress_axis, progress, success_within
+from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, evaluated_masks, load_run, table_of
 from infogoal_jax.runs.configuration import DATA
 from infogoal_jax.runs.folder import PREFIX
 
@@ -247,7 +241,7 @@ def comparison(compared: list[Compared], env) -> Figure:
             ends.append(steps[-1])
             draw_curve(left, steps, evaluations.values[f"{group}_goal/success_rate"], colour, entry, SHARE)
             within = success_within(
-                evaluations.last()["first_reached"], evaluated_mask(env.goals, group), env.episode_length
+                evaluations.last()["first_reached"], evaluated_masks(env.goals)[group], env.episode_length
             )
             draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry, SHARE)
         finish_progress_axis(left, " or ".join(labels), max(ends))

@@ -15,7 +15,6 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from infogoal_jax import checks, learners
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import require
-from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
 from infogoal_jax.report.canvas import (
     FORMATS,
@@ -34,7 +33,7 @@ from infogoal_jax.report.canvas import (
 )
 from infogoal_jax.report.codes_and_walks import representations
 from infogoal_jax.report.goal_space_figures import codes_over_goals, success_over_goals
-from infogoal_jax.report.runs import RunTable, diverged_seeds, load_run, read_params, table_of
+from infogoal_jax.report.runs import RunTable, diverged_seeds, evaluated_masks, load_run, read_params, table_of
 from infogoal_jax.report.task_figures import draw_of_task
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs.folder import check_own, remove_abandoned
@@ -171,11 +170,6 @@ def beta_and_accuracy(subject: Subject) -> Figure | None:
     return figure
 
 
-def evaluated_mask(goals: GoalSpace, group: str) -> np.ndarray:
-    """Which of the evaluated goals belong to this group, bool [M]."""
-    return np.asarray(jit(type(goals).in_groups)(goals))[goals.groups.index(group)]
-
-
 def success_within(first_reached: np.ndarray, mask: np.ndarray, longest: int) -> np.ndarray:
     """Share of episodes that reached their goal within 0, 1, ..., `longest` steps, [..., longest + 1]: first_reached
     [..., M, starts], mask [M]."""
@@ -199,7 +193,7 @@ def success_by_length(subject: Subject) -> Figure:
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
     for group in env.goals.groups:
-        mask, colour = evaluated_mask(env.goals, group), USE_COLOURS[group]
+        mask, colour = evaluated_masks(env.goals)[group], USE_COLOURS[group]
         within = success_within(first_reached, mask, longest)
         draw_curve(axes, np.arange(longest + 1), within, colour, USE_TITLES[group], SHARE)
         if shortest is not None:
@@ -220,7 +214,7 @@ def success_by_goal(subject: Subject) -> Figure | None:
         return None
     regions, trained, names = (
         np.asarray(goals.regions)[which],
-        evaluated_mask(goals, "train"),
+        evaluated_masks(goals)["train"],
         [goals.names[goal] for goal in which],
     )
     reached = (subject.evaluations.last()["first_reached"] <= env.episode_length).mean(-1)

@@ -20,6 +20,7 @@ from infogoal_jax.report.canvas import (
     white_mark,
 )
 from infogoal_jax.report.codes_and_walks import codes_of, finish_code_axes, principal_components
+from infogoal_jax.report.runs import evaluated_masks
 
 CELLS = 8
 """Of the map, along each axis."""
@@ -44,9 +45,9 @@ def success_over_goals(subject: Subject) -> Figure:
     axes = figure.subplots()
     across = np.sort(np.argsort(-goals.std(0), kind="stable")[:2])
     axes.set_xlabel(f"goal[{across[0]}]")
-    groups = np.asarray(space.in_groups())
+    groups = evaluated_masks(space)
     if len(across) == 1:
-        for group, mask in zip(space.groups, groups, strict=True):
+        for group, mask in groups.items():
             marker, area = USE_MARKERS[group]
             axes.scatter(goals[mask, 0], success[mask], s=area / 2, marker=marker, color=USE_COLOURS[group])
         finish_share_axis(axes, "success rate")
@@ -61,7 +62,7 @@ def success_over_goals(subject: Subject) -> Figure:
         mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
         extent = (low[0], high[0], low[1], high[1])
         axes.imshow(mean, extent=extent, origin="lower", cmap=COLOURS, norm=scale, alpha=0.45, aspect="equal")
-        for group, mask in zip(space.groups, groups, strict=True):
+        for group, mask in groups.items():
             marker, area = USE_MARKERS[group]
             points = goals[mask][:, across]
             drawn = axes.scatter(
@@ -127,7 +128,7 @@ def codes_over_goals(subject: Subject) -> Figure | None:
     centre, directions, shares = principal_components(mean)
     figure = new_figure(subject, "goal representations", (9.5, 6), shown=f"seed {subject.params_seed}, last parameters")
     axes = figure.subplots()
-    for group, mask in zip(space.groups, np.asarray(space.in_groups()), strict=True):
+    for group, mask in evaluated_masks(space).items():
         marker, area = USE_MARKERS[group]
         points = ((mean - centre) @ directions.T)[mask]
         axes.scatter(

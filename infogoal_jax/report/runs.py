@@ -11,8 +11,10 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.errors import require
+from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
 from infogoal_jax.runner import training
+from infogoal_jax.runner.compilation import jit
 from infogoal_jax.runs import checkpoint, configuration, tables
 from infogoal_jax.runs.configuration import Description
 from infogoal_jax.runs.folder import find_run
@@ -143,3 +145,8 @@ def table_of(folder: Path, name: str, leave_out=()) -> RunTable:
         for column in columns
     }
     return RunTable(seeds, np.asarray(epochs, int), values)
+
+
+def evaluated_masks(goals: GoalSpace) -> dict[str, np.ndarray]:
+    """Which of the evaluated goals belong to each of the groups, by name, bool [M]; worked out in one program."""
+    return dict(zip(goals.groups, np.asarray(jit(type(goals).in_groups)(goals)), strict=True))

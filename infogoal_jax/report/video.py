@@ -16,6 +16,7 @@ from infogoal_jax.envs.environment import Environment
 from infogoal_jax.envs.fetch.environment import Fetch, FetchState
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
+from infogoal_jax.report.runs import evaluated_masks
 from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
 
@@ -197,8 +198,8 @@ def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: in
     """Play episodes of a run's policy on its test goals, or on its training goals where there are none, and write
     pictures of this height, as `painter` makes them. Returns whether each episode ends at its goal."""
     env, policy, reached = run.env, jax.jit(run.policy()), []
-    group = env.goals.groups.index("test" if "test" in env.goals.groups else "train")
-    goals = env.goals.evaluated[np.asarray(env.goals.in_groups()[group])]
+    masks = evaluated_masks(env.goals)
+    goals = env.goals.evaluated[masks.get("test", masks["train"])]
     step, observe = jax.jit(env.step), jax.jit(env.observe)
     picture, fps = painter(env, height)
 

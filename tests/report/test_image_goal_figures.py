@@ -26,8 +26,8 @@ from infogoal_jax.envs.fetch.tasks import FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import make_train
 from infogoal_jax.report import image_goals, trajectory_figures
-from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, evaluated_mask, read_subject, success_within
-from infogoal_jax.report.runs import table_of
+from infogoal_jax.report.figures import beta_and_accuracy, draw_figures, read_subject, success_within
+from infogoal_jax.report.runs import evaluated_masks, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import can_draw, drawn_video, episode_video, random_policy, write_video
@@ -118,7 +118,7 @@ def test_evaluation_takes_another_corruption_and_the_clean_goals_do_not_see_it(p
 def test_success_by_length_of_evaluated_goals_ends_at_the_success_rate(reach_run):
     env, scores = reach_run.train.env, table_of(reach_run.folder, "evaluations").last()
     for group in env.goals.groups:
-        mask = evaluated_mask(env.goals, group)
+        mask = evaluated_masks(env.goals)[group]
         assert len(mask) == 48 and mask.sum() == {"train": 8, "validation": 8, "test": 32}[group]
         curve = success_within(scores["first_reached"], mask, env.episode_length)
         np.testing.assert_allclose(curve[:, -1], scores[f"{group}_goal/success_rate"], atol=1e-6)
