@@ -1,6 +1,6 @@
 """Reinforcement-learning agents, one file each. A new one is registered in `registry`."""
 
-from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hiql, hrac, offline, qrl, sac, td3
+from infogoal_jax.agents import cql, crl, dqn, gciql, gcivl, hiql, hrac, offline, offline_crl, qrl, sac, td3
 from infogoal_jax.registry import Entry, Registry
 
 registry = Registry(
@@ -19,6 +19,14 @@ registry = Registry(
             hiql.HIQLHyperparameters,
             offline.traits,
             of_relabelling=hiql.OF_RELABELLING,
+            relabelling="mixed",
+        ),
+        "offline_crl": Entry(
+            offline_crl.OfflineCRLConfig,
+            offline_crl.make,
+            offline_crl.OfflineCRLHyperparameters,
+            offline.traits,
+            of_relabelling=offline_crl.OF_RELABELLING,
             relabelling="mixed",
         ),
         "qrl": Entry(

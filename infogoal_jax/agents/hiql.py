@@ -17,6 +17,7 @@ from infogoal_jax import networks
 from infogoal_jax.agents import offline, td3
 from infogoal_jax.agents.agent import Agent, AgentBatch
 from infogoal_jax.errors import require
+from infogoal_jax.field_types import Size
 
 OF_RELABELLING = {"subgoal_steps": 25}
 """Each transition carries a state that its episode reaches so many steps later."""
@@ -26,13 +27,11 @@ OF_RELABELLING = {"subgoal_steps": 25}
 class HIQLConfig(offline.OfflineConfig):
     """Sizes of HIQL."""
 
-    size: int = 10
+    size: Size = 10
     """Size P of phi, whose length is the root of P."""
 
     def check(self, config) -> None:
-        """Raise `UserError` for values out of range, and for transitions without a subgoal."""
-        super().check(config)
-        require(self.size > 0, "agent.size", self.size, "give a whole number greater than 0")
+        """Raise `UserError` for transitions without a subgoal."""
         steps = getattr(config.relabelling, "subgoal_steps", None)
         require(
             steps != 0, "relabelling.subgoal_steps", steps, "agent hiql learns subgoals; give 1 or more, such as 25"

@@ -1,5 +1,6 @@
 """What the offline agents of OGBench (Park et al. 2025, arXiv 2410.20092) share: an actor that is drawn towards the
-actions of the data, and expectile regression. `gcivl.py`, `gciql.py`, `qrl.py` and `hiql.py` are the agents.
+actions of the data, and expectile regression. `gcivl.py`, `gciql.py`, `qrl.py`, `hiql.py` and
+`offline_crl.py` are the agents.
 
 They learn from costs: -1 a step until the goal (`relabelling/mixed.py`). Actor and values have networks of their own;
 the actor's loss trains nothing but the actor. Their code mixes the target networks from the parameters before an

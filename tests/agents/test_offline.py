@@ -17,6 +17,7 @@ CASES = {
     "gciql_ddpg_bc": ("gciql", {"actor_loss": "ddpg_bc"}, {"alpha": 0.3}),
     "qrl": ("qrl", {"goals": "states", "size": 16}, {"alpha": 0.003}),
     "hiql": ("hiql", {"size": 4}, {"low_alpha": 3.0, "high_alpha": 3.0}),
+    "crl": ("offline_crl", {"size": 16}, {"alpha": 0.1}),
     "gciql_awr": ("gciql", {"actor_loss": "awr"}, {"alpha": 10.0}),
 }
 NAMES = sorted({name for name, _, _ in CASES.values()})
@@ -58,6 +59,9 @@ def parts_of(tree: dict, prefix: str = "modules_") -> dict:
     found = {name.removeprefix(prefix): layers(tree[name]) for name in names}
     for name, own in (("goal_rep", "goals"), ("low_actor", "low"), ("high_actor", "high")):  # Of HIQL.
         found |= {own: found.pop(name)} if name in found else {}
+    if {"phi", "psi"} <= tree.get(f"{prefix}critic", {}).keys():  # Of contrastive RL.
+        found |= {name: tree[f"{prefix}critic"][name] for name in ("phi", "psi")}
+        del found["critic"]
     if "lam" in found:  # Numbers of QRL.
         found |= {"log_lambda": found.pop("lam")["log_value"], "mixture": tree[f"{prefix}value"]["alpha"]["value"]}
     return found
@@ -165,7 +169,11 @@ QUICK = "gcivl"
 
 
 @pytest.mark.parametrize(
-    "name", [QUICK, *(pytest.param(name, marks=pytest.mark.long) for name in NAMES if name not in (QUICK, "hiql"))]
+    "name",
+    [
+        QUICK,
+        *(pytest.param(name, marks=pytest.mark.long) for name in NAMES if name not in (QUICK, "hiql", "offline_crl")),
+    ],
 )
 def test_learns_where_to_go_on_a_line(name):
     """From random walks, for goals that are reached later and for any."""
