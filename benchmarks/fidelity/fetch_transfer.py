@@ -21,17 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
+from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.policy_file import ExportedPolicy
 
 ROOT = Path(__file__).parents[2]
 SUFFIX = "_positions"
 EPISODE_STEPS = 50
-IDS = {
-    "fetch_reach": "FetchReach-v4",
-    "fetch_push": "FetchPush-v4",
-    "fetch_pick_and_place": "FetchPickAndPlace-v4",
-    "fetch_slide": "FetchSlide-v4",
-}
 NORMAL = 1.959964
 
 
@@ -42,7 +37,7 @@ def play_reference(policy: ExportedPolicy, task: str, episodes: int, seed: int) 
     import gymnasium_robotics
 
     gymnasium.register_envs(gymnasium_robotics)
-    env = gymnasium.make(IDS[task], max_episode_steps=EPISODE_STEPS)
+    env = gymnasium.make(TASKS[task].reference, max_episode_steps=EPISODE_STEPS)
     first, goals, at_goal = [], [], np.zeros((episodes, EPISODE_STEPS), bool)
     for episode in range(episodes):
         seen, _ = env.reset(seed=seed + episode)
@@ -126,7 +121,7 @@ def main() -> None:
     policy = ExportedPolicy(arguments.policy)
     trained = policy.about["task"]
     task = trained.removesuffix(SUFFIX)
-    if task not in IDS or "goal_low" not in policy.about:
+    if task not in TASKS or "goal_low" not in policy.about:
         parser.error(f"{arguments.policy}: is a policy of {trained}; give one of a Fetch task with positions as goals")
     if arguments.episodes < 2:
         parser.error("--episodes: give 2 or more")

@@ -32,15 +32,9 @@ import torch
 from stable_baselines3 import SAC, HerReplayBuffer, __version__
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from infogoal_jax.envs.fetch.tasks import TASKS
 from infogoal_jax.report.statistics import describe_machine
 
-REFERENCES = {
-    "fetch_reach": "FetchReach-v4",
-    "fetch_push": "FetchPush-v4",
-    "fetch_pick_and_place": "FetchPickAndPlace-v4",
-    "fetch_slide": "FetchSlide-v4",
-}
-"""Gymnasium-Robotics' names of the tasks."""
 ZOO_REACH = {
     "learning_rate": 1e-3,
     "buffer_size": 1_000_000,
@@ -77,7 +71,7 @@ def make_env(task: str, reference: bool) -> gymnasium.Env:
     import gymnasium_robotics
 
     gymnasium.register_envs(gymnasium_robotics)
-    return gymnasium.make(REFERENCES[task])
+    return gymnasium.make(TASKS[task].reference)
 
 
 def learner(task: str, reference: bool, seed: int, device: str) -> SAC:
@@ -140,7 +134,7 @@ def curve(words: argparse.Namespace, seed: int, test_env: gymnasium.Env):
 def main():
     """Train and print a line for each evaluation."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", choices=list(REFERENCES), default="fetch_reach")
+    parser.add_argument("--task", choices=list(TASKS), default="fetch_reach")
     parser.add_argument("--reference", action="store_true", help="Gymnasium-Robotics' task instead of ours")
     parser.add_argument("--steps", type=int, default=10_000, help="environment steps of training")
     parser.add_argument("--every", type=int, default=1000, help="steps between evaluations")

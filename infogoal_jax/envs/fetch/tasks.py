@@ -141,6 +141,11 @@ class Task:
     base_x: float = 0.405
     """Where the robot's base stands, x of the first slide joint."""
 
+    @property
+    def reference(self) -> str:
+        """What Gymnasium-Robotics calls the task: FetchReach-v4."""
+        return f"{self.name.title().replace('_', '')}-v4"
+
 
 TASKS = {
     task.name: task
