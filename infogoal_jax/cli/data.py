@@ -11,7 +11,7 @@ from pathlib import Path
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from infogoal_jax.cli.commands import Group, Pair, check_seed, empty_folder
-from infogoal_jax.errors import UserError, counted
+from infogoal_jax.errors import UserError, counted, typed
 
 
 def house(path: Positional[str], seed: int = 0) -> int:
@@ -81,10 +81,10 @@ def write_frames(path: str, words: str, build: Callable) -> int:
 
 
 def new_file(path: str, flag: str = "path") -> None:
-    """Raise `UserError`, naming the flag, if the path of an image dataset does not end in .npz, or leads to what is
+    """Raise `UserError`, naming the flag, if the path of a dataset does not end in .npz, or leads to what is
     there already."""
     if Path(path).suffix != ".npz":
-        raise UserError(f"{flag} = {path!r}: an image dataset is one file, an npz; let it end in .npz")
+        raise UserError(f"{flag} = {path!r}: a dataset is one file, an npz; let it end in .npz")
     if os.path.lexists(path):  # A link that leads nowhere, too: nothing is written through it.
         raise UserError(f"{flag} = {path!r}: is there already; give a new file")
 
@@ -200,6 +200,30 @@ def export_minari(path: Positional[str], out: str) -> int:
     return 0
 
 
+def import_minari(name: Positional[str], out: str) -> int:
+    """Make an npz of recorded episodes of a dataset of Minari (needs the extra `minari`).
+
+    Args:
+        name: Of the dataset, such as pointmaze/umaze-v2; `minari download NAME` fetches it.
+        out: File to write, an npz that --env.dataset takes.
+    """
+    from infogoal_jax.bridges import minari
+    from infogoal_jax.data.episodes import describe, save
+
+    new_file(out, "out")
+    library = minari.import_minari()
+    try:
+        dataset = library.load_dataset(name)
+    except Exception as error:  # Minari raises what lies below it: of files, of names, of its metadata.
+        said = (str(error) or type(error).__name__).splitlines()[0]
+        remedy = f"Minari cannot load it ({said}); fetch it with: minari download {typed(name)}"
+        raise UserError(f"name = {name!r}: {remedy}") from error
+    episodes = minari.episodes_of(dataset)
+    save(out, episodes)
+    print(f"{out}: {describe(episodes)}")
+    return 0
+
+
 def cifar10(path: Positional[str] = "", url: str = "") -> int:
     """Download CIFAR-10, 170 MB, as background images (docs/reference/goal_inputs.md).
 
@@ -247,6 +271,7 @@ DATA = Group(
         "check": check,
         "import": import_images,
         "export-minari": export_minari,
+        "import-minari": import_minari,
         "build": BUILD,
         "download": Group("Download what others published.", {"cifar10": cifar10}),
         "embed": embed,

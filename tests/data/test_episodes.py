@@ -210,6 +210,25 @@ def numbers(steps: int, *shape: int) -> np.ndarray:
     return np.arange(steps + 1.0).reshape(-1, *[1] * len(shape)) + np.zeros(shape)
 
 
+def test_a_dataset_of_minari_becomes_a_file_by_one_command(tmp_path, monkeypatch, capsys):
+    one = SimpleNamespace(observations=numbers(3, 2).astype(np.float32), actions=np.zeros((3, 2), np.float32))
+
+    def load_dataset(name):
+        if name != "there-v0":
+            raise FileNotFoundError(f"{name} is not here\nand more")
+        return SimpleNamespace(iterate_episodes=lambda: iter([one]))
+
+    library = SimpleNamespace(load_dataset=load_dataset)
+    monkeypatch.setattr("infogoal_jax.bridges.minari.import_minari", lambda: library)
+    out = tmp_path / "walks.npz"
+    assert main(["data", "import-minari", "there-v0", "--out", str(out)]) == 0
+    assert "1 episodes of 3 steps" in capsys.readouterr().out and load(out).lengths.tolist() == [3]
+    assert main(["data", "import-minari", "gone-v0", "--out", str(tmp_path / "none.npz")]) == 2
+    error = capsys.readouterr().err
+    assert "name = 'gone-v0': Minari cannot load it (gone-v0 is not here); fetch it" in error and error.count("\n") == 1
+    assert not (tmp_path / "none.npz").exists()
+
+
 def test_minari_s_goal_envs_bring_their_goals():
     names = {"observation": 3, "achieved_goal": 2, "desired_goal": 2}
     found = of_minari(lambda steps: {name: numbers(steps, size) for name, size in names.items()})
