@@ -233,7 +233,7 @@ def test_the_command_builds_a_dataset_in_a_new_file(tmp_path, monkeypatch, capsy
         ("cube", str(path)): "is there already",
         ("cube", str(tmp_path / "nowhere.npz")): "is there already",
         ("house", str(tmp_path / "nowhere.npz")): "is there already and not empty",
-        ("cube", "cube"): "path = 'cube': an image dataset is one file, an npz; let it end in .npz",
+        ("cube", "cube"): "path = 'cube': a dataset is one file, an npz; let it end in .npz",
         ("castle",): "Known: house, cube",
     }
     for arguments, expected in mistakes.items():
