@@ -230,17 +230,27 @@ def folder(tmp_path_factory):
         shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
-    run(folder, sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", ".", "./source")
+    with_network(folder, sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", ".", "./source")
     shutil.rmtree(source)
     run(folder, sys.executable, "-m", "venv", "env")
     (wheel,) = folder.glob(f"infogoal_jax-{infogoal_jax.__version__}-*.whl")
-    run(folder, python(folder), "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", wheel)
+    with_network(folder, python(folder), "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", wheel)
     return folder
 
 
 def python(folder: Path) -> Path:
     """The interpreter of the new environment."""
     return folder / "env" / "bin" / "python"
+
+
+def with_network(folder: Path, *command: str | Path) -> None:
+    """Run what pip does. Where it reaches no index, the test is skipped."""
+    try:
+        run(folder, *command)
+    except AssertionError as error:
+        if "connection broken by" in str(error):
+            pytest.skip("pip reaches no package index here")
+        raise
 
 
 def run(folder: Path, *command: str | Path) -> str:
