@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
 import infogoal_jax
-from infogoal_jax.errors import UserError
+from infogoal_jax.errors import UserError, counted
 from infogoal_jax.files import read_bytes
 from infogoal_jax.imports import contents, import_contents, import_flags
 from infogoal_jax.runner.compilation import use_compilation_cache
@@ -121,7 +121,7 @@ def run_here(jobs: Sequence[Job], place: Place) -> Outcome:
                     if mine is None:
                         continue
                     tried.update(mine.members)  # What fails here is not begun again before the next start.
-                    place.say(f"{mine.name}: {len(mine.members)} runs")
+                    place.say(f"{mine.name}: {counted(len(mine.members), 'run')}")
                     mine.train(place)
                     end(mine, place.folder, outcome)
                     outcome.stopped |= stop.requested
@@ -472,7 +472,7 @@ class Cluster:
         parcel = Parcel(pickled, contents(), infogoal_jax.__version__, self.place.left(), files)
         task = train.remote(parcel, self.mailbox)
         self.under_way[task] = UnderWay(mine, claims)
-        self.place.say(f"{mine.name}: {len(mine.members)} runs")
+        self.place.say(f"{mine.name}: {counted(len(mine.members), 'run')}")
 
     def listen(self) -> None:
         """Wait a moment for what workers send, and keep it."""

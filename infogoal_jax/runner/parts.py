@@ -14,6 +14,7 @@ import dataclasses
 import itertools
 import re
 import shutil
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ from infogoal_jax.errors import UserError, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
+from infogoal_jax.runner.listeners import success_in_words
+from infogoal_jax.runner.progress import COMPILING, clock
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import from_dict, to_dict
 from infogoal_jax.runs.disk import Place as File
@@ -114,12 +117,23 @@ class RunJob:
         folder = self.folder(place.folder)
         resume = (folder / configuration.NAME).exists()
 
+        begun = 0, time.monotonic()
+
+        def phase(name: str, epoch: int) -> None:
+            nonlocal begun
+            begun = epoch, time.monotonic()
+            if name == "compiling":
+                place.say(f"{self.name}: compiling, {COMPILING}")
+
         def advanced(progress: training.Progress) -> None:
-            rate = np.mean([row["train_goal/success_rate"] for row in progress.evaluations])
-            place.say(f"{self.name}: epoch {progress.epoch}/{progress.num_epochs}, training goals {rate:.2f}")
+            first, since = begun
+            an_epoch = (time.monotonic() - since) / max(progress.epoch - first, 1)
+            left = an_epoch * (progress.num_epochs - progress.epoch)
+            words = [f"{self.name}: epoch {progress.epoch}/{progress.num_epochs}", *success_in_words(progress)]
+            place.say("  ".join(words + [f"{clock(left)} left"] * (progress.epoch < progress.num_epochs)))
 
         try:
-            training.run(self.config, self.seeds, folder, resume, (advanced,), left=place.left)
+            training.run(self.config, self.seeds, folder, resume, (advanced,), phase=phase, left=place.left)
         except Stopped:
             if place.left() > 0:
                 raise  # By a signal to this process, and not by the clock before its first epoch.

@@ -153,7 +153,7 @@ def test_ctrl_c_ends_the_command_and_its_own_cluster(tmp_path):
         printed = []
         for line in command.stdout:
             printed.append(line)
-            if "none: 1 runs" in line:
+            if "none: 1 run" in line:
                 command.send_signal(signal.SIGINT)
     assert command.returncode == 130 and "1 left" in printed[-1], printed
     assert any("Stopping after the evaluations of its workers" in line for line in printed)

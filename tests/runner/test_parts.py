@@ -4,6 +4,7 @@ cannot be run."""
 import collections
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -120,8 +121,10 @@ def test_joining_that_was_stopped_is_done_again(tmp_path, monkeypatch):
     assert {path.name for path in (tmp_path / "run").iterdir()} == {*FILES, "timing.json"}
 
 
-def test_from_python_with_a_table_and_a_figure(tmp_path):
+def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
     result = infogoal_jax.sweep(CONFIG, range(2), tmp_path / "sweep", learning_rate=[1e-4, 3e-4], learner_weight=[0.5])
+    printed = capsys.readouterr().out
+    assert printed.count(": compiling, ") == 2 and re.search(r": epoch 2/4  train 0\.\d\d  test .* left\n", printed)
     rows = result.rows()
     assert [(row["learning_rate"], row["seed"]) for row in rows] == [(1e-4, 0), (1e-4, 1), (3e-4, 0), (3e-4, 1)]
     assert all(row["epoch"] == 4 and 0 <= row["train_goal/success_rate"] <= 1 for row in rows)
