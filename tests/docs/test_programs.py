@@ -49,6 +49,7 @@ DRAWS = {
     "fetch_image_goals": ("curves", "goals", "corrupt", "video"),
     "seed_sweeps": ("curves", "pairs", "enough"),
     "your_own": ("task-figure", "compare", "dataset", "dataset-train"),
+    "your_robot": ("curve", "goals"),
 }
 """The cells of each notebook that end in a picture."""
 PICTURES = ("image/png", "image/gif")
@@ -314,6 +315,10 @@ def test_begins_by_installing_and_says_what_it_is_sized_for(name):
 def test_the_learner_is_that_of_the_docs():
     lines = [line.rstrip() for line in block_of(LEARNER).splitlines()]
     assert set(code_cells(read("your_own"))["learner"].source.splitlines()) <= set(lines)
+
+
+def test_the_robot_is_that_of_the_docs():
+    assert code_cells(read("your_robot"))["robot"].source.splitlines() == block_of(ROBOT).strip().splitlines()
 
 
 @pytest.mark.long
