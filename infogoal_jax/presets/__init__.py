@@ -9,15 +9,7 @@ from infogoal_jax.presets import embodied_qa, fetch, object_manipulation, object
 from infogoal_jax.presets.preset import Changes, Preset
 
 if TYPE_CHECKING:
-    from infogoal_jax.presets.loading import (
-        METHODS,
-        Method,
-        default_hyperparameters,
-        load,
-        method_named,
-        name_of,
-        take_library,
-    )
+    from infogoal_jax.presets.loading import METHODS, Method, default_hyperparameters, load, method_named, name_of
     from infogoal_jax.presets.registering import register
 
 
@@ -58,7 +50,6 @@ __all__ = [
     "name_of",
     "register",
     "registry",
-    "take_library",
 ]
 
 

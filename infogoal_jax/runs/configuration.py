@@ -20,6 +20,7 @@ from infogoal_jax.field_types import hints_of
 from infogoal_jax.learners.gcb import GCBConfig
 from infogoal_jax.learners.infobot import InfoBotConfig
 from infogoal_jax.learners.infogoal import InfoGoalConfig, InfoGoalHyperparameters
+from infogoal_jax.presets.loading import take_library
 from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.cher import CHERConfig
 from infogoal_jax.relabelling.ghrl import GHRLConfig
@@ -105,7 +106,7 @@ def from_dict(values: Any, place: Place = NOT_READ) -> TrainConfig:
         raise place.refusal(f"{place.prefix}{missing[0]} is missing")
     names = {kind: name_of_part(values[kind], kind, place) for kind in presets.REGISTRIES}
     task = decode_value(str, values["task"], "task", place)
-    presets.take_library(task)
+    take_library(task)
     if task not in presets.registry:
         raise UserError(
             f"{place.path}: {place.prefix}task = {task!r}: no such task here; import the file that "
