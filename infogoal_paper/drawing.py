@@ -145,12 +145,12 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
 IN_FOLDER_ALONE = (
     *("near_and_far", "table1_text", "costs"),
     *(f"equal_training_{variant}" for variant in VARIANTS),
-    *("over_tasks_her", "over_tasks_text"),
+    *(f"over_tasks_{variant}" for variant in VARIANTS),
 )
 """Tables that the page of verdicts leaves to the folder and to index.html: no verdict rests on them, or they repeat
 rows of others."""
-NOT_OVER_TASKS = KINDS["corrupted_train_goal"]
-"""Goals that the page leaves out of the comparisons over tasks, and of the table with HER in every row."""
+NOT_WITH_HER = KINDS["corrupted_train_goal"]
+"""Goals that the page leaves out of the table with HER in every row."""
 VERDICT_HEAD = ["claim", "verdict", "as Algorithm 1 [95 %]", "as the text [95 %]", "details", "test", "in the paper"]
 
 
@@ -207,9 +207,9 @@ def report(shown: list[Table], found: list, pictures: list[Path], path: Path) ->
     lines += [decides(found), ""] if decides(found) else []
     lines.append(markdown(verdict_table(found)))
     for table in shown:
-        if table.name.startswith("over_tasks") or table.name == "table1_her":
-            table = narrow(table, [head for head in table.head if NOT_OVER_TASKS not in head])
-            table = dataclasses.replace(table, foot=[line for line in table.foot if NOT_OVER_TASKS not in line])
+        if table.name == "table1_her":
+            table = narrow(table, [head for head in table.head if NOT_WITH_HER not in head])
+            table = dataclasses.replace(table, foot=[line for line in table.foot if NOT_WITH_HER not in line])
         lines += [] if table.name in IN_FOLDER_ALONE else [f"## {table.title}", "", markdown(table, short=True)]
     lines += ["## Figures", ""] if pictures else []
     for picture in pictures:

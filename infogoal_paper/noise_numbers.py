@@ -569,7 +569,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if ran & READ.keys():
         beside |= {"readings": readings_table(numbers)}
     if ran & set(HELD_OUT_FETCH):
-        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[:3], ("each at its own best",)
+        shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[1:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
