@@ -143,7 +143,7 @@ def is_shown(table: str, studies: tuple[str, ...]) -> bool:
 
 
 IN_FOLDER_ALONE = (
-    *("near_and_far", "table1_text", "costs"),
+    *("near_and_far", "table1_text", "table2", "costs"),
     *(f"equal_training_{variant}" for variant in VARIANTS),
     *(f"over_tasks_{variant}" for variant in VARIANTS),
 )

@@ -234,7 +234,6 @@ CARRYING_PAIRS = (
     ("infogoal+all_goals", "cogoal+all_goals"),
     ("infogoal+all_goals", "her"),
     ("cogoal+all_goals", "all_goals"),
-    ("cogoal+all_goals", "her"),
 )
 """And on the held-out cube."""
 LINES = {
