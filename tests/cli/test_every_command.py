@@ -53,7 +53,7 @@ def help_of(capsys, monkeypatch):
                 "--num-epochs",
                 "--method",
                 "--agent",
-                ", ".join(agents.registry),
+                *agents.registry,
                 "--help-all",
                 "default: 100",
             ],
