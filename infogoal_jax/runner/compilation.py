@@ -26,7 +26,7 @@ OPTIONS: dict[str, dict[str, int | bool | str]] = {
 fast as with the third; the level below runs two to four times as long. On a GPU cuBLAS multiplies what a kernel of
 Triton's would hardly do faster: fewer kernels are tried out, a program compiles in two thirds to three quarters of the
 time and runs as fast. Kernels of an update that do not wait for each other run at the same time: one seed of object
-search makes 1.7 times the updates, sixteen of PickAndPlace 1.2 times (H200, jax 0.11.2, 2026-11-28)."""
+search makes 1.7 times the updates (H200, jax 0.11.2, 2026-11-28)."""
 QUICKLY: dict[str, dict[str, int | bool]] = {"cpu": {"xla_cpu_use_fusion_emitters": False}}
 """Options beside `OPTIONS` for programs that run for seconds only. On two cores FetchReach and object search at toy
 size compile in two thirds of the time; object search at full size runs a twentieth slower (jax 0.10.2, 2026-11-27)."""
