@@ -96,8 +96,8 @@ class Choice(Parts):
 
 
 ENV = "--env"
-LIBRARIES = {"brax": "--env.id", "playground": "--env.id", "jaxgcrl": "--env.id"}
-"""What can be given by --env, and the flag that says which environment."""
+LIBRARIES = ("brax", "playground", "jaxgcrl")
+"""What can be given by --env. Each is a task, whose flag --env.id says which environment."""
 
 
 def with_environment(arguments: list[str]) -> list[str]:
@@ -124,7 +124,7 @@ def with_environment(arguments: list[str]) -> list[str]:
         raise UserError(f"env = {' '.join(given)!r}: {remedy}.{nearest(library, list(LIBRARIES))}".rstrip("."))
     if first_word(rest):
         raise UserError(f"env = {given[0]!r}: {first_word(rest)!r} is a task already; leave one of both out")
-    return [library, LIBRARIES[library], name, *rest]
+    return [library, "--env.id", name, *rest]
 
 
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:

@@ -229,7 +229,7 @@ def comparison(compared: list[Compared], env) -> Figure:
     """Success against progress of training, beside success within so many steps at the last evaluation; training goals
     above test goals."""
     runs, titles = [each.run for each in compared], legend_titles(compared)
-    groups = [group for group in env.goals.groups if group != "validation"]
+    groups = {group: mask for group, mask in evaluated_masks(env.goals).items() if group != "validation"}
     heading = f"{runs[0].config.task.replace('_', ' ')}: success while training, and by length at the last evaluation"
     figure = empty_figure(heading, small_print(compared, titles), (11, 1.4 + 3.2 * len(groups)))
     for (left, right), group in zip(figure.subplots(len(groups), 2, squeeze=False), groups, strict=True):
@@ -240,9 +240,7 @@ def comparison(compared: list[Compared], env) -> Figure:
             labels[label] = None
             ends.append(steps[-1])
             draw_curve(left, steps, evaluations.values[f"{group}_goal/success_rate"], colour, entry, SHARE)
-            within = success_within(
-                evaluations.last()["first_reached"], evaluated_masks(env.goals)[group], env.episode_length
-            )
+            within = success_within(evaluations.last()["first_reached"], groups[group], env.episode_length)
             draw_curve(right, np.arange(env.episode_length + 1), within, colour, entry, SHARE)
         finish_progress_axis(left, " or ".join(labels), max(ends))
         finish_length_axis(right, env.episode_length)

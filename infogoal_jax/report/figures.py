@@ -192,8 +192,8 @@ def success_by_length(subject: Subject) -> Figure:
         shortest = np.asarray(jit(from_starts)(env))
     figure = new_figure(subject, f"success by length, epoch {subject.evaluations.epochs[-1]}", (9.5, 4.6))
     axes = figure.subplots()
-    for group in env.goals.groups:
-        mask, colour = evaluated_masks(env.goals)[group], USE_COLOURS[group]
+    for group, mask in evaluated_masks(env.goals).items():
+        colour = USE_COLOURS[group]
         within = success_within(first_reached, mask, longest)
         draw_curve(axes, np.arange(longest + 1), within, colour, USE_TITLES[group], SHARE)
         if shortest is not None:
