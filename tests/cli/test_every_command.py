@@ -48,15 +48,7 @@ def help_of(capsys, monkeypatch):
         ("train", [*presets.registry, "--resume"]),
         (
             "train object_search",
-            [
-                "--seeds",
-                "--num-epochs",
-                "--method",
-                "--agent",
-                *agents.registry,
-                "--help-all",
-                "default: 100",
-            ],
+            ["--seeds", "--num-epochs", "--method", "--agent", *agents.registry, "--help-all", "default: 100"],
         ),
         ("train fetch_push --method her", ["default: her", "--relabelling", "default: hrac"]),
         ("tune object_search", ["--trials", "--space-seed", "--help-all"]),
