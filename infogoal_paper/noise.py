@@ -57,26 +57,29 @@ def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
     name, *protocol = task.split("+")
     learner, *added = method.partition("@")[0].split("+")
     agent, known_goals = protocol if len(protocol) == 2 else (None, "visited")
-    floats = noise_numbers.FLOATS.get((task, method), {})
+    floats = noise_numbers.floats_of(task, method)
     lane = Lane(method, tuple(floats.items())) if floats else Lane(*PRESET)
     seeds = tuple(range(2 if toy else SEEDS))
     relabelling = added[0] if added else None
     return Run(name, learner, relabelling, None, data_set, lane, seeds, toy, agent, known_goals)
 
 
-def to_its_end(config: TrainConfig, run: Run, share: int = 1) -> TrainConfig:
-    """The configuration of a run, trained for as many updates as its preset says, or a share of them."""
+def to_its_end(config: TrainConfig, run: Run, share: int = 1, epochs: int | None = None) -> TrainConfig:
+    """The configuration of a run, trained for as many updates as its preset says, or a share of them, or these
+    epochs."""
     if run.toy:
         return config
     preset = run.preset()
-    epochs = preset.num_epochs * preset.updates_per_epoch // config.updates_per_epoch // share
+    epochs = epochs or preset.num_epochs * preset.updates_per_epoch // config.updates_per_epoch // share
     return dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs // CHUNKS)
 
 
 def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any], share: int = 1) -> list[batches.Batch]:
     """The batches of a method on data sets of a task, with these settings in place of its preset's, trained for a share
-    of its updates. The house of the
-    tuning has a batch of its own, as its goals are split differently; it is built in FOLDER unless it is there."""
+    of its updates. The house of the tuning has a batch of its own, as its goals are split differently; it is built in
+    FOLDER unless it is there."""
+    settings = dict(settings)
+    epochs = settings.pop("num_epochs", None)
     others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
     found = batches.batches_of(others, None, most_lanes=64, settings=settings) if others else []
     for run in set(runs) - set(others):
@@ -86,7 +89,7 @@ def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any], share: i
         )
         lanes = tuple((run.lane, seed) for seed in run.seeds)
         found.append(batches.Batch(config, (load_environment(config),), lanes, {(0, run.lane): run}))
-    return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0], share)) for batch in found]
+    return [dataclasses.replace(batch, config=to_its_end(batch.config, runs[0], share, epochs)) for batch in found]
 
 
 class Watch(Callback):

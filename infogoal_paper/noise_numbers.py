@@ -28,6 +28,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infogoal_jax import presets
+from infogoal_jax.errors import require
 from infogoal_jax.report import canvas
 from infogoal_jax.report.statistics import Interval, mean_interval
 from infogoal_jax.report.summary import LEAST_BETA
@@ -93,10 +94,12 @@ READINGS: dict[str, dict[str, Any]] = {
     "prefix": {"relabelling.strategy": "prefix"},
     "updates_100": {"updates_per_epoch": 100},
     "floor": {"hyper.learner.beta_floor": 1e-3},
+    "clean": {},
 }
 """Other readings of the paper, by what they change of the preset: all goals desired in training; similar goals by true
 distance, of known goals or of the listed ones, also one step apart; training on corrupted images; the authors'
-relabelling; 100 updates an epoch of as many steps. The last is none: does a least beta mend the seed that collapsed?"""
+relabelling; 100 updates an epoch of as many steps. Two are none: does a least beta mend the seed that collapsed? And
+what have methods with the floats of `tuning.clean_choices`, trained for as long as the bare agent?"""
 RADII = {"fetch_reach": 0.25, "fetch_pick_and_place": 0.15, "object_manipulation": 0.369}
 """Distances within which goals are similar there: the preset's window times the length of a step, 5 cm or 15 degrees
 (in the unit of `goal_positions`)."""
@@ -109,6 +112,7 @@ READ = {
     "object_search+read": (
         *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
         *("infogoal+her@prefix", "infobot+her@prefix", "infogoal@floor"),
+        *(f"{method}@clean" for method in METHODS),
     ),
     **dict.fromkeys(("fetch_reach+read", "fetch_pick_and_place+read"), OF_FETCH),
     "object_manipulation+read": (
@@ -142,6 +146,17 @@ def methods_of(task: str) -> dict[str, str]:
     return CARRYING if task == HELD_OUT else METHODS
 
 
+def floats_of(task: str, method: str) -> dict[str, float]:
+    """Floats that a method has on a task in place of its preset's. Raises `UserError` for a clean choice that was not
+    made."""
+    plain, _, reading = method.partition("@")
+    if reading != "clean":
+        return FLOATS.get((task, method), {})
+    chosen = tuning.clean_choices(task.partition("+")[0])
+    require(plain in chosen, "methods", method, "no clean search is kept; run `infogoal_paper.tuning --clean` first")
+    return chosen[plain]
+
+
 def in_words(method: str) -> str:
     """A method and how the paper was read for it, in words."""
     plain, _, reading = method.partition("@")
@@ -151,6 +166,8 @@ def in_words(method: str) -> str:
 def settings_of(task: str, method: str) -> dict[str, Any]:
     """What a method changes of its preset on a task, but for floats."""
     settings = dict(READINGS.get(method.partition("@")[2], {}))
+    if method.endswith("@clean"):
+        settings = {"num_epochs": presets.load(task.partition("+")[0], "none").num_epochs}
     if settings.get("learner.positives"):
         settings = {"learner.radius": RADII[task.partition("+")[0]]} | settings
     return settings
@@ -166,6 +183,7 @@ READING_WORDS = {
     "prefix": "the authors' relabelling",
     "updates_100": "100 updates an epoch",
     "floor": "beta of at least 0.001",
+    "clean": "floats chosen again",
 }
 
 
@@ -199,7 +217,7 @@ PARTS = {
         (
             (HELD_OUT, "infogoal+all_goals+beta_0", (10,)),
             *all_of(CUBE_READ)[:2],
-            *all_of("object_search+read"),
+            *(run for run in all_of("object_search+read") if not run[1].endswith("@clean")),
             *((task, method, (0,)) for method in SOONEST_READ for task in FETCH_READ),
         ),
     ),
@@ -209,6 +227,7 @@ PARTS = {
     "E": Part(4, all_of(CUBE_READ)[2:5]),
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
     "G": Part(4, all_of(CUBE_READ)[5:]),
+    "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
 }
 """What is to be run, in order, and by how many processes side by side."""
 

@@ -2,7 +2,7 @@
 is reported on.
 
     python -m infogoal_paper.tuning --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
-    [--trials 16] [--seeds 2] [--final]
+    [--trials 16] [--seeds 2] [--final] [--clean]
     python -m infogoal_paper.tuning --merge FOLDER
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
@@ -10,11 +10,14 @@ objects are given the names of objects that the task does not have, and are the 
 are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOLDER/TASK/METHOD is the folder of a
 search (docs/research/tuning.md); what is there is not run again, so that searches may come from several machines and
 several processes. With --final the preset and the three best of each search run again with eight other seeds, into
-FOLDER/TASK/METHOD/final. --merge puts what is finished in FOLDER into docs/results/tuning.jsonl.gz, a line a search;
-`tables.py tuning` then writes the tables of docs/research/tuning.md.
+FOLDER/TASK/METHOD/final. --clean makes choices that no preset has a part in, into FOLDER/clean: settings are drawn
+alone, the preset runs but is not chosen, and all methods have the same noise at test. --merge puts what is finished in
+FOLDER into docs/results/tuning.jsonl.gz, a line a search; `pages.py tuning` then writes the tables of
+docs/research/tuning.md.
 """
 
 import argparse
+import functools
 import json
 import shutil
 import subprocess
@@ -36,9 +39,9 @@ from infogoal_paper.table_formats import markdown_lines
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.gz"
 Search = dict[str, Any]
-"""search: TASK/METHOD or TASK/METHOD/final; data, device; seeds; num_epochs: that were asked for; epochs: of the
-evaluations; goals: that scores are of; best: number of a trial; trials: each with its number, values, success
-[evaluations][seeds] and the seeds that diverged."""
+"""search: TASK/METHOD or TASK/METHOD/final, behind clean/ those of --clean; data, device; seeds; num_epochs: that were
+asked for; epochs: of the evaluations; goals: that scores are of; best: number of a trial; trials: each with its number,
+values, success [evaluations][seeds] and the seeds that diverged."""
 SEED = 100
 """Of the house, the cube and the shelf for tuning: no result is shown on them."""
 VALIDATION = {
@@ -69,6 +72,13 @@ one number. `AGENT_FIELDS` has what the agent of a task adds."""
 AGENT_FIELDS = {"embodied_qa": ["agent.conservative_weight"]}
 WITH_HER = ("object_manipulation",)
 """Tasks on which learners are searched with HER: without it all of them stay at the floor."""
+CLEAN = "clean"
+"""The folder of clean choices."""
+CLEAN_NOISE = 0.1
+"""Probability of a random action at test in them: a code that is sampled at every step gains nothing by its noise."""
+
+CLEAN_SPACE = 1
+"""Seed of their draws: presets have winners among those of seed 0."""
 
 
 def tuning_house(folder: Path) -> list[str]:
@@ -100,18 +110,19 @@ def flags(fields: dict[str, int]) -> list[str]:
     return [word for name, value in fields.items() for word in (f"--{name.replace('_', '-')}", str(value))]
 
 
-def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> None:
-    """One search by the command line, into FOLDER/TASK/METHOD. One that was stopped stays as it is: delete its folder
-    to search again."""
-    out = folder / task / method
+def search(task: str, method: str, trials: int, seeds: int, folder: Path, clean: bool = False) -> Path:
+    """One search by the command line, into FOLDER/TASK/METHOD, a clean one into FOLDER/clean/TASK/METHOD. One that was
+    stopped stays as it is: delete its folder to search again. Returns its folder."""
+    out = folder / CLEAN / task / method if clean else folder / task / method
     if (out / "best.json").exists():
-        return
+        return out
+    learner, _, relabelling = method.partition("+")
     data = tuning_house(folder) if task == "object_search" else flags(DATASETS.get(task, {}))
     command = [
         "tune",
         task,
         "--method",
-        method,
+        learner,
         "--trials",
         str(trials),
         "--seeds",
@@ -123,19 +134,22 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path) -> Non
     if task in EPOCHS:
         epochs, between = map(str, EPOCHS[task])
         command += ["--num-epochs", epochs, "--epochs-per-evaluation", between]
-    if method in FIELDS:
-        command += ["--fields", *FIELDS[method], *AGENT_FIELDS.get(task, [])]
-    if task in WITH_HER and method in LEARNERS:
-        command += ["--relabelling", "her"]
+    if learner in FIELDS:
+        command += ["--fields", *FIELDS[learner], *AGENT_FIELDS.get(task, [])]
+    if relabelling or (task in WITH_HER and method in LEARNERS):
+        command += ["--relabelling", relabelling or "her"]
+    if clean:
+        command += ["--hyper.test-epsilon", str(CLEAN_NOISE), "--space-seed", str(CLEAN_SPACE)]
     subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
+    return out
 
 
-def final(task: str, method: str, folder: Path) -> None:
-    """The final of a search that is there, into FOLDER/TASK/METHOD/final. One that was stopped stays as it is: delete
-    its folder to run it again."""
-    out = folder / task / method / "final"
+def final(search: Path) -> None:
+    """The final of the search in this folder, into its folder `final`. One that was stopped stays as it is: delete its
+    folder to run it again."""
+    out = search / "final"
     if not (out / "best.json").exists():
-        command = ["final", str(out.parent), "--out", str(out)]
+        command = ["final", str(search), "--out", str(out)]
         subprocess.run([sys.executable, "-m", "infogoal_jax", *command], check=True)
 
 
@@ -169,6 +183,32 @@ def merge(folder: Path, path: Path) -> list[str]:
     lines = "".join(json.dumps(searches[name], separators=(",", ":")) + "\n" for name in sorted(searches))
     trial_numbers.write_compressed(path, lines)
     return list(new)
+
+
+def drawn_best(search: Search) -> dict[str, Any]:
+    """The best trial of a search or final but for the preset, compared as `infogoal_jax.runner.search` does: seeds that
+    did not diverge, success at the end, success before."""
+    drawn = [trial for trial in search["trials"] if trial["trial"]]
+    return max(
+        drawn,
+        key=lambda trial: (
+            -len(trial["diverged"]),
+            np.mean(trial["success"][-1]),
+            np.mean(trial["success"]),
+            -trial["trial"],
+        ),
+    )
+
+
+@functools.cache
+def clean_choices(task: str, path: Path = NUMBERS) -> dict[str, dict[str, float]]:
+    """What clean searches chose on a task, {method: {dotted float: value}}; of methods that have a final it is the
+    final's."""
+    start, found = f"{CLEAN}/{task}/", {}
+    for name, search in load(path).items():
+        if name.startswith(start):
+            found.setdefault(name.removeprefix(start).removesuffix("/final"), {})[name.endswith("/final")] = search
+    return {method: drawn_best(own[max(own)])["values"] for method, own in found.items()}
 
 
 def tables(searches: dict[str, Search]) -> dict[str, str]:
@@ -218,11 +258,14 @@ def main():
     parser.add_argument("--out", type=Path)
     parser.add_argument("--merge", type=Path, metavar="FOLDER", help=f"put what is finished there into {NUMBERS.name}")
     parser.add_argument("--tasks", nargs="*", default=["object_search", "fetch_reach"], choices=presets.TASKS)
-    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), help="such as infogoal or infogoal+her")
     parser.add_argument("--trials", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument(
         "--final", action="store_true", help="run the best of each search again, with more and other seeds"
+    )
+    parser.add_argument(
+        "--clean", action="store_true", help="choose from settings that are drawn, with the same noise at test for all"
     )
     arguments = parser.parse_args()
     if arguments.merge is not None:
@@ -232,9 +275,9 @@ def main():
         parser.error("give --out or --merge")
     for task in arguments.tasks:
         for method in arguments.methods:
-            search(task, method, arguments.trials, arguments.seeds, arguments.out)
+            found = search(task, method, arguments.trials, arguments.seeds, arguments.out, arguments.clean)
             if arguments.final:
-                final(task, method, arguments.out)
+                final(found)
 
 
 if __name__ == "__main__":

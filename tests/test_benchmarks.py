@@ -25,6 +25,7 @@ RUN = {
         "methods --methods her --repeats 1",
         "goals --goals 24 --rows her head --updates 2 --repeats 1",
         "devices --seeds 2 --repeats 1",
+        "evaluating --seeds 2 --repeats 1",
     ],
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],

@@ -1,10 +1,11 @@
-"""What training costs, in five tables.
+"""What training costs, in six tables.
 
     python benchmarks/speed/training.py rates [--tasks object_search ...] [--method infogoal] [--seeds 1 16 128]
     python benchmarks/speed/training.py size [--tasks object_search fetch_reach ...] [--method infogoal] [--seeds 1 16]
     python benchmarks/speed/training.py methods [--tasks object_search] [--methods vae her ...] [--out FILE.json]
     python benchmarks/speed/training.py goals [--goals 24 324 6384] [--rows her leo head ...] [--out FILE.json]
     python benchmarks/speed/training.py devices [--tasks object_search] [--method infogoal] [--seeds 16]
+    python benchmarks/speed/training.py evaluating [--tasks fetch_pick_and_place] [--method infogoal] [--seeds 16]
 
 rates: environment steps alone, and fused training, for several seeds side by side, compile time apart; `one seed's
 time` says how much longer the sweep takes than one seed alone.
@@ -21,6 +22,10 @@ preset's updates; the fastest of some repeats after one that is not counted, com
 devices: an epoch of so many seeds on one device, and of as many on each of all devices, as `infogoal train` spreads
 them. Efficiency is the first time over the second.
 
+evaluating: what an evaluation costs beside collecting and learning of an epoch, from the preset's number of start
+states and from one; and how much of it is needed: after the preset's training, how far success on test goals strays
+when it is measured from fewer of `STARTS` start states of each goal, beside how far seeds differ.
+
 goals: the cost of an update under all goals, beside HER's: object search with its goals repeated to so many. `every
 goal` gives each transition every goal in turn, one pass of the universal value function for each: what learning from
 all goals would cost without a head for it. `subset` draws 256 goals for each update. Goals are texts here; goals that
@@ -28,6 +33,7 @@ are images cost more to encode.
 """
 
 import argparse
+import functools
 import json
 import time
 from pathlib import Path
@@ -45,10 +51,12 @@ from infogoal_jax.runner.distributed import epochs_over_seeds, over_seeds, shard
 from infogoal_jax.runner.memory import bytes_of
 from infogoal_jax.runner.sweep import side_by_side
 from infogoal_jax.train.evaluation import random_policy
-from infogoal_jax.train.experience import experience_of
+from infogoal_jax.train.experience import collect_epoch, experience_of
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.update import updates
 
+STARTS = 40
+"""Start states of each goal from which the trained policies are evaluated."""
 SIZES = {"num_epochs": 1, "epochs_per_evaluation": 1}
 ROWS = {
     "her": ("her", {}),
@@ -246,6 +254,56 @@ def print_methods(arguments) -> dict:
     return found
 
 
+def print_evaluating(arguments) -> None:
+    """The tables of what evaluation costs and of what it is needed for."""
+    for task in arguments.tasks:
+        config, seeds = presets.load(task, arguments.method), arguments.seeds[0]
+        train = make_train(config)
+        hyper, env = config.hyper, train.env
+        keys = jax.random.split(jax.random.key(0), seeds)
+
+        def collecting(state, hyper, env, train=train):
+            return state if env.recorded is not None else collect_epoch(train.setup(hyper, env), state, 0)[0]
+
+        def learning(state, hyper, env, train=train):
+            setup = train.setup(hyper, env)
+            experience, state = experience_of(setup, state, 0)
+            return updates(setup, experience, state, state.key, train.config.updates_per_epoch)[0]
+
+        def training(key, hyper, env, train=train):
+            numbers = jnp.arange(train.config.num_epochs, dtype=jnp.int32)
+            return train.epochs(train.initial(key, hyper, env), numbers, hyper, env)[0]
+
+        def evaluating(state, hyper, env, starts, train=train):
+            return train.evaluate(state.params, hyper, env, starts)
+
+        def over(function, **fixed):
+            return jax.vmap(functools.partial(function, **fixed), in_axes=(0, None, None))
+
+        program, _ = timed_compilation(over(training), keys, hyper, env)
+        states, whole = timed(program, keys, hyper, env)
+        parts = {"collecting": over(collecting), "learning": over(learning)}
+        starts = dict.fromkeys((1, config.evaluation_starts, STARTS))
+        parts |= {f"evaluating, {count} starts": over(evaluating, starts=count) for count in starts}
+        found, milliseconds = {}, {}
+        for name, part in parts.items():
+            program, _ = timed_compilation(part, states, hyper, env)
+            found[name], _ = timed(program, states, hyper, env)
+            milliseconds[name] = 1000 * min(timed(program, states, hyper, env)[1] for _ in range(arguments.repeats))
+        print(f"{task}, {seeds} seeds, {config.num_epochs} epochs without evaluations: {whole:.1f} s\n")
+        print("| an epoch's | ms |\n|---|---|")
+        print("\n".join(f"| {name} | {value:.1f} |" for name, value in milliseconds.items()), flush=True)
+        first = np.asarray(found[f"evaluating, {STARTS} starts"]["first_reached"])
+        mask = np.asarray(env.goals.test_mask)[np.asarray(env.goals.evaluated)]
+        reached = (first <= env.episode_length)[:, mask].mean(1)  # [seeds, STARTS]
+        print(f"\nTest goals reached: {reached.mean():.3f}\n\n| starts | strays by | seeds differ by |\n|---|---|---|")
+        for count in (1, 2, 5, 10, 20):
+            of_starts = reached.reshape(seeds, STARTS // count, count).mean(-1)
+            strays, differ = (float(of_starts.std(axis, ddof=1).mean()) for axis in (1, 0))
+            print(f"| {count} | {strays:.3f} | {differ:.3f} |", flush=True)
+        print(flush=True)
+
+
 def print_goals(arguments) -> list[dict]:
     """The table of learning under all goals; returns its numbers."""
     sizes = SIZES | {"updates_per_epoch": arguments.updates}
@@ -270,6 +328,7 @@ TABLES = {
     "methods": print_methods,
     "goals": print_goals,
     "devices": print_devices,
+    "evaluating": print_evaluating,
 }
 
 
@@ -278,7 +337,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", choices=TABLES)
     parser.add_argument("--tasks", nargs="+", choices=presets.TASKS, default=["object_search"])
-    parser.add_argument("--method", default="infogoal", help="of rates, size and devices")
+    parser.add_argument("--method", default="infogoal", help="of all tables but methods and goals")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="side by side; rates and size take several")
     parser.add_argument("--repeats", type=int, default=3)
     methods = [name for name in presets.METHODS if name != "none"]

@@ -1,10 +1,12 @@
 """Equal noise at test: what is compared with what, and that test goals choose nothing."""
 
+import json
 import time
 
 import hand_made
 import pytest
 
+from infogoal_jax.errors import UserError
 from infogoal_jax.stopping import stop_on_signal
 from infogoal_paper import batches, noise, noise_numbers, trial_numbers, tuning
 from infogoal_paper.noise_numbers import EPSILONS, Numbers
@@ -184,3 +186,30 @@ def test_a_reading_is_compared_with_the_preset_on_the_same_data_sets_and_seeds()
         "| preset | -/-/-/0.50/- | -/-/-/0.30/- |",
         "| all goals desired | -/-/-/**0.71**/- | -/-/-/0.30/- |",
     ]
+
+
+def test_a_clean_choice_is_the_best_of_the_drawn_settings_and_a_final_decides(tmp_path, monkeypatch):
+    """The preset, trial 0, is never it, nor is a setting with a seed that diverged before one without."""
+
+    def search(name: str, *trials: tuple[int, float, list[int]]) -> dict:
+        ran = [
+            {"trial": number, "values": {"discount": number / 100}, "success": [[0.0], [score]], "diverged": diverged}
+            for number, score, diverged in trials
+        ]
+        return {"search": name, "trials": ran}
+
+    searches = [
+        search("object_search/her", (0, 0.1, []), (9, 0.9, [])),
+        search("clean/object_search/her", (0, 0.9, []), (3, 0.5, []), (4, 0.6, []), (5, 0.7, [1000])),
+        search("clean/object_search/her/final", (0, 0.9, []), (4, 0.3, []), (3, 0.4, [])),
+        search("clean/object_search/vae", (0, 0.9, []), (3, 0.5, []), (4, 0.6, []), (5, 0.7, [1000])),
+    ]
+    path = tmp_path / "tuning.jsonl.gz"
+    trial_numbers.write_compressed(path, "".join(json.dumps(each) + "\n" for each in searches))
+    choices = tuning.clean_choices("object_search", path)
+    assert choices == {"her": {"discount": 0.03}, "vae": {"discount": 0.04}}
+    monkeypatch.setattr(tuning, "clean_choices", lambda task: choices)
+    run = noise.run_of("object_search+read", "her@clean", 7, toy=False)
+    assert dict(run.lane.values) == choices["her"] and run.relabelling is None and run.method == "her"
+    with pytest.raises(UserError, match="no clean search"):
+        noise.run_of("object_search+read", "gcb+her@clean", 7, toy=False)
