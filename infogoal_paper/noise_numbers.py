@@ -470,6 +470,38 @@ def difference_table(
     return markdown_lines(["test goals of", "difference", *rules], rows)
 
 
+CLEAN_READ = "object_search+read"
+"""Where settings that were chosen again are run."""
+CLEAN_PAIRS = tuple(tuple(f"{method}@clean" for method in pair) for pair in PAIRS)
+
+
+def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
+    """A row for each method whose settings were chosen again: floats of the preset and those chosen, success on
+    validation goals in the final, and on test goals of houses that no choice has seen, each at its own best noise."""
+    fields = ("learning_rate", "discount", "target_rate", "learner_weight", "intrinsic_weight", "learner.beta")
+    rows = []
+    for method, title in METHODS.items():
+        final = searches.get(f"{tuning.CLEAN}/object_search/{method}/final")
+        if final is None:
+            continue
+        today, again = tuning.trial_of(final, 0), tuning.drawn_best(final)
+        values = [
+            f"{today['values'][field]:g} → {again['values'][field]:g}" if field in again["values"] else ""
+            for field in fields
+        ]
+        validation = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (today, again)]
+        test = ["", ""]
+        if numbers.has(CLEAN_READ, f"{method}@clean"):
+            found = [
+                numbers.success(task, name, numbers.best(task, name))
+                for task, name in (("object_search", method), (CLEAN_READ, f"{method}@clean"))
+            ]
+            test = [f"{np.mean(list(each.values())):.2f}" for each in found]
+        rows.append([title, *values, " → ".join(validation), " → ".join(test) if any(test) else ""])
+    names = ("learning rate", "discount", "target rate", "learner weight", "intrinsic weight", "beta")
+    return markdown_lines(["method", *names, "validation goals", "test goals"], rows)
+
+
 def carries_on_fetch(numbers: Numbers) -> str:
     """A row for each method with and without the head on Fetch: success greedy, at `SAME` and at its own best."""
     columns = [(task, kind) for task in HELD_OUT_FETCH for kind in ("test", "corrupted_test")]
@@ -589,6 +621,11 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if ran & set(HELD_OUT_FETCH):
         shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[1:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
+    searches = tuning.load(tuning.NUMBERS)
+    if any(name.startswith(tuning.CLEAN) for name in searches):
+        beside |= {"clean": clean_table(numbers, searches)}
+    if numbers.has(CLEAN_READ, CLEAN_PAIRS[0][0]):
+        beside |= {"clean_differences": difference_table(numbers, [CLEAN_READ], CLEAN_PAIRS)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),

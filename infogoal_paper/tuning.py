@@ -185,6 +185,11 @@ def merge(folder: Path, path: Path) -> list[str]:
     return list(new)
 
 
+def trial_of(search: Search, number: int) -> dict[str, Any]:
+    """The trial of this number."""
+    return next(trial for trial in search["trials"] if trial["trial"] == number)
+
+
 def drawn_best(search: Search) -> dict[str, Any]:
     """The best trial of a search or final but for the preset, compared as `infogoal_jax.runner.search` does: seeds that
     did not diverge, success at the end, success before."""
