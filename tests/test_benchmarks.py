@@ -3,6 +3,7 @@ ours, or what others recorded, are named with what they need; their help is aske
 
 Benchmarks have the sizes of presets: here `presets.load` gives small ones, whatever they ask for."""
 
+import json
 import runpy
 import sys
 
@@ -30,6 +31,7 @@ RUN = {
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],
     "speed/before_and_after.py": [f"{ROOT} --rounds 1 --epochs 2 --repeats 1"],
+    "speed/success.py": ["run after object_search infogoal --seeds 2 --out {tmp}"],
     "speed/dataset_loading.py": ["--scenes 2 --image-width 32"],
     "speed/fetch.py": ["--tasks fetch_reach --batch 2", "--tasks fetch_reach --images --seeds 1 --updates 2"],
     "speed/first_steps.py": ["--only help"],
@@ -77,6 +79,17 @@ def test_bytes_are_those_of_arrays_and_of_the_parts_that_are_taken(monkeypatch):
     kernels = update_bytes.Program(jax.jit(loop).lower(*shapes).compile().as_text()).largest_loop()
     assert 3 * 4000 <= sum(size for _, size in kernels) / 7 <= 3 * 4000 + 100
     assert update_bytes.bytes_of_shape("(f32[2,3]{1,0}, s8[4], pred[])") == 24 + 4 + 1
+
+
+def test_success_is_compared_seed_by_seed(monkeypatch, capsys, tmp_path):
+    for label, values in (("before", [0.5, 0.7]), ("after", [0.6, 0.9])):
+        runs = {"label": label, "task": "object_search", "method": "infogoal", "seeds": 2, "updates": 10_000}
+        runs["success"] = {"test_goal/success_rate": [[0.0, value] for value in values]}
+        (tmp_path / f"success_{label}.json").write_text(json.dumps(runs))
+    monkeypatch.setattr(sys, "argv", ["success.py", "compare", str(tmp_path)])
+    runpy.run_path(str(ROOT / "benchmarks" / "speed" / "success.py"), run_name="__main__")
+    row = "| object_search | infogoal | 2 | 10,000 | test | 0.600 | 0.750 | 0.150 ± 0.635 |"
+    assert row in capsys.readouterr().out
 
 
 def test_every_benchmark_is_run_or_says_what_it_needs():

@@ -1,0 +1,94 @@
+"""Is success the same after a change? Whole runs of presets, by an earlier checkout and by this one.
+
+    python benchmarks/speed/success.py run before object_search infogoal --seeds 5 --checkout FOLDER --out RUNS
+    python benchmarks/speed/success.py run after object_search infogoal --seeds 5 --out RUNS
+    python benchmarks/speed/success.py compare RUNS
+
+run: trains the seeds 0, 1, ... of a preset side by side, and keeps success of each at every evaluation, in a file of
+RUNS; --checkout: with the package in this folder. A method may name a relabelling, `infogoal+her`. compare: success on
+test goals at the last evaluation of both, and the difference with its 95 % interval, seeds paired, for every task that
+RUNS has twice.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Train, and keep what came of it. What it imports is of the checkout that was asked for."""
+    if arguments.checkout is not None:
+        sys.path.insert(0, str(arguments.checkout.resolve()))
+    import jax
+    import numpy as np
+
+    from infogoal_jax import make_train, presets
+    from infogoal_jax.report.statistics import describe_machine
+    from infogoal_jax.runner.compilation import compiler_options
+
+    learner, _, relabelling = arguments.method.partition("+")
+    config = presets.load(arguments.task, learner, relabelling=relabelling or None)
+    train = make_train(config)
+    keys = jax.vmap(jax.random.key)(np.arange(arguments.seeds))
+    over = jax.vmap(lambda key, hyper, env: train(key, hyper, env).metrics, in_axes=(0, None, None))
+    program = jax.jit(over, compiler_options=compiler_options()).lower(keys, config.hyper, train.env).compile()
+    started = time.perf_counter()
+    metrics = jax.block_until_ready(program(keys, config.hyper, train.env))
+    values = {name: np.asarray(value) for name, value in metrics.items() if name.endswith("success_rate")}
+    found = {
+        **{name: getattr(arguments, name) for name in ("label", "task", "method", "seeds")},
+        "updates": config.num_epochs * config.updates_per_epoch,
+        "seconds": time.perf_counter() - started,
+        "machine": describe_machine(),
+        "success": {name: value.reshape(arguments.seeds, -1).round(4).tolist() for name, value in values.items()},
+    }
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / f"success_{arguments.label}_{arguments.task}.json").write_text(json.dumps(found) + "\n")
+    print(f"{arguments.label}, {arguments.task}: {found['seconds']:.0f} s")
+
+
+def compare(arguments: argparse.Namespace) -> None:
+    """Print the table."""
+    from infogoal_jax.report.statistics import paired_difference
+
+    found: dict[str, dict[str, dict]] = {}
+    for path in sorted(arguments.runs.glob("success_*.json")):
+        runs = json.loads(path.read_text())
+        found.setdefault(runs["task"], {})[runs["label"]] = runs
+    print(
+        "| task | method | seeds | updates | goals | before | after | difference |\n|---|---|---|---|---|---|---|---|"
+    )
+    for task, both in found.items():
+        if both.keys() < {"before", "after"}:
+            continue
+        before, after = both["before"], both["after"]
+        for goals in ("test_goal", "corrupted_test_goal"):
+            name = f"{goals}/success_rate"
+            if name in before["success"]:
+                first, last = ([row[-1] for row in each["success"][name]] for each in (before, after))
+                means = " | ".join(f"{sum(each) / len(each):.3f}" for each in (first, last))
+                words = f"| {task} | {after['method']} | {after['seeds']} | {after['updates']:,} | "
+                kind = goals.removesuffix("_goal").replace("_", " ")
+                print(f"{words}{kind} | {means} | {paired_difference(last, first).show(3)} |")
+
+
+def main() -> None:
+    """Run one side, or print the table of both."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    one = commands.add_parser("run")
+    one.add_argument("label", choices=("before", "after"))
+    one.add_argument("task")
+    one.add_argument("method")
+    one.add_argument("--seeds", type=int, default=5)
+    one.add_argument("--checkout", type=Path)
+    one.add_argument("--out", type=Path, required=True)
+    commands.add_parser("compare").add_argument("runs", type=Path)
+    arguments = parser.parse_args()
+    {"run": run, "compare": compare}[arguments.command](arguments)
+
+
+if __name__ == "__main__":
+    main()
