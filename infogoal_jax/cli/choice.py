@@ -13,6 +13,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from infogoal_jax.cli.commands import Command, Group, TaskCommands, first_word, named
+from infogoal_jax.cli.mistakes import parsed
 from infogoal_jax.errors import UserError, nearest
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def with_environment(arguments: list[str]) -> list[str]:
 def read_choice(arguments: list[str], prog: str) -> tuple[str, Choice]:
     """The task, which is the first word or left out, and what the flags choose."""
     task = first_word(arguments)
-    choice, _ = tyro.cli(Choice, prog=prog, args=arguments[bool(task) :], return_unknown_args=True, add_help=False)
+    choice, _ = parsed(Choice, prog, arguments[bool(task) :], return_unknown_args=True, add_help=False)
     return task, choice
 
 

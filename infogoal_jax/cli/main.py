@@ -16,6 +16,7 @@ from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.commands import Command, Group, check_names, first_word, help_of, mistake_of, type_of
 from infogoal_jax.cli.data import DATA
 from infogoal_jax.cli.export import export
+from infogoal_jax.cli.mistakes import parsed
 from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
@@ -87,22 +88,24 @@ def run(arguments: list[str]) -> int:
     if arguments[0] in ("-h", "--help"):
         print(overview(command.commands, min(shutil.get_terminal_size().columns, 100)))
         raise SystemExit(0)
-    words = ["infogoal"]
+    words, task = ["infogoal"], ""
     if arguments[0] in CHECKS:
         CHECKS[arguments[0]](arguments)
     if arguments[0] in BY_TASK:
         words.append(arguments[0])
-        command, arguments, registry = BY_TASK[arguments[0]](with_environment(arguments[1:]))
+        arguments = with_environment(arguments[1:])
+        task = first_word(arguments)
+        command, arguments, registry = BY_TASK[words[-1]](arguments)
         check_names(command, arguments, f"{words[-1]} ")
     while isinstance(command, Group) and first_word(arguments) in command.commands:
         word, *arguments = arguments
-        words.append(word)
+        words.append(task or word)
         command = command.commands[word]
-    return tyro.cli(
+    return parsed(
         type_of(command) if isinstance(command, Group) else command,
-        prog=" ".join(words),  # All of them, so that what is said about a mistake names this command's help.
+        " ".join(words),  # All of them, so that what is said about a mistake names this command's help.
+        arguments,
         description=help_of(command),
-        args=arguments,
         registry=registry,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
     )
