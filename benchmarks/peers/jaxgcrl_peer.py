@@ -3,12 +3,15 @@ against seconds and steps, steps and updates a second.
 
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
-        [--steps 2000000] [--evaluations 10] [--sides ours theirs] [--budget 540]
-    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json [MORE.json]
+        [--steps 2000000] [--evaluations 10] [--sides ours theirs] [--budget 540] [--first-seed 0] [--rounds 10]
+    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json [MORE.json] [--times TIMES.json]
 
 What is in RESULTS.json already is not run again, so that several calls fill one table. Once the budget, in seconds, is
-spent no program is begun, and JaxGCRL's stops at its next evaluation. `--toy` is a size for a CPU, which checks that
-everything runs.
+spent no program is begun, and those that run stop at their next evaluation, as after `--rounds` of them. `--toy` is a
+size for a CPU, which checks that everything runs.
+
+Programs that share a GPU say nothing about speed. TIMES.json then has a few rounds of each that ran alone: its seconds
+for a round stand in the table in the place of the others'.
 
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
@@ -30,17 +33,19 @@ import time
 import types
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from infogoal_jax import envs, make_train, presets, use_compilation_cache
+from infogoal_jax import envs, jit, make_train, presets, use_compilation_cache
 from infogoal_jax.bridges.brax import brax_training
 from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl, jaxgcrl_environment
 from infogoal_jax.errors import UserError
 from infogoal_jax.report.statistics import describe_machine, mean_interval
+from infogoal_jax.runner.compilation import chunk_of
 
 SUCCESS = 0.5
 """The success that seconds are counted to."""
@@ -54,6 +59,8 @@ class Sizes:
     steps: int
     """Environment steps of a seed, at least."""
     evaluations: int = 10
+    rounds: int = 10**9
+    """Evaluations after which a program stops, at most."""
     num_envs: int = 256
     """Environments of JaxGCRL; ours has fewer and longer rows, of as many steps in all, within which hindsight looks
     ahead."""
@@ -123,8 +130,9 @@ class Outcome:
         return self.seconds[enough[0]] / self.side_by_side if enough.size else float("nan")
 
 
-def ours(task: str, agent: str, sizes: Sizes, seeds: int) -> Outcome:
-    """Train so many seeds of one of our agents side by side."""
+def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
+    """Train so many seeds of one of our agents side by side, compiled as `infogoal train` does, until their end or the
+    first evaluation after the deadline, in seconds of `time.perf_counter`."""
     num_goals = sizes.num_eval // 2
     task_env = envs.from_jaxgcrl(
         task, episode_length=sizes.episode_length, ends_at_goal=agent != "crl", num_evaluated=num_goals
@@ -153,25 +161,30 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int) -> Outcome:
     keys = jax.vmap(jax.random.key)(jnp.arange(seeds, dtype=jnp.uint32))
 
     started = time.perf_counter()
-    state = jax.jit(jax.vmap(train.initial, (0, None, None)))(keys, config.hyper, train.env)
+    shared = (config.hyper, train.env)
+    initial = jit(jax.vmap(train.initial, (0, None, None)))
     numbers = jnp.arange(config.num_epochs, dtype=jnp.int32).reshape(-1, per_evaluation)
-    advance = jax.jit(jax.vmap(train.epochs, (0, None, None, None)), donate_argnums=0)
-    advance = advance.lower(state, numbers[0], config.hyper, train.env).compile()
-    evaluate = jax.jit(jax.vmap(train.evaluation, (0, None, None)))
-    evaluate = evaluate.lower(state, config.hyper, train.env).compile()
-    jax.block_until_ready(state)
+    chunk = chunk_of(jax.vmap(train.epochs, (0, None, None, None)), jax.vmap(train.evaluation, (0, None, None)))
+    traced = chunk.trace(jax.eval_shape(initial, keys, *shared), numbers[0], *shared)
+    with ThreadPoolExecutor() as pool:
+        programs = [pool.submit(lambda program: program.lower().compile(), program) for program in traced]
+        state = jax.block_until_ready(initial(keys, *shared))
+    advance, evaluate = (program.result() for program in programs)
     compiling = time.perf_counter() - started
 
     seconds, steps, success = [0.0], [], []
-    for chunk in numbers:
+    report("ours", task, agent, 0, compiling, float("nan"))
+    for epochs in numbers[: sizes.rounds]:
         started = time.perf_counter()
-        state, _ = jax.block_until_ready(advance(state, chunk, config.hyper, train.env))
+        state, _ = jax.block_until_ready(advance(state, epochs, *shared))
         seconds.append(seconds[-1] + time.perf_counter() - started)
-        metrics = jax.device_get(evaluate(state, config.hyper, train.env))
+        metrics = jax.device_get(evaluate(state, *shared))
         steps.append(float(np.mean(metrics["env_steps"])))
         success.append((metrics["first_reached"] <= sizes.episode_length).mean((1, 2)).tolist())
         report("ours", task, agent, steps[-1], seconds[-1], np.mean(success[-1]))
-    updates = config.num_epochs * config.updates_per_epoch
+        if time.perf_counter() > deadline:
+            break
+    updates = len(steps) * per_evaluation * config.updates_per_epoch
     curves = np.transpose(success).tolist()
     return Outcome(task, agent, "ours", describe_machine(), steps, seconds[1:], curves, seeds, updates, compiling)
 
@@ -269,7 +282,8 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> O
         walls.append(float(metrics["training/walltime"]))
         success.append(float(metrics["eval/episode_success_any"]))
         report("theirs", task, agent, steps[-1], walls[-1], success[-1])
-        if time.perf_counter() > deadline and len(steps) > 1:  # The second round is the first that does not compile.
+        enough = time.perf_counter() > deadline or len(steps) >= sizes.rounds
+        if enough and len(steps) > 1:  # The second round is the first that does not compile.
             raise BudgetSpentError
 
     started = time.perf_counter()
@@ -325,13 +339,26 @@ def joined(outcomes: list[Outcome]) -> Outcome:
     )
 
 
+def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
+    """The outcome with the seconds a round, and those of compiling, of the programs that ran alone, where there are
+    some."""
+    found = [
+        each for each in alone if (each.task, each.agent, each.side) == (outcome.task, outcome.agent, outcome.side)
+    ]
+    if not found:
+        return outcome
+    rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) for each in found])
+    seconds = float(np.median(rounds)) * np.arange(1, len(outcome.steps) + 1)
+    return dataclasses.replace(outcome, seconds=seconds.tolist(), machine=found[0].machine)
+
+
 def read(path: Path) -> list[Outcome]:
     """The outcomes that a file holds; none where there is no file."""
     return [Outcome(**each) for each in json.loads(path.read_text())] if path.exists() else []
 
 
-def print_table(outcomes: list[Outcome]) -> None:
-    """Print a row for each side, and what ours does for theirs as ratios."""
+def print_table(outcomes: list[Outcome], alone: list[Outcome]) -> None:
+    """Print a row for each side, and what ours does for theirs as ratios. alone: of which the seconds are taken."""
     print(
         "| task | agent | program | seeds | success at the end | steps/s | updates/s | "
         f"s to {SUCCESS} (a seed) | compiling (s) |"
@@ -343,7 +370,7 @@ def print_table(outcomes: list[Outcome]) -> None:
     for (task, agent), both in sides.items():
         measured = {}
         for side, found in both.items():
-            outcome = joined(found)
+            outcome = timed_alone(joined(found), alone)
             measured[side] = (
                 outcome.steps_per_second(),
                 outcome.updates_per_second(),
@@ -372,18 +399,24 @@ def main() -> None:
     parser.add_argument("--agents", nargs="+", default=["crl", "sac", "td3"], choices=["crl", "sac", "td3"])
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first-seed", type=int, default=0, help="of theirs; ours begin with 0")
+    parser.add_argument("--rounds", type=int, default=Sizes.rounds, help="evaluations of a program, at most")
+    parser.add_argument(
+        "--times", type=Path, nargs="+", default=[], help="of --table: results of programs that ran alone"
+    )
     parser.add_argument("--steps", type=int, default=2_000_000)
     parser.add_argument("--evaluations", type=int, default=10)
     parser.add_argument("--budget", type=float, default=float("inf"))
     parser.add_argument("--toy", action="store_true")
     words = parser.parse_args()
     if words.table is not None:
-        print_table([outcome for path in words.table for outcome in read(path)])
+        print_table(*([outcome for path in paths for outcome in read(path)] for paths in (words.table, words.times)))
         return
     if words.out is None:
         parser.error("--out: give the file of the results")
     use_compilation_cache()
     sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
+    sizes = dataclasses.replace(sizes, rounds=words.rounds)
     deadline = time.perf_counter() + words.budget
     outcomes = read(words.out)
 
@@ -393,28 +426,28 @@ def main() -> None:
             for agent in words.agents:
                 if "ours" in words.sides:
                     yield task, agent, "ours", 0
-        for seed in range(words.seeds if "theirs" in words.sides else 0):
+        for seed in range(words.first_seed, words.first_seed + (words.seeds if "theirs" in words.sides else 0)):
             for task in words.tasks:
                 for agent in words.agents:
                     yield task, agent, "theirs", seed
 
     for task, agent, side, seed in runs():
         done = sum((each.task, each.agent, each.side) == (task, agent, side) for each in outcomes)
-        if done > seed:
+        if done > (seed - words.first_seed if side == "theirs" else 0):
             continue
         if time.perf_counter() > deadline:
             print("the budget is spent; the same command goes on", file=sys.stderr)
             break
         try:
             if side == "ours":
-                found = ours(task, agent, sizes, words.seeds)
+                found = ours(task, agent, sizes, words.seeds, deadline)
             else:
                 found = theirs(task, agent, sizes, seed, deadline)
         except UserError as error:
             parser.error(str(error))
         outcomes.append(found)
         words.out.write_text(json.dumps([dataclasses.asdict(each) for each in outcomes]))
-    print_table(outcomes)
+    print_table(outcomes, [])
 
 
 if __name__ == "__main__":
