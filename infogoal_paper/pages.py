@@ -18,6 +18,7 @@ them is replaced by what the numbers of the source give. Sources:
     positions Fetch with continuous goals, positions.py, in positions.csv.gz, transfer.jsonl and
               sb3_her/reference.csv.gz
     continuous the studies of docs/research/continuous_goals.md, continuous.py, in continuous.json.gz
+    jaxgcrl   our agents beside JaxGCRL, jaxgcrl.py, in jaxgcrl.json.gz
 
 --take puts into the last two, in place of what was there, what FOLDER has of flights.json and faults.json of the
 scripts, numbers.csv of benchmarks/peers/fetch_sb3_her.py and evaluations.csv of `infogoal pretrain fetch_reach`.
@@ -45,6 +46,7 @@ from infogoal_paper import (
     all_goals,
     choices,
     continuous,
+    jaxgcrl,
     noise_numbers,
     numbers,
     positions,
@@ -303,6 +305,7 @@ SOURCES: dict[str, Callable[[], dict[str, str]]] = {
     "drone": lambda: drone_tables(drone_numbers()),
     "positions": positions.tables,
     "continuous": continuous.tables,
+    "jaxgcrl": jaxgcrl.tables,
 }
 """The tables of each source, by name; none where it has no numbers yet."""
 

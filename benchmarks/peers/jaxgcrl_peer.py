@@ -4,14 +4,11 @@ against seconds and steps, steps and updates a second.
     pip install --no-deps jaxgcrl
     python benchmarks/peers/jaxgcrl_peer.py --out RESULTS.json [--tasks reacher ant] [--agents td3 sac crl] [--seeds 5]
         [--steps 2000000] [--evaluations 10] [--sides ours theirs] [--budget 540] [--first-seed 0] [--rounds 10]
-    python benchmarks/peers/jaxgcrl_peer.py --table RESULTS.json [MORE.json] [--times TIMES.json]
+    python -m infogoal_paper.jaxgcrl RESULTS.json ...    # the table
 
 What is in RESULTS.json already is not run again, so that several calls fill one table. Once the budget, in seconds, is
 spent no program is begun, and those that run stop at their next evaluation, as after `--rounds` of them. `--toy` is a
 size for a CPU, which checks that everything runs.
-
-Programs that share a GPU say nothing about speed. TIMES.json then has a few rounds of each that ran alone: its seconds
-for a round stand in the table in the place of the others'.
 
 The environments are JaxGCRL's, with episodes of 1,001 steps. Both sides have batches of 256, an update for every 16
 steps, a discount of 0.99 and two hidden layers of 256. JaxGCRL has its own defaults otherwise, with hindsight for TD3
@@ -44,11 +41,10 @@ from infogoal_jax import envs, jit, make_train, presets, use_compilation_cache
 from infogoal_jax.bridges.brax import brax_training
 from infogoal_jax.envs.adapters import JAXGCRL, import_jaxgcrl, jaxgcrl_environment
 from infogoal_jax.errors import UserError
-from infogoal_jax.report.statistics import describe_machine, mean_interval
+from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.runner.compilation import chunk_of
+from infogoal_paper.jaxgcrl import Outcome, load
 
-SUCCESS = 0.5
-"""The success that seconds are counted to."""
 STEPS_PER_UPDATE = 16
 
 
@@ -93,41 +89,6 @@ TOY = Sizes(
     our_envs=4,
     our_steps=20,
 )
-
-
-@dataclasses.dataclass
-class Outcome:
-    """What a side did: a curve for each seed, [seeds][evaluations]."""
-
-    task: str
-    agent: str
-    side: str
-    machine: str
-    steps: list[float]
-    """Environment steps of a seed at each evaluation."""
-    seconds: list[float]
-    """Seconds of training of the seeds that ran side by side, at each evaluation."""
-    success: list[list[float]]
-    """Of each seed at each evaluation."""
-    side_by_side: int
-    """Seeds that shared the seconds."""
-    updates: int
-    """Of a seed, in all."""
-    compiling: float
-    """Seconds to trace and compile; NaN where they are not known apart."""
-
-    def steps_per_second(self) -> float:
-        """Environment steps of all seeds a second of training, updates included."""
-        return self.side_by_side * self.steps[-1] / self.seconds[-1]
-
-    def updates_per_second(self) -> float:
-        """Updates of all seeds a second of training, environment steps included."""
-        return self.side_by_side * self.updates / self.seconds[-1]
-
-    def seconds_to_success(self) -> float:
-        """Seconds a seed to the first evaluation with a mean success of `SUCCESS`; NaN if there is none."""
-        enough = np.flatnonzero(np.mean(self.success, 0) >= SUCCESS)
-        return self.seconds[enough[0]] / self.side_by_side if enough.size else float("nan")
 
 
 def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Outcome:
@@ -186,7 +147,7 @@ def ours(task: str, agent: str, sizes: Sizes, seeds: int, deadline: float) -> Ou
             break
     updates = len(steps) * per_evaluation * config.updates_per_epoch
     curves = np.transpose(success).tolist()
-    return Outcome(task, agent, "ours", describe_machine(), steps, seconds[1:], curves, seeds, updates, compiling)
+    return Outcome(task, agent, "ours", describe_machine(), 0, steps, seconds[1:], curves, seeds, updates, compiling)
 
 
 @contextlib.contextmanager
@@ -307,6 +268,7 @@ def theirs(task: str, agent: str, sizes: Sizes, seed: int, deadline: float) -> O
         agent,
         "theirs",
         describe_machine(),
+        seed,
         steps,
         seconds.tolist(),
         [success],
@@ -325,100 +287,26 @@ def report(side: str, task: str, agent: str, steps: float, seconds: float, succe
     )
 
 
-def joined(outcomes: list[Outcome]) -> Outcome:
-    """Seeds that ran one after the other as one outcome, as far as the shortest of them went: seconds are the mean of a
-    seed."""
-    first, count = outcomes[0], min(len(each.steps) for each in outcomes)
-    return dataclasses.replace(
-        first,
-        steps=first.steps[:count],
-        seconds=np.mean([each.seconds[:count] for each in outcomes], 0).tolist(),
-        success=[curve[:count] for each in outcomes for curve in each.success],
-        updates=first.updates * count // len(first.steps),
-        compiling=float(np.mean([each.compiling for each in outcomes])),
-    )
-
-
-def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
-    """The outcome with the seconds a round, and those of compiling, of the programs that ran alone, where there are
-    some."""
-    found = [
-        each for each in alone if (each.task, each.agent, each.side) == (outcome.task, outcome.agent, outcome.side)
-    ]
-    if not found:
-        return outcome
-    rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) for each in found])
-    seconds = float(np.median(rounds)) * np.arange(1, len(outcome.steps) + 1)
-    return dataclasses.replace(outcome, seconds=seconds.tolist(), machine=found[0].machine)
-
-
-def read(path: Path) -> list[Outcome]:
-    """The outcomes that a file holds; none where there is no file."""
-    return [Outcome(**each) for each in json.loads(path.read_text())] if path.exists() else []
-
-
-def print_table(outcomes: list[Outcome], alone: list[Outcome]) -> None:
-    """Print a row for each side, and what ours does for theirs as ratios. alone: of which the seconds are taken."""
-    print(
-        "| task | agent | program | seeds | success at the end | steps/s | updates/s | "
-        f"s to {SUCCESS} (a seed) | compiling (s) |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
-    sides: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for each in outcomes:
-        sides.setdefault((each.task, each.agent), {}).setdefault(each.side, []).append(each)
-    for (task, agent), both in sides.items():
-        measured = {}
-        for side, found in both.items():
-            outcome = timed_alone(joined(found), alone)
-            measured[side] = (
-                outcome.steps_per_second(),
-                outcome.updates_per_second(),
-                1 / outcome.seconds_to_success(),
-            )
-            final = mean_interval(np.array(outcome.success)[:, -1]).show()
-            speed, updates, inverse = measured[side]
-            print(
-                f"| {task} | {agent} | {side} | {len(outcome.success)} | {final} | {speed:,.0f} | {updates:,.0f} | "
-                f"{1 / inverse:.1f} | {outcome.compiling:.0f} |"
-            )
-        if len(measured) == 2:
-            ratios = [
-                f"{mine / other:.1f}x"
-                for mine, other in zip(*(measured[side] for side in ("ours", "theirs")), strict=True)
-            ]
-            print(f"| {task} | {agent} | ours / theirs | | | {ratios[0]} | {ratios[1]} | {ratios[2]} | |")
-
-
 def main() -> None:
-    """Run what is asked for and is not there yet, then print the table."""
+    """Run what is asked for and is not there yet."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--table", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--tasks", nargs="+", default=["reacher", "ant"], choices=list(JAXGCRL))
     parser.add_argument("--agents", nargs="+", default=["crl", "sac", "td3"], choices=["crl", "sac", "td3"])
     parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first-seed", type=int, default=0, help="of theirs; ours begin with 0")
     parser.add_argument("--rounds", type=int, default=Sizes.rounds, help="evaluations of a program, at most")
-    parser.add_argument(
-        "--times", type=Path, nargs="+", default=[], help="of --table: results of programs that ran alone"
-    )
     parser.add_argument("--steps", type=int, default=2_000_000)
     parser.add_argument("--evaluations", type=int, default=10)
     parser.add_argument("--budget", type=float, default=float("inf"))
     parser.add_argument("--toy", action="store_true")
     words = parser.parse_args()
-    if words.table is not None:
-        print_table(*([outcome for path in paths for outcome in read(path)] for paths in (words.table, words.times)))
-        return
-    if words.out is None:
-        parser.error("--out: give the file of the results")
     use_compilation_cache()
     sizes = TOY if words.toy else Sizes(words.steps, words.evaluations)
     sizes = dataclasses.replace(sizes, rounds=words.rounds)
     deadline = time.perf_counter() + words.budget
-    outcomes = read(words.out)
+    outcomes = load([words.out])
 
     def runs() -> Iterator[tuple[str, str, str, int]]:
         """Ours first, then a seed of each of theirs, so that what the budget leaves out are seeds."""
@@ -432,8 +320,7 @@ def main() -> None:
                     yield task, agent, "theirs", seed
 
     for task, agent, side, seed in runs():
-        done = sum((each.task, each.agent, each.side) == (task, agent, side) for each in outcomes)
-        if done > (seed - words.first_seed if side == "theirs" else 0):
+        if any(each.program() == (task, agent, side) and each.seed == seed for each in outcomes):
             continue
         if time.perf_counter() > deadline:
             print("the budget is spent; the same command goes on", file=sys.stderr)
@@ -447,7 +334,6 @@ def main() -> None:
             parser.error(str(error))
         outcomes.append(found)
         words.out.write_text(json.dumps([dataclasses.asdict(each) for each in outcomes]))
-    print_table(outcomes, [])
 
 
 if __name__ == "__main__":

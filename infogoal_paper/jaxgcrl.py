@@ -1,0 +1,160 @@
+"""Our agents beside JaxGCRL's own programs: the results of benchmarks/peers/jaxgcrl_peer.py.
+
+    python -m infogoal_paper.jaxgcrl [FILE ...] [--alone FILE ...]    # put results into docs/results/jaxgcrl.json.gz
+    python -m infogoal_paper.pages jaxgcrl                            # write the table of docs/reference/vectors.md
+
+Programs that share a GPU say nothing about speed. `--alone` names results of a few rounds of each that had the GPU to
+themselves: their seconds for a round stand in the table. What is there already of a program and seed is replaced.
+"""
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterable
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from infogoal_jax.report.statistics import mean_interval
+from infogoal_paper import trial_numbers
+from infogoal_paper.table_formats import markdown_lines
+
+NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
+SUCCESS = 0.5
+"""The success that seconds are counted to."""
+SIDES = ("ours", "theirs")
+
+
+@dataclasses.dataclass
+class Outcome:
+    """What a side did: a curve for each seed, [seeds][evaluations]."""
+
+    task: str
+    agent: str
+    side: str
+    machine: str
+    seed: int
+    """The first of those that ran side by side."""
+    steps: list[float]
+    """Environment steps of a seed at each evaluation."""
+    seconds: list[float]
+    """Seconds of training of the seeds that ran side by side, at each evaluation."""
+    success: list[list[float]]
+    """Of each seed at each evaluation."""
+    side_by_side: int
+    """Seeds that shared the seconds."""
+    updates: int
+    """Of a seed, in all."""
+    compiling: float
+    """Seconds to trace and compile; NaN where they are not known apart."""
+
+    def program(self) -> tuple[str, str, str]:
+        """What ran, without its seed."""
+        return self.task, self.agent, self.side
+
+    def steps_per_second(self) -> float:
+        """Environment steps of all seeds a second of training, updates included."""
+        return self.side_by_side * self.steps[-1] / self.seconds[-1]
+
+    def updates_per_second(self) -> float:
+        """Updates of all seeds a second of training, environment steps included."""
+        return self.side_by_side * self.updates / self.seconds[-1]
+
+    def seconds_to_success(self) -> float:
+        """Seconds a seed to the first evaluation with a mean success of `SUCCESS`; NaN if there is none."""
+        enough = np.flatnonzero(np.mean(self.success, 0) >= SUCCESS)
+        return self.seconds[enough[0]] / self.side_by_side if enough.size else float("nan")
+
+
+def joined(outcomes: list[Outcome]) -> Outcome:
+    """Seeds that ran one after the other as one outcome, as far as the shortest of them went: seconds are the mean of a
+    seed."""
+    first, count = outcomes[0], min(len(each.steps) for each in outcomes)
+    return dataclasses.replace(
+        first,
+        steps=first.steps[:count],
+        seconds=np.mean([each.seconds[:count] for each in outcomes], 0).tolist(),
+        success=[curve[:count] for each in outcomes for curve in each.success],
+        updates=first.updates * count // len(first.steps),
+        compiling=float(np.mean([each.compiling for each in outcomes])),
+    )
+
+
+def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
+    """The outcome with the median seconds of a round of the same program that ran alone, where it did."""
+    found = [each for each in alone if each.program() == outcome.program()]
+    if not found:
+        return outcome
+    rounds = np.concatenate([np.diff(each.seconds, prepend=0.0) for each in found])
+    seconds = float(np.median(rounds)) * np.arange(1, len(outcome.steps) + 1)
+    return dataclasses.replace(outcome, seconds=seconds.tolist(), machine=found[0].machine)
+
+
+def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
+    """A row for each side of a task and agent, and one for what ours does for theirs."""
+    lines = []
+    ordered = sorted(outcomes, key=lambda each: (*each.program(), each.seed))
+    for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
+        sides = {side: timed_alone(joined(list(own)), alone) for side, own in groupby(both, key=lambda each: each.side)}
+        reached = min(each.steps[-1] for each in sides.values())
+        speeds = {}
+        for side, outcome in sides.items():
+            speeds[side] = (outcome.steps_per_second(), outcome.updates_per_second(), 1 / outcome.seconds_to_success())
+            curves, steps = np.array(outcome.success), np.array(outcome.steps)
+            equal = np.abs(steps - reached).argmin()
+            speed, updates, inverse = speeds[side]
+            success = [mean_interval(curves[:, place]).show(2) for place in (-1, equal)]
+            half = "never" if np.isnan(inverse) else f"{1 / inverse:.0f}"
+            numbers = [f"{speed:,.0f}", f"{updates:,.0f}", half, f"{outcome.compiling:.0f}"]
+            lines.append([task, agent, side, str(len(curves)), f"{steps[-1] / 1e6:.2f}", *success, *numbers])
+        if len(sides) == 2:
+            ratios = [a / b for a, b in zip(*(speeds[side] for side in SIDES), strict=True)]
+            shown = ["" if np.isnan(ratio) else f"{ratio:.1f}x" for ratio in ratios]
+            lines.append([task, agent, "ours / theirs", "", "", "", "", *shown, ""])
+    return lines
+
+
+HEAD = ["task", "agent", "program", "seeds", "million steps", "success at the end", "at equal steps"]
+HEAD += ["steps/s", "updates/s", f"s to {SUCCESS} (a seed)", "compiling (s)"]
+
+
+def load(paths: Iterable[Path]) -> list[Outcome]:
+    """The outcomes that these files hold; none where there is no file."""
+    return [Outcome(**each) for path in paths if path.exists() for each in json.loads(path.read_text())]
+
+
+def read() -> dict[str, list[Outcome]]:
+    """What is kept: `beside` each other, and `alone`."""
+    kept = json.loads(trial_numbers.read_text(NUMBERS)) if NUMBERS.exists() else {"beside": [], "alone": []}
+    return {name: [Outcome(**each) for each in outcomes] for name, outcomes in kept.items()}
+
+
+def take(beside: list[Path], alone: list[Path]) -> None:
+    """Put these results into the numbers."""
+    kept = read()
+    for name, files in (("beside", beside), ("alone", alone)):
+        own = {(*each.program(), each.seed): each for each in [*kept[name], *load(files)]}
+        kept[name] = [own[key] for key in sorted(own)]
+    plain = {name: [dataclasses.asdict(each) for each in outcomes] for name, outcomes in kept.items()}
+    trial_numbers.write_compressed(NUMBERS, json.dumps(plain))
+
+
+def tables() -> dict[str, str]:
+    """The table of the page; none without numbers."""
+    kept = read()
+    return {"peers": markdown_lines(HEAD, rows(kept["beside"], kept["alone"]))} if kept["beside"] else {}
+
+
+def main() -> None:
+    """Take what is named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, metavar="FILE")
+    parser.add_argument("--alone", nargs="*", type=Path, default=[], metavar="FILE")
+    arguments = parser.parse_args()
+    take(arguments.files, arguments.alone)
+    print(tables().get("peers", ""))
+
+
+if __name__ == "__main__":
+    main()
