@@ -1,0 +1,53 @@
+"""The table of our agents beside JaxGCRL."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from infogoal_paper import jaxgcrl
+from infogoal_paper.jaxgcrl import Outcome
+
+
+def outcome(side, seed=0, rounds=3, seconds=2.0, seeds=1, success=0.1):
+    """A program whose seeds gain as much success each round of 1,000 steps."""
+    curve = [success * (number + 1) for number in range(rounds)]
+    times = [seconds * (number + 1) for number in range(rounds)]
+    steps = [1000.0 * (number + 1) for number in range(rounds)]
+    return Outcome("ant", "crl", side, "a GPU", seed, steps, times, [curve] * seeds, seeds, 60 * rounds, 50.0)
+
+
+@pytest.fixture
+def numbers(tmp_path, monkeypatch):
+    """Empty numbers."""
+    monkeypatch.setattr(jaxgcrl, "NUMBERS", tmp_path / "jaxgcrl.json.gz")
+
+
+def test_seeds_are_compared_at_the_steps_that_both_sides_made():
+    ours, theirs = outcome("ours", rounds=6, seeds=2), [outcome("theirs", seed, rounds=2) for seed in (0, 1)]
+    mine, other, ratio = jaxgcrl.rows([*theirs, ours], [])
+    assert mine[2:7] == ["ours", "2", "0.01", "0.60 ± 0.00", "0.20 ± 0.00"]
+    assert other[2:7] == ["theirs", "2", "0.00", "0.20 ± 0.00", "0.20 ± 0.00"]
+    # Ours has 0.5 after five rounds of 2 s, which two seeds share.
+    assert mine[7:10] == ["1,000", "60", "5"] and other[7:10] == ["500", "30", "never"]
+    assert ratio[7:10] == ["2.0x", "2.0x", ""]
+
+
+def test_seconds_are_those_of_programs_that_ran_alone():
+    beside, alone = outcome("theirs", seconds=9.0, success=0.3), outcome("theirs", rounds=2, seconds=1.5)
+    timed = jaxgcrl.timed_alone(beside, [alone])
+    np.testing.assert_allclose(timed.seconds, [1.5, 3.0, 4.5])
+    assert timed.success == beside.success
+    assert jaxgcrl.timed_alone(beside, [outcome("ours")]) == beside
+
+
+def test_what_is_taken_again_replaces_what_was_there(numbers, tmp_path):
+    assert jaxgcrl.tables() == {}
+    for number, success in enumerate((0.1, 0.2)):
+        (tmp_path / f"{number}.json").write_text(json.dumps([dataclasses.asdict(outcome("ours", success=success))]))
+    jaxgcrl.take([tmp_path / "0.json"], [])
+    jaxgcrl.take([tmp_path / "1.json"], [tmp_path / "0.json"])
+    kept = jaxgcrl.read()
+    assert [each.success[0][0] for each in kept["beside"]] == [0.2] and len(kept["alone"]) == 1
+    assert "0.60" in jaxgcrl.tables()["peers"]
