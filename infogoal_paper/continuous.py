@@ -26,7 +26,7 @@ from infogoal_jax.report.canvas import (
 )
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import markdown_lines, tight
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 NUMBERS = RESULTS / "continuous.json.gz"
@@ -67,7 +67,7 @@ def take(files: list[Path]) -> None:
 
 def last(setting: Setting, group: str) -> str:
     """Success after the last evaluation, with its interval; nothing where the task has no such goals."""
-    return mean_interval(np.asarray(setting[group])[:, -1]).show(2) if group in setting else ""
+    return tight(mean_interval(np.asarray(setting[group])[:, -1])) if group in setting else ""
 
 
 def error(setting: Setting) -> str:
@@ -131,7 +131,7 @@ def tables() -> dict[str, str]:
             there = methods[reach, name]
             lines["methods"].append([words(each), *of_maze(each), last(there, "test"), solved(there)])
     for each in studies["negatives"]["settings"]:
-        wrong = mean_interval(100 * np.asarray(each["false_negatives"])).show(1)
+        wrong = tight(mean_interval(100 * np.asarray(each["false_negatives"])), 1)
         cells = [wrong, f"{np.mean(each['nearest_negative']):.2f}", f"{each['ms_an_update']:.2f}"]
         rule = each["learner"]["dissimilar_by"]
         lines["negatives"].append([f"`{rule}`", last(each, "validation"), last(each, "test"), *cells])

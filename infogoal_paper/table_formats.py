@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from infogoal_jax.report.statistics import Interval
 from infogoal_paper.scores import TwoIntervals
 
 
@@ -47,6 +48,11 @@ class Table:
 INTERVALS = "95 % interval over seeds / over goal sets"
 WIDER = "the wider of its 95 % intervals over seeds and over goal sets"
 """What stands behind ± in a cell, and in a short one."""
+
+
+def tight(interval: Interval, decimals: int = 2) -> str:
+    """`0.52±0.03`: as `Interval.show`, for tables of many numbers."""
+    return interval.show(decimals).replace(" ± ", "±")
 
 
 def markdown_cell(cell: Cell | str, short: bool = False) -> str:

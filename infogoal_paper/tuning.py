@@ -35,7 +35,7 @@ from infogoal_jax.stand_ins.house import build_house
 from infogoal_paper import trial_numbers
 from infogoal_paper.paper import LEARNERS, METHODS
 from infogoal_paper.scores import TITLES
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import markdown_lines, tight
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "tuning.jsonl.gz"
 Search = dict[str, Any]
@@ -237,13 +237,13 @@ def tables(searches: dict[str, Search]) -> dict[str, str]:
 
 
 def cell(search: Search) -> str:
-    """`0.72, 0.07 ± 0.13`: the score of the preset, and how far the best trial is above it; the interval over the seeds
+    """`0.72, 0.07±0.13`: the score of the preset, and how far the best trial is above it; the interval over the seeds
     where there are more than two. Of a preset that is the best its score alone."""
     trials = {trial["trial"]: trial for trial in search["trials"]}
     score, best = (trials[number]["success"][-1] for number in (0, search["best"]))
     if search["best"] == 0:
         return f"{np.mean(score):.2f}"
-    gain = f"{np.mean(best) - np.mean(score):.2f}" if len(score) < 3 else paired_difference(best, score).show(2)
+    gain = f"{np.mean(best) - np.mean(score):.2f}" if len(score) < 3 else tight(paired_difference(best, score))
     return f"{np.mean(score):.2f}, {gain}"
 
 
