@@ -14,7 +14,7 @@ import flax.struct
 
 from infogoal_jax import hyperparameters
 from infogoal_jax.errors import UserError, require
-from infogoal_jax.field_types import LARGEST_WHOLE, Size, Within, checked, checked_value, hints_of
+from infogoal_jax.field_types import LARGEST_WHOLE, Count, Size, Within, checked, checked_value, hints_of
 from infogoal_jax.hyperparameters import NoHyperparameters, Number, Search
 
 PARTS = ("env", "learner", "agent", "relabelling", "explorer", "state_encoder")
@@ -66,8 +66,8 @@ class StateEncoderConfig:
     """Side of the square patches that an image is cut into, in pixels; must divide the image's side."""
     channels: Size = 32
     """Numbers that each patch is reduced to."""
-    features: Size = 256
-    """Size of the state's code [M]."""
+    features: Count = 256
+    """Size of the state's code [M]; 0: the agent sees vectors as they are."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
+
 from infogoal_jax import agents, checks, envs, exploration, learners, relabelling
 from infogoal_jax.agents.agent import AgentTraits
 from infogoal_jax.config import TrainConfig
@@ -344,6 +347,10 @@ def load_environment(config: TrainConfig, env: Any = None):
         getattr(config.learner, "positives", None),
         f"{config.task} does not say where its goals lie: give trajectory",
     )
+    if getattr(config.learner, "latent_size", 1) == 0:
+        kind = jax.eval_shape(env.goals.inputs_of, env.goals.examples[:1]).dtype
+        remedy = "goals are no vectors that could be their own codes; give a size greater than 0"
+        require(kind == jnp.float32, "learner.latent_size", 0, remedy)
     if steers(config.agent) and not isinstance(env, target_states.SubgoalEnv):
         return steer(env, config.agent)
     return env

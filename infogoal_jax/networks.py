@@ -207,6 +207,13 @@ class VectorEncoder(nn.Module):
         return nn.relu(MLP((self.features,), self.features)(observation))
 
 
+class AsItIs(nn.Module):
+    """No network: a vector float32 [..., D] goes through as it is."""
+
+    def __call__(self, vector):
+        return vector
+
+
 def squared_or_huber(values: jax.Array, target: jax.Array, huber: bool) -> jax.Array:
     """Half the squared error of values against their targets, or the Huber loss: of their shape."""
     import optax  # Here, since the help of a command needs no optimiser: a tenth of its time.

@@ -4,6 +4,7 @@ CQL)."""
 import dataclasses
 
 from infogoal_jax import networks
+from infogoal_jax.field_types import Count
 from infogoal_jax.learners.goal_encoder import GoalEncoderConfig
 from infogoal_jax.learners.learner import GoalCode, Learner, no_loss
 
@@ -12,10 +13,14 @@ from infogoal_jax.learners.learner import GoalCode, Learner, no_loss
 class NoneConfig(GoalEncoderConfig):
     """Sizes of the plain goal encoder."""
 
+    latent_size: Count = 32
+    """Size d of the goal code [A]; 0: a goal that is a vector is its own code."""
 
-def make(config: GoalEncoderConfig) -> Learner:
+
+def make(config: NoneConfig) -> Learner:
     """The learner without a loss of its own."""
-    encoder = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
+    layers = networks.GoalLayers(config.hidden, config.latent_size, config.standardise_images)
+    encoder = layers if config.latent_size else networks.AsItIs()
 
     def encode(params, goal_inputs):
         return GoalCode(encoder.apply(params, goal_inputs))

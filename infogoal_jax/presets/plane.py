@@ -45,6 +45,33 @@ def preset(description: str, num_epochs: int) -> Preset:
     )
 
 
+OGBENCH = Preset(
+    description="Recorded episodes of OGBench's kind, with its own sizes and floats.",
+    agent="gciql",
+    relabelling="mixed",
+    agents={"qrl": {"goals": "states"}},
+    state_encoder={"features": 0},
+    training={
+        "num_epochs": 1000,
+        "epochs_per_evaluation": 100,
+        "updates_per_epoch": 1000,
+        "batch_size": 1024,
+        "evaluation_starts": 5,
+    },
+    hyper={
+        "learning_rate": 3e-4,
+        "discount": 0.99,
+        "target_rate": 0.005,
+        "max_gradient_norm": 1e9,
+        "intrinsic_weight": 0.0,
+    },
+    methods={"none": Changes(learner={"latent_size": 0}), "infogoal": INFOGOAL, "cogoal": Changes(learner=SIMILAR)},
+)
+"""For a task of one's own with recordings, `register(name, task, OGBENCH)`: every agent of OGBench is its own, but for
+the alpha, which OGBench chooses for each dataset (`impls/hyperparameters.sh`). Where no learner is asked for (`none`),
+states and goals are seen as they are."""
+
+
 def of_library(task: str) -> Preset:
     """The preset of another library's environments (`envs/named.py`)."""
     words = {"brax": "brax", "playground": "MuJoCo Playground", "jaxgcrl": "JaxGCRL"}

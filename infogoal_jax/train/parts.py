@@ -34,7 +34,7 @@ class Parts(NamedTuple):
     relabelling: Relabelling | None
     """Of the agent's transitions; the learner may have one of its own, `SampleSpec.relabelling`."""
     explorer: Explorer | None
-    state_encoder: networks.PatchEncoder | networks.VectorEncoder
+    state_encoder: networks.PatchEncoder | networks.VectorEncoder | networks.AsItIs
     optimizer: optax.GradientTransformation
 
 
@@ -96,7 +96,9 @@ def make_state_encoder(size: StateEncoderConfig, env):
     """psi(s) for what the network sees of a state: an image, or a vector."""
     seen = jax.eval_shape(lambda: env.render(env.observe(env.reset(jax.random.key(0)))))
     if seen.ndim == 1:
-        return networks.VectorEncoder(size.features)
+        return networks.VectorEncoder(size.features) if size.features else networks.AsItIs()
+    remedy = "observations are images; give a size greater than 0"
+    require(size.features > 0, "state_encoder.features", size.features, remedy)
     require(
         seen.shape[0] % size.patch == seen.shape[1] % size.patch == 0,
         "state_encoder.patch",

@@ -8,9 +8,14 @@ import pytest
 import vector_agents
 from places import FIXTURES
 
-from infogoal_jax import agents, presets
+from infogoal_jax import UserError, agents, envs, make_train, presets
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
+from infogoal_jax.config import StateEncoderConfig
+from infogoal_jax.learners.none import NoneConfig
 from infogoal_jax.loading import reasons_against
+from infogoal_jax.train.parts import encode_states
+
+KEY = jax.random.key(0)
 
 CASES = {
     "gcivl": ("gcivl", {}, {"alpha": 10.0}),
@@ -163,6 +168,39 @@ def test_only_costs_teach_it(name):
 def test_rewards_at_the_goal_are_asked_for_elsewhere():
     against = reasons_against(presets.load("point_maze", "none", agent="td3", relabelling="mixed"))
     assert {refusal.field for refusal in against} == {"relabelling"}
+
+
+def test_states_and_goals_are_seen_as_they_are():
+    """OGBench's preset has no encoder: for an agent of either kind the first layer sees the state beside the goal."""
+    env = envs.load("point_maze")
+    presets.register("seen_as_they_are", env, presets.OGBENCH)
+    for name in ("gciql", "offline_crl"):
+        config = presets.load("seen_as_they_are", "none", agent=name)
+        assert config.batch_size == 1024 and config.agent.hidden == (512, 512, 512)
+        train = make_train(config, env)
+        params = jax.eval_shape(
+            lambda key, train=train, config=config: train.initial(key, config.hyper, train.env), KEY
+        )
+        assert not jax.tree.leaves((params.params["state"], params.params["goal"]))
+        seen = params.params["agent"]["actor"]["params"]["Dense_0"]["kernel"]
+        assert seen.shape == (env.goals.shape[0] + jax.eval_shape(lambda: env.observe(env.reset(KEY))).shape[0], 512)
+    state, goal = jnp.ones((1, 2)), env.goals.evaluated[:1]
+    setup = train.setup()
+    assert (encode_states(setup, {"state": {}}, 1)(state) == state).all()
+    assert (train.parts.learner.encode({}, env.goals.inputs_of(goal)).mean == env.goals.inputs_of(goal)).all()
+
+
+@pytest.mark.parametrize(
+    ("field", "changes"),
+    [
+        ("state_encoder.features", {"state_encoder": StateEncoderConfig(features=0)}),
+        ("learner.latent_size", {"learner": NoneConfig(latent_size=0)}),
+    ],
+)
+def test_images_are_not_seen_as_they_are(field, changes):
+    config = presets.load("fetch_reach", "none", **changes)
+    with pytest.raises(UserError, match=rf"^{field} = 0: .*; give a size greater than 0$"):
+        make_train(config)
 
 
 QUICK = "gcivl"

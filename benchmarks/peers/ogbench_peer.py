@@ -1,0 +1,668 @@
+"""Our offline agents beside OGBench's own, on one dataset in its format and one device: updates a second, and success
+in OGBench's environment.
+
+    pip install ogbench distrax ml_collections imageio
+    git clone https://github.com/seohongpark/ogbench
+    python benchmarks/peers/ogbench_peer.py --collect DATA.npz [--episodes 1000]
+    python benchmarks/peers/ogbench_peer.py --data DATA.npz --impls ogbench/impls --out RESULTS.jsonl
+        [--agents gcivl gciql qrl crl hiql] [--sides ours theirs] [--seeds 5] [--updates 50000] [--evaluations 3]
+        [--side-by-side 1] [--budget 540] [--learners none infogoal] [--held-out 1 2]
+    python benchmarks/peers/ogbench_peer.py --table RESULTS.jsonl [MORE.jsonl] [--keep COMPACT.json]
+
+`--collect` writes data of our own: a scripted policy goes from cell to cell of OGBench's maze, by a breadth-first
+search, to one goal after the other. It is not OGBench's file. Whoever has that one gives its path (`--data`), and its
+name (`--dataset`), by which floats are read from `impls/hyperparameters.sh`.
+
+RESULTS.jsonl gets a line for every evaluation; what is there already is not run again. So many programs as
+`--side-by-side` says share the device. They compile together, then one after the other is timed alone, then they train
+together. Once the budget, in seconds, is spent, they stop. `--toy` is a size for a CPU, which checks that everything
+runs.
+
+Both sides have OGBench's sizes and floats, its goals (whole states) and its shares of goals. Ours has all seeds in one
+program, which draws its batches on the device; theirs one seed a program, as it is made. A row of the table compares
+both after the same number of updates, in the tasks of the environment, from the same starts. The best action is taken.
+
+`--learners` puts goal encoders before our agents, and `--held-out` the cells of these tasks' goals out of training.
+"""
+
+import argparse
+import dataclasses
+import importlib
+import json
+import multiprocessing
+import os
+import random
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+AGENTS = {"gcivl": "gcivl", "gciql": "gciql", "qrl": "qrl", "crl": "offline_crl", "hiql": "hiql"}
+"""Ours by OGBench's names."""
+LEARNERS = {
+    "none": ("none", {}),
+    "infogoal": ("infogoal", {}),
+    "infogoal, beta 0": ("infogoal", {"learner.beta_step": 0.0}),
+    "vae": ("vae", {}),
+    "cogoal": ("cogoal", {}),
+}
+"""Goal encoders, each with what it changes."""
+FLOATS = {
+    "alpha": "agent.alpha",
+    "high_alpha": "agent.high_alpha",
+    "low_alpha": "agent.low_alpha",
+    "discount": "discount",
+}
+OF_GOALS = {"actor_p_trajgoal": "actor_future_share", "subgoal_steps": "subgoal_steps"}
+"""OGBench's flags as fields of ours."""
+NOISE = 0.5
+"""Standard deviation of the noise on the actions of the scripted policy."""
+HALF_CELL = 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Sizes:
+    """How much is trained and evaluated."""
+
+    updates: int
+    evaluations: int
+    episodes: int = 20
+    """Of each task in an evaluation."""
+    chunk: int = 1000
+    """Updates between two looks at the clock, an epoch of ours."""
+    timed: int = 1000
+    """Updates of a seed whose speed is measured."""
+    ours: dict[str, Any] = dataclasses.field(default_factory=dict)
+    theirs: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """What else is changed of a configuration."""
+
+
+TOY = Sizes(
+    updates=8,
+    evaluations=2,
+    episodes=1,
+    chunk=2,
+    timed=2,
+    ours={"batch_size": 8},
+    theirs={"batch_size": 8, "actor_hidden_dims": (16, 16), "value_hidden_dims": (16, 16)},
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """A program to be run."""
+
+    side: str
+    agent: str
+    learner: str
+    seeds: tuple[int, ...]
+    train: bool = True
+    """Whether to train and evaluate, or to be timed alone."""
+
+    def key(self) -> tuple:
+        """What it is known by in the results."""
+        return (self.side, self.agent, self.learner, self.seeds)
+
+
+@dataclasses.dataclass
+class Outcome:
+    """What a program did so far."""
+
+    side: str
+    agent: str
+    learner: str
+    seeds: list[int]
+    data: str
+    """Of which kind it was, and its size."""
+    machine: str
+    rate: float | None
+    """Updates of all its seeds a second, alone on the device; None: not measured."""
+    compiling: float
+    """Seconds to make and compile it, beside the others."""
+    updates: list[int]
+    """Of a seed, at each evaluation."""
+    success: list[list[list[float]]]
+    """[seeds][evaluations][tasks]"""
+    held_out: list[int]
+    """Tasks whose goals' cells were out of training."""
+
+
+# OGBench's environment.
+
+
+def make_environment(dataset: str) -> Any:
+    """The environment of a dataset such as `pointmaze-medium-navigate-v0`."""
+    import gymnasium
+    import ogbench.locomaze
+    import ogbench.manipspace  # noqa: F401
+
+    words = dataset.split("-")
+    return gymnasium.make("-".join(words[:-2] + words[-1:]), disable_env_checker=True)
+
+
+def directions(free: np.ndarray, goal: tuple[int, int]) -> dict[tuple[int, int], tuple[int, int]]:
+    """The next cell on the way to a goal, from each free cell (breadth-first search)."""
+    following, front = {goal: goal}, [goal]
+    for cell in front:  # It grows.
+        for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            other = cell[0] + step[0], cell[1] + step[1]
+            if free[other] and other not in following:
+                following[other] = cell
+                front.append(other)
+    return following
+
+
+def collect(dataset: str, steps: int, seeds: list[int]) -> dict[str, np.ndarray]:
+    """An episode of the scripted policy for each seed, of so many observations, in OGBench's layout."""
+    env = make_environment(dataset)
+    world = env.unwrapped
+    world._terminate_at_goal = False
+    free = world.maze_map == 0
+    cells = [tuple(map(int, cell)) for cell in np.argwhere(free)]
+    ways = {goal: directions(free, goal) for goal in cells}
+    found: dict[str, list] = {"observations": [], "actions": [], "terminals": []}
+    for seed in seeds:
+        np.random.seed(seed)  # OGBench draws from here, too.
+        start, goal = (cells[np.random.randint(len(cells))] for _ in range(2))
+        env.action_space.seed(seed)
+        observation, _ = env.reset(seed=seed, options={"task_info": {"init_ij": start, "goal_ij": goal}})
+        for step in range(steps):
+            place = world.get_xy()
+            cell = world.xy_to_ij(place)
+            following = ways[goal].get(cell, cell)
+            aim = np.array(world.cur_goal_xy if cell == goal else world.ij_to_xy(following)) - place
+            action = aim / (np.linalg.norm(aim) + 1e-6) + np.random.normal(0.0, NOISE, 2)
+            action = np.clip(action, -1.0, 1.0)
+            found["observations"].append(observation)
+            found["actions"].append(action)
+            found["terminals"].append(step == steps - 1)
+            observation, _, _, _, info = world.step(action)
+            if info["success"]:
+                goal = cells[np.random.randint(len(cells))]
+                world.set_goal(goal)
+                world.cur_goal_xy = np.array(world.cur_goal_xy)
+    return {name: np.asarray(values, np.float32) for name, values in found.items()}
+
+
+def collect_all(path: Path, dataset: str, episodes: int, steps: int) -> None:
+    """Write a file of episodes, collected by as many processes as there are cores."""
+    shares = [share.tolist() for share in np.array_split(np.arange(episodes), min(os.cpu_count() or 1, episodes))]
+    with multiprocessing.get_context("spawn").Pool(len(shares)) as pool:
+        parts = pool.starmap(collect, [(dataset, steps, share) for share in shares])
+    np.savez_compressed(path, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+
+
+def serve(connection: Any, dataset: str, episodes: list[tuple[int, int]]) -> None:
+    """Step environments in a process of their own: "begin" begins all episodes (task, number) anew, "step" steps those
+    that have not ended. An episode begins alike whenever it does."""
+    made = [make_environment(dataset) for _ in episodes]
+    while True:
+        word, actions = connection.recv()
+        if word == "end":
+            return
+        if word == "begin":
+            ended, reached, seen, goals = np.zeros(len(made), bool), np.zeros(len(made)), [], []
+            for env, (task, number) in zip(made, episodes, strict=True):
+                np.random.seed(1000 * task + number)
+                env.action_space.seed(1000 * task + number)
+                observation, info = env.reset(seed=1000 * task + number, options={"task_id": task})
+                seen.append(observation)
+                goals.append(info["goal"])
+            connection.send((np.array(seen, np.float32), np.array(goals, np.float32)))
+            continue
+        for number, env in enumerate(made):
+            if not ended[number]:
+                seen[number], _, terminated, truncated, info = env.step(actions[number])
+                ended[number], reached[number] = terminated or truncated, info["success"]
+        connection.send((np.array(seen, np.float32), ended, reached))
+
+
+class Environments:
+    """Episodes side by side in several processes."""
+
+    def __init__(self, dataset: str, episodes: list[tuple[int, int]], processes: int):
+        context = multiprocessing.get_context("spawn")
+        self.shares = np.array_split(np.arange(len(episodes)), min(processes, len(episodes)))
+        self.connections, self.processes = [], []
+        for share in self.shares:
+            own, other = context.Pipe()
+            process = context.Process(
+                target=serve, args=(other, dataset, [episodes[number] for number in share]), daemon=True
+            )
+            process.start()
+            self.connections.append(own)
+            self.processes.append(process)
+
+    def run(self, act: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        """Whether each episode ended in success, by act(observations [E, F], goals [E, G]) -> actions [E, A]."""
+        for connection in self.connections:
+            connection.send(("begin", None))
+        seen, goals = map(np.concatenate, zip(*(connection.recv() for connection in self.connections), strict=True))
+        while True:
+            actions = np.asarray(act(seen, goals))
+            for connection, share in zip(self.connections, self.shares, strict=True):
+                connection.send(("step", actions[share]))
+            answers = [connection.recv() for connection in self.connections]
+            seen, ended, reached = map(np.concatenate, zip(*answers, strict=True))
+            if ended.all():
+                return reached
+
+    def close(self) -> None:
+        """End the processes."""
+        for connection in self.connections:
+            connection.send(("end", None))
+        for process in self.processes:
+            process.join()
+
+
+# The two sides: each makes a program, which has a function that trains and one that acts.
+
+
+@dataclasses.dataclass
+class Program:
+    """A side's agent for some seeds, compiled."""
+
+    advance: Callable[[int], None]
+    """Train by so many updates, to their end."""
+    act: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    """Best actions for observations [S * E, F] and goals, seed after seed."""
+
+
+def flags_of(impls: Path, dataset: str, agent: str) -> dict[str, float]:
+    """What OGBench changes of an agent for a dataset."""
+    text = (impls / "hyperparameters.sh").read_text()
+    lines = re.findall(rf"--env_name={re.escape(dataset)} .*--agent=agents/{agent}\.py.*", text)
+    if len(lines) != 1:
+        raise SystemExit(f"--dataset: {dataset}: hyperparameters.sh has {len(lines)} lines for {agent}; give another")
+    pairs = re.findall(r"--agent\.(\w+)=(\S+)", lines[0])
+    return {name: int(value) if name == "subgoal_steps" else float(value) for name, value in pairs}
+
+
+def our_task(data: Path, dataset: str, held_out: list[int]) -> Any:
+    """A task to learn offline whose goals are whole states, reached at that very state alone, as in OGBench. It is
+    never acted in: its world stays as it is.
+
+    held_out: tasks; no goal near theirs is learned from.
+    """
+    import flax.struct
+    import jax.numpy as jnp
+
+    from infogoal_jax.data.episodes import load
+    from infogoal_jax.envs.goal_task import GoalTask
+    from infogoal_jax.envs.recordings import with_recordings
+    from infogoal_jax.goals import GoalBox
+
+    episodes = load(data)
+    actions = episodes.actions.shape[1]
+
+    @flax.struct.dataclass
+    class Recorded(GoalTask):
+        """Recorded states."""
+
+        action_size = actions
+
+        def begin(self, key):
+            return self.goals.draw(key)
+
+        def move(self, world, action):
+            return world
+
+        def observation(self, world):
+            return world
+
+        def achieved_goal(self, world):
+            return world
+
+        def achieved_in(self, observation):
+            return observation
+
+    infos = make_environment(dataset).unwrapped.task_infos if held_out else []
+    centres = np.array([infos[task - 1]["goal_xy"] for task in held_out], np.float32).reshape(-1, 2)
+
+    def is_held_out(goal):
+        return (jnp.abs(goal[:2] - centres) < HALF_CELL).all(-1).any()
+
+    space = GoalBox.of(
+        episodes.observations.min(0) - 1e-3,
+        episodes.observations.max(0) + 1e-3,
+        seen=None if held_out else jnp.asarray,
+        use_of=is_held_out if held_out else None,
+    )
+    return with_recordings(Recorded(space, radius=1e-3), episodes)
+
+
+def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
+    """Seeds of one of our agents in one program."""
+    import jax
+    import jax.numpy as jnp
+
+    from infogoal_jax import compiled, jit, make_train, presets, use_compilation_cache
+    from infogoal_jax.hyperparameters import with_values
+
+    use_compilation_cache()
+    flags, task = flags_of(words.impls, words.dataset, job.agent), our_task(words.data, words.dataset, words.held_out)
+    presets.register("ogbench_recorded", task, presets.OGBENCH)
+    method, floats = LEARNERS[job.learner]
+    changes = {"updates_per_epoch": sizes.chunk, "known_goals": "held_out" if words.held_out else "visited"}
+    config = presets.load("ogbench_recorded", method, agent=AGENTS[job.agent], **(changes | sizes.ours))
+    goals = {OF_GOALS[name]: value for name, value in flags.items() if name in OF_GOALS}
+    if job.agent == "qrl":  # Where states and goals are one space, a state's distance to itself is 0 by its form.
+        goals |= {"current_share": 0.0}
+    floats = floats | {FLOATS[name]: value for name, value in flags.items() if name in FLOATS}
+    config = dataclasses.replace(
+        config,
+        hyper=with_values(config.hyper, floats),
+        relabelling=dataclasses.replace(config.relabelling, **goals),
+        agent=dataclasses.replace(config.agent, **({"hidden": (16, 16)} if words.toy else {})),
+    )
+    train = make_train(config, task)
+    keys = jax.vmap(jax.random.key)(jnp.asarray(job.seeds, jnp.uint32))
+    state = jit(jax.vmap(train.initial, (0, None, None)))(keys, config.hyper, train.env)
+    one = jnp.zeros(1, jnp.int32)
+    epochs = jax.vmap(train.epochs, (0, None, None, None))
+    advance = compiled(epochs, state, one, config.hyper, train.env, donate_argnums=0)
+    held = {"state": state, "epoch": 0}
+
+    def go_on(updates: int) -> None:
+        for _ in range(updates // sizes.chunk):
+            held["state"], _ = advance(held["state"], one + held["epoch"], config.hyper, train.env)
+            held["epoch"] += 1
+        jax.block_until_ready(held["state"].params)
+
+    @jit
+    def best(params, env, seen, goals, key):
+        def of_seed(params, seen, goals):
+            return train.policy(params, config.hyper, env)(seen, goals, key)
+
+        return jax.vmap(of_seed)(params, seen, goals)
+
+    def act(seen: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        held["acted"] = held.get("acted", 0) + 1
+        by_seed = [each.reshape(len(job.seeds), -1, each.shape[-1]) for each in (seen, goals)]
+        key = jax.random.key(held["acted"])
+        return np.asarray(best(held["state"].params, train.env, *by_seed, key)).reshape(len(seen), -1)
+
+    return Program(go_on, act)
+
+
+def theirs(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
+    """One seed of one of OGBench's agents, by its own classes and the loop of its `main.py`."""
+    sys.path.insert(0, str(words.impls))
+    import jax
+    from ogbench.utils import load_dataset
+
+    from infogoal_jax import use_compilation_cache
+
+    use_compilation_cache()
+    agents, datasets = importlib.import_module("agents"), importlib.import_module("utils.datasets")
+    config = importlib.import_module(f"agents.{job.agent}").get_config()
+    config.update(flags_of(words.impls, words.dataset, job.agent) | sizes.theirs)
+    arrays = load_dataset(str(words.data), compact_dataset=True)
+    dataset = getattr(datasets, config["dataset_class"])(datasets.Dataset.create(**arrays), config)
+    (seed,) = job.seeds
+    random.seed(seed)
+    np.random.seed(seed)
+    example = dataset.sample(1)
+    held = {"agent": agents.agents[job.agent].create(seed, example["observations"], example["actions"], config)}
+
+    def go_on(updates: int) -> None:
+        for _ in range(updates):
+            batch = dataset.sample(config["batch_size"])
+            held["agent"], _ = held["agent"].update(batch)
+        jax.block_until_ready(held["agent"].network.params)
+
+    def act(seen: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        best = held["agent"].sample_actions(observations=seen, goals=goals, seed=jax.random.PRNGKey(0), temperature=0.0)
+        return np.asarray(best)
+
+    start = held["agent"]
+    go_on(sizes.chunk if sizes.chunk < 10 else 10)  # It compiles.
+    held["agent"] = start
+    return Program(go_on, act)
+
+
+class Meeting:
+    """Where programs side by side wait for each other, twice: until all are compiled, and until all are timed. One
+    that has ended is not waited for, and none at all once a share of the time is over."""
+
+    def __init__(self, context: Any, count: int):
+        self.arrived, self.gates = context.Array("i", 2 * count), (context.Event(), context.Event())
+        self.turn, self.count = context.Lock(), count
+
+    def wait(self, number: int, stage: int) -> None:
+        """Program of this number: wait for the others."""
+        self.arrived[stage * self.count + number] = 1
+        self.gates[stage].wait()
+
+    def watch(self, processes: list, patience: float) -> None:
+        """Open the gates when it is time, until all processes have ended."""
+        latest = time.time() + patience
+        while any(process.exitcode is None for process in processes):
+            ended = [process.exitcode is not None for process in processes]
+            for stage, gate in enumerate(self.gates):
+                here = self.arrived[stage * self.count : (stage + 1) * self.count]
+                if all(map(max, ended, here)) or time.time() > latest:
+                    gate.set()
+            time.sleep(0.1)
+
+
+def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting: Meeting, deadline: float) -> None:
+    """A process: make the program, be timed alone, train and evaluate, and write what came of it."""
+    started = time.perf_counter()
+    program = (ours if job.side == "ours" else theirs)(job, words, sizes)
+    from infogoal_jax.report.statistics import describe_machine
+
+    compiling = time.perf_counter() - started
+
+    meeting.wait(number, 0)
+    rate = None
+    done = 0
+    if job.side == "ours" or job.seeds == (0,):
+        with meeting.turn:
+            program.advance(sizes.chunk)
+            started = time.perf_counter()
+            program.advance(sizes.timed)
+            rate = len(job.seeds) * sizes.timed / (time.perf_counter() - started)
+            done = sizes.chunk + sizes.timed  # They are part of training.
+            print(f"{' '.join(map(str, job.key()))}: {rate:,.0f} updates/s", file=sys.stderr, flush=True)
+    meeting.wait(number, 1)
+    outcome = Outcome(
+        side=job.side,
+        agent=job.agent,
+        learner=job.learner,
+        seeds=list(job.seeds),
+        data=words.about,
+        machine=describe_machine(),
+        rate=rate,
+        compiling=compiling,
+        updates=[],
+        success=[[] for _ in job.seeds],
+        held_out=words.held_out,
+    )
+    if not job.train:
+        append(words.out, outcome)
+        return
+    environments = None
+    for mark in [sizes.updates * (place + 1) // sizes.evaluations for place in range(sizes.evaluations)]:
+        while done < mark and time.time() < deadline:
+            program.advance(min(sizes.chunk, mark - done))
+            done += min(sizes.chunk, mark - done)
+        if done < mark:
+            break
+        if environments is None:
+            tasks = len(make_environment(words.dataset).unwrapped.task_infos)
+            episodes = [(task, each) for task in range(1, tasks + 1) for each in range(sizes.episodes)]
+            processes = max(1, len(job.seeds) * (os.cpu_count() or 1) // words.programs)
+            environments = Environments(words.dataset, episodes * len(job.seeds), processes)
+        reached = environments.run(program.act).reshape(len(job.seeds), tasks, sizes.episodes).mean(-1)
+        outcome.updates.append(done)
+        for of_seed, found in zip(outcome.success, reached.tolist(), strict=True):
+            of_seed.append(found)
+        append(words.out, outcome)
+        shown = " ".join(f"{value:.2f}" for value in reached.mean(0))
+        print(
+            f"{' '.join(map(str, job.key()))}: {done:,} updates, {time.perf_counter() - started:.0f} s, "
+            f"success {reached.mean():.2f} ({shown})",
+            file=sys.stderr,
+            flush=True,
+        )
+    if environments is not None:
+        environments.close()
+
+
+# Results.
+
+
+def append(path: Path, outcome: Outcome) -> None:
+    """Write an outcome as a line; a later one of the same program counts."""
+    with path.open("a") as file:
+        file.write(json.dumps(dataclasses.asdict(outcome)) + "\n")
+
+
+def read(paths: list[Path]) -> dict[tuple, Outcome]:
+    """The last outcome of each program that these files have."""
+    found = {}
+    for path in paths:
+        for line in path.read_text().splitlines() if path.exists() else []:
+            outcome = Outcome(**json.loads(line))
+            found[(outcome.side, outcome.agent, outcome.learner, tuple(outcome.seeds))] = outcome
+    return found
+
+
+def final_success(outcomes: list[Outcome], updates: int) -> np.ndarray:
+    """Success [seeds, tasks] of a side after so many updates."""
+    return np.array(
+        [seed[each.updates.index(updates)] for each in outcomes for seed in each.success if updates in each.updates]
+    )
+
+
+def print_tables(found: dict[tuple, Outcome]) -> None:
+    """Success of both sides with 95 % intervals, and speeds with their ratio."""
+    from infogoal_jax.report.statistics import mean_interval
+
+    rows: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
+    for outcome in found.values():
+        sides = rows.setdefault((outcome.agent, outcome.learner), {"ours": [], "theirs": []})
+        sides[outcome.side].append(outcome)
+    print(
+        "| agent | goals | updates | ours, success | OGBench's, success | ours, updates/s | of one seed | "
+        "OGBench's, updates/s | ratio |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for (agent, learner), sides in rows.items():
+        marks = [{mark for each in outcomes for mark in each.updates} for outcomes in sides.values() if outcomes]
+        common = set.intersection(*marks) if marks else set()
+        shown, last = {}, max(common, default=0)
+        for side, outcomes in sides.items():
+            success = final_success(outcomes, last)
+            shown[side] = mean_interval(success.mean(-1)).show() + f" ({len(success)})" if len(success) else ""
+        together = next((each.rate for each in sides["ours"] if len(each.seeds) > 1), None)
+        alone = next((each.rate for each in sides["ours"] if len(each.seeds) == 1), None)
+        other = next((each.rate for each in sides["theirs"] if each.rate), None)
+        rates = [f"{rate:,.0f}" if rate else "" for rate in (together, alone, other)]
+        ratio = f"{together / other:.1f}" if together and other else ""
+        print(
+            f"| {agent} | {learner} | {last:,} | {shown['ours']} | {shown['theirs']} | {rates[0]} | {rates[1]} | "
+            f"{rates[2]} | {ratio} |"
+        )
+    held = next((each.held_out for each in found.values()), [])
+    if held:
+        print("\n| agent | goals | held-out tasks | other tasks |\n|---|---|---|---|")
+        for (agent, learner), sides in rows.items():
+            last = max((mark for each in sides["ours"] for mark in each.updates), default=0)
+            success = final_success(sides["ours"], last)
+            if len(success):
+                out = np.isin(np.arange(success.shape[1]) + 1, held)
+                parts = [mean_interval(success[:, which].mean(-1)).show() for which in (out, ~out)]
+                print(f"| {agent} | {learner} | {parts[0]} | {parts[1]} |")
+    about = sorted({f"{each.data}; {each.machine}" for each in found.values()})
+    print("\nSeeds in brackets. " + ". ".join(about) + ".")
+
+
+def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
+    """What is asked for: ours with all seeds, and with one to be timed; then theirs, a seed each."""
+    seeds = tuple(range(words.seeds))
+    if "ours" in words.sides:
+        for learner in words.learners:
+            for agent in words.agents:
+                yield Job("ours", agent, learner, seeds)
+                if learner == "none" and words.seeds > 1:
+                    yield Job("ours", agent, learner, (0,), train=False)
+    if "theirs" in words.sides:
+        for seed in seeds:
+            for agent in words.agents:
+                yield Job("theirs", agent, "none", (seed,))
+
+
+def is_done(job: Job, found: dict[tuple, Outcome], sizes: Sizes) -> bool:
+    """Whether the results have all of a program."""
+    outcome = found.get(job.key())
+    return outcome is not None and (not job.train or sizes.updates in outcome.updates)
+
+
+def main() -> None:
+    """Do what is asked for and is not there yet."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--collect", type=Path)
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--episode-steps", type=int, default=1001)
+    parser.add_argument("--dataset", default="pointmaze-medium-navigate-v0")
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--impls", type=Path)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--about", default="data of our own", help="what the data is, for the table")
+    parser.add_argument("--agents", nargs="+", default=list(AGENTS), choices=list(AGENTS))
+    parser.add_argument("--sides", nargs="+", default=["ours", "theirs"], choices=["ours", "theirs"])
+    parser.add_argument("--learners", nargs="+", default=["none"], choices=list(LEARNERS))
+    parser.add_argument("--held-out", type=int, nargs="+", default=[])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--updates", type=int, default=50_000)
+    parser.add_argument("--evaluations", type=int, default=3)
+    parser.add_argument("--side-by-side", type=int, default=1)
+    parser.add_argument("--budget", type=float, default=float("inf"))
+    parser.add_argument("--toy", action="store_true")
+    parser.add_argument("--table", type=Path, nargs="+")
+    parser.add_argument("--keep", type=Path)
+    words = parser.parse_args()
+    if words.table is not None:
+        found = read(words.table)
+        print_tables(found)
+        if words.keep is not None:
+            words.keep.unlink(missing_ok=True)
+            for outcome in found.values():
+                append(words.keep, outcome)
+        return
+    if words.collect is not None:
+        collect_all(words.collect, words.dataset, words.episodes, words.episode_steps)
+        return
+    missing = [f"--{name}" for name in ("data", "impls", "out") if getattr(words, name) is None]
+    if missing:
+        parser.error(f"{', '.join(missing)}: give the file of the data, the folder impls of OGBench, and the results")
+    sizes = TOY if words.toy else Sizes(words.updates, words.evaluations)
+    deadline = min(time.time() + words.budget, time.time() + 1e7)
+    found = read([words.out])
+    jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes)]
+    context = multiprocessing.get_context("spawn")
+    for first in range(0, len(jobs), words.side_by_side):
+        if time.time() > deadline:
+            print("the budget is spent; the same command goes on", file=sys.stderr)
+            break
+        together = jobs[first : first + words.side_by_side]
+        words.programs = len(together)
+        meeting = Meeting(context, len(together))
+        processes = [
+            context.Process(target=run, args=(job, number, words, sizes, meeting, deadline))
+            for number, job in enumerate(together)
+        ]
+        for process in processes:
+            process.start()
+        meeting.watch(processes, 0.5 * (deadline - time.time()))
+    print_tables(read([words.out]))
+
+
+if __name__ == "__main__":
+    main()
