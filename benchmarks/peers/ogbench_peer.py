@@ -44,13 +44,14 @@ import numpy as np
 AGENTS = {"gcivl": "gcivl", "gciql": "gciql", "qrl": "qrl", "crl": "offline_crl", "hiql": "hiql"}
 """Ours by OGBench's names."""
 LEARNERS = {
-    "none": ("none", {}),
-    "infogoal": ("infogoal", {}),
-    "infogoal, beta 0": ("infogoal", {"learner.beta_step": 0.0}),
-    "vae": ("vae", {}),
-    "cogoal": ("cogoal", {}),
+    "none": ("none", {}, {}),
+    "infogoal": ("infogoal", {}, {}),
+    "infogoal, beta 0": ("infogoal", {"learner.beta_step": 0.0}, {}),
+    "vae": ("vae", {}, {"vae_beta": 0.01}),
+    "cogoal": ("cogoal", {}, {}),
 }
-"""Goal encoders, each with what it changes."""
+"""Goal encoders, each with the floats and fields that it changes; the VAE's beta was chosen on another maze
+(docs/research/continuous_goals.md)."""
 FLOATS = {
     "alpha": "agent.alpha",
     "high_alpha": "agent.high_alpha",
@@ -346,7 +347,7 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     use_compilation_cache()
     flags, task = flags_of(words.impls, words.dataset, job.agent), our_task(words.data, words.dataset, words.held_out)
     presets.register("ogbench_recorded", task, presets.OGBENCH)
-    method, floats = LEARNERS[job.learner]
+    method, floats, fields = LEARNERS[job.learner]
     changes = {"updates_per_epoch": sizes.chunk, "known_goals": "held_out" if words.held_out else "visited"}
     config = presets.load("ogbench_recorded", method, agent=AGENTS[job.agent], **(changes | sizes.ours))
     goals = {OF_GOALS[name]: value for name, value in flags.items() if name in OF_GOALS}
@@ -356,6 +357,7 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     config = dataclasses.replace(
         config,
         hyper=with_values(config.hyper, floats),
+        learner=dataclasses.replace(config.learner, **fields),
         relabelling=dataclasses.replace(config.relabelling, **goals),
         agent=dataclasses.replace(config.agent, **({"hidden": (16, 16)} if words.toy else {})),
     )
@@ -529,7 +531,7 @@ def read(paths: list[Path]) -> dict[tuple, Outcome]:
     for path in paths:
         for line in path.read_text().splitlines() if path.exists() else []:
             outcome = Outcome(**json.loads(line))
-            found[(outcome.side, outcome.agent, outcome.learner, tuple(outcome.seeds))] = outcome
+            found[(outcome.side, outcome.agent, outcome.learner, tuple(outcome.seeds), *outcome.held_out)] = outcome
     return found
 
 
@@ -541,35 +543,38 @@ def final_success(outcomes: list[Outcome], updates: int) -> np.ndarray:
 
 
 def print_tables(found: dict[tuple, Outcome]) -> None:
-    """Success of both sides with 95 % intervals, and speeds with their ratio."""
+    """The tables of all goals, and of each set of tasks whose goals were held out."""
+    for held in sorted({tuple(outcome.held_out) for outcome in found.values()}):
+        print_table([outcome for outcome in found.values() if tuple(outcome.held_out) == held], held)
+
+
+def print_table(outcomes: list[Outcome], held: tuple[int, ...]) -> None:
+    """Success of both sides with 95 % intervals, and speeds with their ratios."""
     from infogoal_jax.report.statistics import mean_interval
 
     rows: dict[tuple[str, str], dict[str, list[Outcome]]] = {}
-    for outcome in found.values():
+    for outcome in outcomes:
         sides = rows.setdefault((outcome.agent, outcome.learner), {"ours": [], "theirs": []})
         sides[outcome.side].append(outcome)
     print(
-        "| agent | goals | updates | ours, success | OGBench's, success | ours, updates/s | of one seed | "
-        "OGBench's, updates/s | ratio |"
+        "| agent | goals | updates | ours, success | OGBench's, success | ours, updates/s | one seed | "
+        "OGBench's | ratio | of one seed |"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|---|")
     for (agent, learner), sides in rows.items():
-        marks = [{mark for each in outcomes for mark in each.updates} for outcomes in sides.values() if outcomes]
+        marks = [{*each.updates} for of_side in sides.values() for each in of_side if each.updates]
         common = set.intersection(*marks) if marks else set()
         shown, last = {}, max(common, default=0)
-        for side, outcomes in sides.items():
-            success = final_success(outcomes, last)
+        for side, of_side in sides.items():
+            success = final_success(of_side, last)
             shown[side] = mean_interval(success.mean(-1)).show() + f" ({len(success)})" if len(success) else ""
         together = next((each.rate for each in sides["ours"] if len(each.seeds) > 1), None)
         alone = next((each.rate for each in sides["ours"] if len(each.seeds) == 1), None)
         other = next((each.rate for each in sides["theirs"] if each.rate), None)
         rates = [f"{rate:,.0f}" if rate else "" for rate in (together, alone, other)]
-        ratio = f"{together / other:.1f}" if together and other else ""
-        print(
-            f"| {agent} | {learner} | {last:,} | {shown['ours']} | {shown['theirs']} | {rates[0]} | {rates[1]} | "
-            f"{rates[2]} | {ratio} |"
-        )
-    held = next((each.held_out for each in found.values()), [])
+        ratios = [f"{rate / other:.1f}" if rate and other else "" for rate in (together, alone)]
+        cells = (agent, learner, f"{last:,}", shown["ours"], shown["theirs"], *rates, *ratios)
+        print(f"| {' | '.join(cells)} |")
     if held:
         print("\n| agent | goals | held-out tasks | other tasks |\n|---|---|---|---|")
         for (agent, learner), sides in rows.items():
@@ -579,8 +584,8 @@ def print_tables(found: dict[tuple, Outcome]) -> None:
                 out = np.isin(np.arange(success.shape[1]) + 1, held)
                 parts = [mean_interval(success[:, which].mean(-1)).show() for which in (out, ~out)]
                 print(f"| {agent} | {learner} | {parts[0]} | {parts[1]} |")
-    about = sorted({f"{each.data}; {each.machine}" for each in found.values()})
-    print("\nSeeds in brackets. " + ". ".join(about) + ".")
+    about = sorted({f"{each.data}; {each.machine}" for each in outcomes})
+    print("\nSeeds in brackets. " + ". ".join(about) + ".\n")
 
 
 def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
@@ -598,9 +603,9 @@ def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
                 yield Job("theirs", agent, "none", (seed,))
 
 
-def is_done(job: Job, found: dict[tuple, Outcome], sizes: Sizes) -> bool:
+def is_done(job: Job, found: dict[tuple, Outcome], sizes: Sizes, held_out: list[int]) -> bool:
     """Whether the results have all of a program."""
-    outcome = found.get(job.key())
+    outcome = found.get((*job.key(), *held_out))
     return outcome is not None and (not job.train or sizes.updates in outcome.updates)
 
 
@@ -645,7 +650,7 @@ def main() -> None:
     sizes = TOY if words.toy else Sizes(words.updates, words.evaluations)
     deadline = min(time.time() + words.budget, time.time() + 1e7)
     found = read([words.out])
-    jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes)]
+    jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes, words.held_out)]
     context = multiprocessing.get_context("spawn")
     for first in range(0, len(jobs), words.side_by_side):
         if time.time() > deadline:

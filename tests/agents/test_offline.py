@@ -1,11 +1,14 @@
 """The offline agents beside OGBench's own code (fixtures/ogbench.npz): loss and gradient of one update on the same
 parameters and transitions; what they are combined with; and a line on which they learn from random walks."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import vector_agents
+from hand_made_frames import manipulation, manipulation_config
 from places import FIXTURES
 
 from infogoal_jax import UserError, agents, envs, make_train, presets
@@ -198,9 +201,9 @@ def test_states_and_goals_are_seen_as_they_are():
     ],
 )
 def test_images_are_not_seen_as_they_are(field, changes):
-    config = presets.load("fetch_reach", "none", **changes)
+    config = dataclasses.replace(manipulation_config("none"), **changes)
     with pytest.raises(UserError, match=rf"^{field} = 0: .*; give a size greater than 0$"):
-        make_train(config)
+        make_train(config, manipulation())
 
 
 QUICK = "gcivl"
