@@ -13,6 +13,8 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from infogoal_jax.errors import at_words
+
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
 """What asks to stop: Ctrl-C, the system or a scheduler, a closed terminal, a scheduler before its limit of time."""
 STATUS = 130
@@ -115,7 +117,7 @@ def leave(request: StopRequest) -> None:
 def say(words: str) -> None:
     """Write a line to stderr, also while another thread is writing there; nothing if nobody can read it."""
     with contextlib.suppress(OSError):
-        os.write(2, f"\n{words}\n".encode())
+        os.write(2, f"\n{at_words(words)}\n".encode())
 
 
 def forget_terminal() -> None:

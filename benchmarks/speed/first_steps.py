@@ -28,6 +28,8 @@ from infogoal_jax.report.statistics import describe_machine
 ROOT = Path(__file__).resolve().parents[2]
 GUIDES = ("docs/guides/own_task.md", "docs/own_task.md")
 """The page with a task of one's own, here and in older checkouts."""
+IMPORTS = "infogoal_jax/imports.py"
+"""Where this is, the command trains such a task."""
 ELSEWHERE = """
 import sys
 import numpy as np
@@ -42,12 +44,14 @@ assert "jax" not in sys.modules and "infogoal_jax" not in sys.modules
 
 class Step(NamedTuple):
     """What is typed. milestone: what the newcomer then has, or nothing; shown: the line; words: the command; needs: a
-    file of the checkout without which the command cannot do it yet; folder: where, below the newcomer's home."""
+    file of the checkout without which the command cannot do it yet; instead: a file of the checkout with which nobody
+    needs to type it; folder: where, below the newcomer's home."""
 
     milestone: str
     shown: str
     words: list[str]
     needs: str = ""
+    instead: str = ""
     folder: str = "."
 
 
@@ -56,9 +60,9 @@ def infogoal(line: str, milestone: str = "", needs: str = "") -> Step:
     return Step(milestone, f"infogoal {line}", [sys.executable, "-m", "infogoal_jax", *line.split()], needs)
 
 
-def python(script: str, shown: str, milestone: str = "", folder: str = ".") -> Step:
+def python(script: str, shown: str, milestone: str = "", **where: str) -> Step:
     """A step that runs a script."""
-    return Step(milestone, shown, [sys.executable, script], folder=folder)
+    return Step(milestone, shown, [sys.executable, script], **where)
 
 
 def steps_of(seeds: int, own_task: str) -> list[Step]:
@@ -69,16 +73,16 @@ def steps_of(seeds: int, own_task: str) -> list[Step]:
         infogoal("--help"),
         infogoal("report shipped/object_search", "first result and picture"),
         infogoal(f"{train} --out infogoal", "first own run"),
-        python("own_task.py", "python own_task.py  # the script of the guide", "first own task"),
+        python("my_task.py", "python my_task.py  # the script of the guide", "first own task", instead=IMPORTS),
         infogoal(
-            f"train {own_task} --import own_task.py --seeds {seeds} --out mine",
-            "its figures",
-            "infogoal_jax/imports.py",
+            f"train {own_task} --import my_task.py --method none --num-epochs 20 --seeds {seeds} --out mine",
+            "first own task, with figures",
+            IMPORTS,
         ),
         infogoal(f"{train} --method her --out her"),
         infogoal("compare infogoal her --out success.pdf", "first comparison"),
         infogoal("export infogoal --out elsewhere/policy.npz"),
-        python("run.py", "python run.py  # NumPy alone", "first policy elsewhere", "elsewhere"),
+        python("run.py", "python run.py  # NumPy alone", "first policy elsewhere", folder="elsewhere"),
         infogoal(f"{train} --out again", "the same run, from the cache"),
     ]
 
@@ -87,7 +91,7 @@ def write_files(home: Path, checkout: Path) -> str:
     """Write what the newcomer copies from the pages; the name of the task of one's own."""
     page = next(path for path in (checkout / name for name in GUIDES) if path.exists())
     (script, *_) = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
-    (home / "own_task.py").write_text(script)
+    (home / "my_task.py").write_text(script)
     (home / "elsewhere").mkdir()
     (home / "elsewhere" / "run.py").write_text(ELSEWHERE)
     shutil.copy(checkout / "infogoal_jax" / "policy_file.py", home / "elsewhere")
@@ -106,7 +110,7 @@ def play(steps: list[Step], home: Path, checkout: Path) -> Iterator[tuple[Step, 
     paths = filter(None, [str(checkout), os.environ.get("PYTHONPATH")])
     environment |= {"HOME": str(home), "PYTHONPATH": os.pathsep.join(paths)}
     for step in steps:
-        if not (checkout / step.needs).exists():
+        if not (checkout / step.needs).exists() or (step.instead and (checkout / step.instead).exists()):
             continue
         before, used = time.perf_counter(), cpu_seconds()
         done = subprocess.run(step.words, cwd=home / step.folder, env=environment, stdout=sys.stderr)

@@ -20,7 +20,7 @@ from infogoal_jax.cli.mistakes import parsed
 from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
-from infogoal_jax.errors import UserError, require
+from infogoal_jax.errors import UserError, at_words, require
 from infogoal_jax.imports import import_installed, load, take_imports
 from infogoal_jax.stopping import NOTHING, STATUS
 
@@ -146,14 +146,6 @@ def check_given(arguments: list[str]) -> None:
         flag = word.removeprefix("--").removesuffix("=")
         empty = following == "" if word in FOLDER_FLAGS else word.endswith("=") and word[:-1] in FOLDER_FLAGS
         require(not empty, flag, "", "is empty; give a folder, or leave the flag out")
-
-
-def at_words(line: str) -> str:
-    """The line as it is; on a terminal that is narrower it is broken between words."""
-    if not sys.stderr.isatty():
-        return line
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
 
 
 def main(arguments: list[str] | None = None) -> int:

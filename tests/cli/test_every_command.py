@@ -262,6 +262,23 @@ def test_a_terminal_that_was_closed_is_no_error():
     assert process.wait(timeout=30) == 130
 
 
+def test_on_a_narrow_terminal_what_a_signal_says_is_broken_between_words():
+    terminal, ours = pty.openpty()
+    code = COMMAND.format(finishing="this chunk of epochs, with a checkpoint", wait=IN_A_LOOP)
+    environment = os.environ | {"COLUMNS": "60"}
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=ours, env=environment)
+    os.close(ours)
+    assert process.stdout.readline() == b"ready\n"
+    process.send_signal(signal.SIGINT)
+    seen = b""
+    while not seen.endswith(b"at once.\r\n"):
+        seen += os.read(terminal, 1000)
+    os.close(terminal)
+    assert process.communicate(timeout=30)[0] == b"files are whole\n" and process.returncode == 130
+    lines = seen.decode().split("\r\n")
+    assert max(map(len, lines)) <= 60 and "with a checkpoint. Press Ctrl-C again to stop at once." in " ".join(lines)
+
+
 def test_signals_that_are_ignored_stay_so():
     """As `nohup` has it."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)

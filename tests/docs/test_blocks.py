@@ -35,6 +35,8 @@ SMALLER = (
     ("--num-epochs 200", "--num-epochs 2"),
     ("--seeds 2 --num-epochs 50", "--seeds 2 --num-epochs 1"),
     ("--num-epochs 100", "--num-epochs 2"),
+    ("--num-epochs 20 ", "--num-epochs 1 "),
+    ("num_epochs=20", "num_epochs=1"),
     ("object_search --seeds 16", "object_search --seeds 2"),
     ("fetch_push --seeds 5", "fetch_push --seeds 1"),
     ("--seeds 48 --vmap-size 12", "--seeds 4 --vmap-size 2"),
