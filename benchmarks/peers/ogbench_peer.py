@@ -73,7 +73,7 @@ class Sizes:
     evaluations: int
     episodes: int = 20
     """Of each task in an evaluation."""
-    chunk: int = 1000
+    chunk: int = 500
     """Updates between two looks at the clock, an epoch of ours."""
     timed: int = 1000
     """Updates of a seed whose speed is measured."""
