@@ -68,7 +68,8 @@ def preset_of(task: str) -> Preset:
     require(isinstance(task, str), "task", task, f"give the name of a task. Known: {known}")
     take_library(task)
     found = task in registry or task in envs.registry
-    require(found, "task", task, f"no such task.{nearest(task, list(registry))} Known: {known}")
+    remedy = f"Known: {known}; one of your own is registered first: --import FILE, or presets.register"
+    require(found, "task", task, f"no such task.{nearest(task, list(registry))} {remedy}")
     envs.registry.entry(task)
     require(
         task in registry,

@@ -37,6 +37,7 @@ def no_compilation(monkeypatch):
 
 MISTAKES = [
     ("train objct_search", ["task", "objct_search", "Did you mean 'object_search'"]),
+    ("train my_rooms", ["task = 'my_rooms': no such task", "one of your own is registered first: --import FILE"]),
     ("train object_search --method infogaol", ["method", "infogaol", "Did you mean 'infogoal'"]),
     ("train object_search --seeds 0", ["seeds = 0", "at least 1"]),
     ("train object_search --env.dataset HOUSE --seeds 100000", ["seeds = 100000", "at most"]),
