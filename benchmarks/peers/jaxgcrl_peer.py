@@ -58,8 +58,7 @@ class Sizes:
     rounds: int = 10**9
     """Evaluations after which a program stops, at most."""
     num_envs: int = 256
-    """Environments of JaxGCRL; ours has fewer and longer rows, of as many steps in all, within which hindsight looks
-    ahead."""
+    """Environments of JaxGCRL; ours has as many, and longer rows, within which hindsight looks ahead."""
     unroll: int = 62
     """Steps of each before an update, in JaxGCRL's program."""
     episode_length: int = 1001
@@ -71,7 +70,7 @@ class Sizes:
     """Steps of each before the first update, in JaxGCRL's program."""
     num_eval: int = 128
     """Episodes of an evaluation."""
-    our_envs: int = 64
+    our_envs: int = 256
     our_steps: int = 250
     """Environments of ours, and steps of each between updates."""
 
