@@ -82,11 +82,7 @@ def make(config: GCIQLConfig, env) -> Agent:
         metrics |= td3.error_metrics(values, target) | {"log_density": log_pi.mean()}
         return value_loss + critic_loss + actor_loss, metrics
 
-    return Agent(
-        init=init,
-        act=offline.make_act(actor),
-        value=lambda params, features, code, action_mask: of_states(params, td3.joined(features, code)),
-        loss=loss,
-        observe=lambda state, rows: state,
-        num_steps=config.num_steps,
-    )
+    def value_at(params, features, code, action_mask):
+        return of_states(params, td3.joined(features, code))
+
+    return offline.agent(init, offline.make_act(actor), value_at, loss)

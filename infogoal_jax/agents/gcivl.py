@@ -53,11 +53,7 @@ def make(config: GCIVLConfig, env) -> Agent:
         metrics |= {"actor_loss": actor_loss, "advantage": advantage.mean(), "log_density": log_pi.mean()}
         return value_loss + actor_loss, metrics
 
-    return Agent(
-        init=init,
-        act=offline.make_act(actor),
-        value=lambda params, features, code, action_mask: values(params, td3.joined(features, code)),
-        loss=loss,
-        observe=lambda state, rows: state,
-        num_steps=config.num_steps,
-    )
+    def value_at(params, features, code, action_mask):
+        return values(params, td3.joined(features, code))
+
+    return offline.agent(init, offline.make_act(actor), value_at, loss)

@@ -115,6 +115,4 @@ def make(config: HIQLConfig, env) -> Agent:
         metrics |= {"low_loss": low_loss, "high_loss": high_loss, "subgoal_error": jnp.square(said - reached).mean()}
         return of_values + low_loss + high_loss, metrics
 
-    return Agent(
-        init=init, act=act, value=value, loss=loss, observe=lambda state, rows: state, num_steps=config.num_steps
-    )
+    return offline.agent(init, act, value, loss)

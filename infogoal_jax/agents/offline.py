@@ -11,7 +11,8 @@ Shapes: B transitions, F features of a state, d numbers of a goal code, A number
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import flax.struct
@@ -20,9 +21,10 @@ import jax.numpy as jnp
 
 from infogoal_jax import networks
 from infogoal_jax.agents import td3
-from infogoal_jax.agents.agent import AgentBatch, AgentTraits
+from infogoal_jax.agents.agent import Agent, AgentBatch, AgentTraits
 from infogoal_jax.field_types import Sizes
 from infogoal_jax.hyperparameters import Number, Search
+from infogoal_jax.registry import Entry
 
 EXPECTILE = Number("(0, 1)", Search(0.6, 0.95, "linear", always=False))
 ALPHA = Number("[0, inf)", Search(1e-3, 10.0, "log", always=False))
@@ -40,11 +42,6 @@ class OfflineConfig:
     layer_norm: bool = True
     """Normalise what each layer of the values puts out."""
 
-    @property
-    def num_steps(self) -> int:
-        """Steps of a transition."""
-        return 1
-
 
 @flax.struct.dataclass
 class ExpectileHyperparameters:
@@ -57,6 +54,17 @@ class ExpectileHyperparameters:
 def traits(config: OfflineConfig) -> AgentTraits:
     """Its actions are vectors; it learns from costs."""
     return AgentTraits("vectors", costs=True)
+
+
+def agent(init: Callable, act: Callable, value: Callable, loss: Callable) -> Agent:
+    """The agent of these functions (`Agent`), which learns from single steps and keeps nothing besides its
+    parameters."""
+    return Agent(init, act, value, loss, observe=lambda state, rows: state, num_steps=1)
+
+
+def entry(config: type, make: Callable, hyper: type, of_relabelling: Mapping = MappingProxyType({})) -> Entry:
+    """What the registry of agents holds of an offline one."""
+    return Entry(config, make, hyper, traits, of_relabelling=of_relabelling, relabelling="mixed")
 
 
 def make_actor(config: OfflineConfig, size: int) -> networks.GeluMLP:

@@ -91,11 +91,4 @@ def make(config: OfflineCRLConfig, env) -> Agent:
         metrics = {"contrastive_loss": contrastive, "actor_loss": actor_loss, "log_density": log_pi.mean()}
         return contrastive + actor_loss, metrics | crl.logit_metrics(logits.mean(0))
 
-    return Agent(
-        init=init,
-        act=offline.make_act(actor),
-        value=value,
-        loss=loss,
-        observe=lambda state, rows: state,
-        num_steps=config.num_steps,
-    )
+    return offline.agent(init, offline.make_act(actor), value, loss)

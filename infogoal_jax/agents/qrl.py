@@ -153,11 +153,4 @@ def make(config: QRLConfig, env) -> Agent:
         metrics |= {"actor_loss": of_actor, "dynamics_loss": of_model, "log_density": log_pi.mean()}
         return value_loss + of_model + of_actor, metrics
 
-    return Agent(
-        init=init,
-        act=offline.make_act(actor),
-        value=value,
-        loss=loss,
-        observe=lambda state, rows: state,
-        num_steps=config.num_steps,
-    )
+    return offline.agent(init, offline.make_act(actor), value, loss)
