@@ -112,9 +112,9 @@ class AgentBatch:
     all_goals: AllGoals | None = None
     """The same transitions under all goals, where the relabelling asks for it (`relabelling/all_goals.py`)."""
     first_target_features: jax.Array | None = None
-    """float32 [B, F] of the first state, by the target encoder."""
+    """float32 [B, F] of the first state, by the target encoder, for an agent that learns from costs; None without."""
     first_target_code: jax.Array | None = None
-    """float32 [B, d] of the desired goal in the first state, by the target encoder."""
+    """float32 [B, d] of the desired goal in the first state, by the target encoder; None without."""
     actor: ActorGoals | None = None
     """Goals of the actor, without gradient, where the relabelling draws some (`relabelling/mixed.py`)."""
     waypoints: Waypoints | None = None

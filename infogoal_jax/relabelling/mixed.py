@@ -92,9 +92,9 @@ def make(config: MixedConfig) -> Relabelling:
         return mixture(key, table, row, step, goal, config.current_share, config.future_share, config.geometric)
 
     def actor_goal(key, table, row, step, goal):
-        return mixture(key, table, row, step, goal, 0.0, config.actor_future_share, config.actor_geometric)
+        return mixture(key, table, row, step, goal, 0.0, config.actor_future_share, config.actor_geometric), None
 
-    def waypoints(key, table, row, step, goal):
+    def actor_goal_with_waypoints(key, table, row, step, goal):
         keys, achieved = jax.random.split(key, 6), table.achievements
         place, found = future_place(keys[0], achieved, row, step, table.later(config.actor_geometric))
         from_episode = found & (jax.random.uniform(keys[1], row.shape, jnp.float32) < config.actor_future_share)
@@ -107,16 +107,10 @@ def make(config: MixedConfig) -> Relabelling:
 
         anything = any_known(keys[2], achieved.known, goal)
         low_step, high_step = jnp.minimum(ahead, end), jnp.minimum(ahead, of_goal)
-        return Waypoints(
-            actor_goal=select(from_episode, achieved_at(keys[3], of_goal), anything),
-            low_goal=achieved_at(keys[4], low_step),
-            step=high_step,
-            goal=achieved_at(keys[5], high_step),
-        )
+        wanted = select(from_episode, achieved_at(keys[3], of_goal), anything)
+        return wanted, Waypoints(achieved_at(keys[4], low_step), high_step, achieved_at(keys[5], high_step))
 
     def prepare(context: Context) -> Table:
         return Table(context.achievements, context.discount)
 
-    if config.subgoal_steps:
-        return Relabelling(prepare, relabel, waypoints=waypoints, costs=True)
-    return Relabelling(prepare, relabel, actor_goal=actor_goal, costs=True)
+    return Relabelling(prepare, relabel, costs=actor_goal_with_waypoints if config.subgoal_steps else actor_goal)

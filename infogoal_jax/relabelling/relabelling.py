@@ -69,10 +69,8 @@ class AllGoalsSpec(NamedTuple):
 
 @flax.struct.dataclass
 class Waypoints:
-    """The actor's goals, and which states their episodes reach some steps after transitions."""
+    """Which states episodes reach some steps after transitions."""
 
-    actor_goal: jax.Array
-    """[B, *shape]."""
     low_goal: jax.Array
     """[B, *shape], achieved so many steps later, or at the end of the episode."""
     step: jax.Array
@@ -98,13 +96,10 @@ class Relabelling(NamedTuple):
     """Whether transitions keep their goals where the other one is reached before them."""
     all_goals: AllGoalsSpec | None = None
     """The goals that the agent learns each transition from at once; None: the one that `relabel` gives it."""
-    actor_goal: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], jax.Array] | None = None
-    """As `relabel`: the goals that the actor learns for; None: the same."""
-    waypoints: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], "Waypoints"] | None = None
-    """As `actor_goal`, in its place, with states on the way to these goals; None: without."""
-    costs: bool = False
-    """Whether rewards are -1 for each step from a state that does not achieve the goal, after which nothing follows, in
-    place of 1 for the step that reaches it. Of returns of one step."""
+    costs: Callable[[jax.Array, Any, jax.Array, jax.Array, jax.Array], tuple[jax.Array, Waypoints | None]] | None = None
+    """As `relabel`: the goals that the actor learns for, and states on the way to them or None. With it, rewards are
+    -1 for each step from a state that does not achieve the goal, after which nothing follows, in place of 1 for the
+    step that reaches it. Of returns of one step."""
 
 
 @dataclasses.dataclass(frozen=True)

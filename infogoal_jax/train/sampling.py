@@ -70,30 +70,20 @@ class Sample:
 def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     """Draw what one update learns from: transitions, some of them under other goals, and goal pairs."""
     parts, _, env = setup
+    relabelling = parts.relabelling
     transition_key, relabel_key, pair_key = jax.random.split(key, 3)
     buffer, num_steps, goal = experience.buffer, parts.agent.num_steps, None
-    candidates = parts.config.batch_size * (1 if parts.relabelling is None else parts.relabelling.candidates)
+    candidates = parts.config.batch_size * (1 if relabelling is None else relabelling.candidates)
     row, step = replay.draw(transition_key, experience.decision_count, candidates, buffer.valid.shape[1])
     if env.recorded is not None:
         # Recorded episodes did not end where their goal was reached; what is drawn from them does.
         goal = buffer.goal[row, step]
-    if parts.relabelling is not None:
+    if relabelling is not None:
         row, step, goal = with_relabelled_goals(setup, experience, relabel_key, row, step)
     ends = env.reached if env.ends_at_goal else None
     drawn = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
-    if parts.relabelling is not None and parts.relabelling.costs:
-        drawn = with_costs(setup, drawn, buffer, row, step)
-    if parts.relabelling is not None and parts.relabelling.actor_goal is not None:
-        goal = parts.relabelling.actor_goal(
-            jax.random.fold_in(key, 6), experience.relabelling, row, step, buffer.goal[row, step]
-        )
-        drawn = drawn.replace(actor_goal=goal)
-    if parts.relabelling is not None and parts.relabelling.waypoints is not None:
-        way = parts.relabelling.waypoints(
-            jax.random.fold_in(key, 6), experience.relabelling, row, step, buffer.goal[row, step]
-        )
-        there = jax.tree.map(lambda leaf: leaf[row, way.step], buffer.observation)
-        drawn = drawn.replace(actor_goal=way.actor_goal, waypoints=(way.low_goal, way.goal, there))
+    if learns_from_costs(relabelling):
+        drawn = with_costs(setup, experience, jax.random.fold_in(key, 6), drawn, row, step)
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
@@ -306,16 +296,30 @@ def with_rewards(setup: Setup, transitions: Transitions) -> Sample:
     return Sample(transitions, external, usable_goals(setup, transitions.records), pairs=None)
 
 
-def with_costs(setup: Setup, drawn: Sample, buffer: replay.Trajectories, row: jax.Array, step: jax.Array) -> Sample:
+def learns_from_costs(relabelling: Relabelling | None) -> bool:
+    """Whether rewards are costs, and the actor has goals of its own."""
+    return relabelling is not None and relabelling.costs is not None
+
+
+def with_costs(
+    setup: Setup, experience: Experience, key: jax.Array, drawn: Sample, row: jax.Array, step: jax.Array
+) -> Sample:
     """The transitions of one step with costs: -1, and nothing once the goal is achieved before the step. An episode
-    that fails costs for ever."""
+    that fails costs for ever. And with the actor's goals."""
+    buffer = experience.buffer
     before = jax.tree.map(lambda leaf: leaf[row, step], buffer.record)
     at_goal = setup.env.reached(before, drawn.transitions.goal)
     failed = jnp.zeros_like(at_goal) if buffer.failed is None else buffer.failed[row, step]
     cost = jnp.where(failed, 1.0 / (1.0 - setup.hyper.discount), 1.0)
+    goal, way = setup.parts.relabelling.costs(key, experience.relabelling, row, step, buffer.goal[row, step])
+    waypoints = None
+    if way is not None:
+        waypoints = way.low_goal, way.goal, jax.tree.map(lambda leaf: leaf[row, way.step], buffer.observation)
     return drawn.replace(
         transitions=drawn.transitions.replace(terminated=at_goal | failed),
         external=jnp.where(at_goal, 0.0, -cost)[:, None],
+        actor_goal=goal,
+        waypoints=waypoints,
     )
 
 

@@ -17,7 +17,7 @@ from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience
 from infogoal_jax.train.parts import Setup, TrainState, code_seen, encode_states, spec_of, training_view
-from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
+from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, learns_from_costs, sample
 
 
 class Networks(NamedTuple):
@@ -81,7 +81,6 @@ def agent_batch(
     parts, hyper, env = setup
     params, target_params, view_key = networks
     keys = jax.random.split(key, 3)
-    target_key = jax.random.fold_in(key, 3)
     see, see_by_target = (encode_states(setup, given, 2 * setup.config.batch_size) for given in (params, target_params))
 
     def encode(given):  # A relabelled goal may be any, not a training goal alone.
@@ -95,8 +94,11 @@ def agent_batch(
         see_by_target(batch.next_observation),
     )
     next_code = conditioned(parts.learner, params["goal"], code, next_features)
-    first_target_features = see_by_target(batch.observation)
-    first_target_code = conditioned(parts.learner, target_params["goal"], target_code, first_target_features)
+    first = {}
+    if learns_from_costs(parts.relabelling):
+        seen, noise_key = see_by_target(batch.observation), jax.random.fold_in(key, 3)
+        first_code = conditioned(parts.learner, target_params["goal"], target_code, seen)
+        first = {"first_target_features": seen, "first_target_code": code_seen(parts, first_code, noise_key)}
     target_code = conditioned(parts.learner, target_params["goal"], target_code, target_features)
     code = conditioned(parts.learner, params["goal"], code, features)
     code = jax.lax.stop_gradient(code) if parts.config.stop_encoder_gradient else code
@@ -115,8 +117,7 @@ def agent_batch(
         action_mask=env.action_mask(batch.observation),
         next_action_mask=env.action_mask(batch.next_observation),
         largest_value=None if env.ends_at_goal else 1.0 / (1.0 - hyper.discount),
-        first_target_features=first_target_features,
-        first_target_code=code_seen(parts, first_target_code, target_key),
+        **first,
     )
 
 

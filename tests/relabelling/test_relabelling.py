@@ -266,7 +266,7 @@ def test_mixed_goals_are_current_later_and_any():
     def drawn(rows):
         table = made.prepare(context(rows, known=known.mask))
         given = (jax.random.key(0), table, jnp.zeros_like(start), start, jnp.full(DRAWS, 9, jnp.int32))
-        return made.relabel(*given), made.actor_goal(*given)
+        return made.relabel(*given), made.costs(*given)[0]
 
     values, actors = (np.bincount(goals, minlength=10) / DRAWS for goals in drawn(rows))
     discount = float(context(rows).discount)
@@ -275,7 +275,6 @@ def test_mixed_goals_are_current_later_and_any():
     expected[0], expected[3], expected[4:8] = 0.25, 0.25, 0.5 * later
     np.testing.assert_allclose(values, expected, atol=0.03)
     np.testing.assert_allclose(actors, [0.5, 0, 0, 0, *[0.125] * 4, 0, 0], atol=0.03)
-    assert made.costs
 
 
 def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
@@ -285,10 +284,10 @@ def test_waypoints_lie_so_many_steps_ahead_and_not_beyond_the_goal_or_the_end():
     @jax.jit
     def drawn(rows, start):
         row = jnp.zeros_like(start)
-        return made.waypoints(jax.random.key(0), made.prepare(context(rows)), row, start, row)
+        return made.costs(jax.random.key(0), made.prepare(context(rows)), row, start, row)
 
     for first, low in ((0, 3), (5, 7)):
-        way = jax.tree.map(np.asarray, drawn(rows, jnp.full(300, first, jnp.int32)))
-        assert set(way.actor_goal.tolist()) == set(range(first + 2, 8)) and (way.low_goal == low).all()
-        np.testing.assert_array_equal(way.goal, np.minimum(way.actor_goal, low))
+        goal, way = jax.tree.map(np.asarray, drawn(rows, jnp.full(300, first, jnp.int32)))
+        assert set(goal.tolist()) == set(range(first + 2, 8)) and (way.low_goal == low).all()
+        np.testing.assert_array_equal(way.goal, np.minimum(goal, low))
         np.testing.assert_array_equal(way.step, way.goal - 1)
