@@ -130,30 +130,28 @@ def video(
         height: Pixels; the width is 4/3 of it.
     """
     from infogoal_jax.envs.fetch.tasks import TASKS
-    from infogoal_jax.report.video import check_path, episode_video, random_policy
+    from infogoal_jax.report.video import can_draw, check_path, drawn_video
     from infogoal_jax.runner.compilation import use_compilation_cache
 
     check_path(out, "out")
     check_seed(seed)
     require(0 < episodes <= 1000, "episodes", episodes, "give 1 to 1000")
     require(0 < height <= 4320, "height", height, "give 1 to 4320 pixels")
-    size = height, height * 4 // 3
     use_compilation_cache()
     is_run = (Path(subject) / "config.json").exists()
     if is_run or (subject not in TASKS and (Path(subject).exists() or os.sep in subject)):
         from infogoal_jax.report.figures import read_subject
         from infogoal_jax.report.image_goals import policy_video
         from infogoal_jax.report.runs import load_run
-        from infogoal_jax.report.video import can_draw, drawn_video
 
         loaded = load_run(Path(subject))
         if can_draw(loaded.env):
             require(corruption == 0, "corruption", corruption, "goes with image goals; leave it out")
-            reached = drawn_video(loaded, out, episodes, seed, height)
+            reached = drawn_video(loaded.env, loaded.policy(), out, episodes, seed, height)
             print(f"{out}: {counted(len(reached), 'episode')}; the goal is reached in {sum(reached)}")
             return 0
         run = read_subject(Path(subject))
-        reached = policy_video(run, out, episodes, seed, corruption, size)
+        reached = policy_video(run, out, episodes, seed, corruption, (height, height * 4 // 3))
         words = f"corrupted with weight {corruption:g}" if corruption else "clean"
         print(
             f"{out}: {counted(len(reached), 'episode')} of the policy of seed {run.params_seed} on test goals, "
@@ -164,13 +162,11 @@ def video(
         raise UserError(
             f"corruption = {corruption}: a random policy looks at no goal; leave it out, or give the folder of a run"
         )
-    import jax
-
     from infogoal_jax.envs.fetch.environment import make
     from infogoal_jax.envs.fetch.tasks import FetchConfig
+    from infogoal_jax.train.evaluation import random_policy
 
     env = make(subject, FetchConfig(ends_at_goal=False))
-    last = episode_video(env, random_policy, jax.random.key(seed), out, episodes, size)
-    at_goal = sum(bool(env.reached(env.achieved(state), state.goal)) for state in last)
-    print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {at_goal}")
+    reached = drawn_video(env, random_policy(env), out, episodes, seed, height)
+    print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
     return 0

@@ -13,15 +13,14 @@ from PIL import Image
 
 from infogoal_jax import checks, files
 from infogoal_jax.envs.environment import Environment
-from infogoal_jax.envs.fetch.environment import Fetch, FetchState
+from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.scene import draw_fetch
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.report.runs import evaluated_masks
 from infogoal_jax.runs.disk import check_out, disk_error
 from infogoal_jax.stopping import temporary
+from infogoal_jax.train.rollout import Policy
 
-Policy = Callable[[FetchState, jax.Array], jax.Array]
-"""(state, key) -> action [4]."""
 LAST_PICTURE = 25
 """The last picture of an episode stays for this many frames: a second."""
 ENDINGS = (".mp4", ".gif")
@@ -135,44 +134,6 @@ def frames_in(path: Path) -> int:
     return count
 
 
-def random_policy(state: FetchState, key: jax.Array) -> jax.Array:
-    """Actions without a thought, uniform in [-1, 1]."""
-    return jax.random.uniform(key, (4,), minval=-1.0, maxval=1.0)
-
-
-def play_episode(env: Fetch, policy: Policy, key: jax.Array) -> list[FetchState]:
-    """The states of one episode, from its start to the step that ends it."""
-    reset_key, policy_key = jax.random.split(key)
-    # The environment is an argument without leaves: what was compiled for a task stays compiled.
-    step = jax.jit(Fetch.step)
-    states = [jax.jit(Fetch.reset)(env, reset_key)]
-    while not (states[-1].terminated | states[-1].truncated):
-        states.append(step(env, states[-1], policy(states[-1], jax.random.fold_in(policy_key, len(states)))))
-    return states
-
-
-def episode_video(
-    env: Fetch, policy: Policy, key: jax.Array, path: str | Path, episodes: int = 1, size: tuple[int, int] = (480, 640)
-) -> list[FetchState]:
-    """Play episodes and write them as one video at their own speed; the last state of each. policy: (state, key) ->
-    action [4]."""
-    require(episodes > 0, "episodes", episodes, "give at least 1")
-    last: list[FetchState] = []
-
-    def frames():
-        for episode in range(episodes):
-            states = play_episode(env, policy, jax.random.fold_in(key, episode))
-            last.append(states[-1])
-            for state in states:
-                picture = draw_fetch(env, state, size)
-                yield picture
-            for _ in range(LAST_PICTURE):
-                yield picture
-
-    write_video(path, frames())
-    return last
-
-
 def can_draw(env: Any) -> bool:
     """Whether states of a task can be drawn, and its agent acts in it as it is."""
     draws = isinstance(env, Fetch) or getattr(type(env), "draw", Environment.draw) is not Environment.draw
@@ -194,10 +155,10 @@ def painter(env: Any, height: int) -> tuple[Callable[[Any], np.ndarray], int]:
     return scaled, 10
 
 
-def drawn_video(run: Any, path: str | Path, episodes: int, seed: int, height: int) -> list[bool]:
-    """Play episodes of a run's policy on its test goals, or on its training goals where there are none, and write
+def drawn_video(env: Any, policy: Policy, path: str | Path, episodes: int, seed: int, height: int) -> list[bool]:
+    """Play episodes of a policy on the task's test goals, or on its training goals where there are none, and write
     pictures of this height, as `painter` makes them. Returns whether each episode ends at its goal."""
-    env, policy, reached = run.env, jax.jit(run.policy()), []
+    policy, reached = jax.jit(policy), []
     masks = evaluated_masks(env.goals)
     goals = env.goals.evaluated[masks.get("test", masks["train"])]
     step, observe = jax.jit(env.step), jax.jit(env.observe)

@@ -156,7 +156,6 @@ def no_work(monkeypatch):
     for engine in command.ENGINES:
         monkeypatch.setitem(command.ENGINES, engine, accept)
     monkeypatch.setattr("infogoal_jax.stand_ins.house.build_house", accept)
-    monkeypatch.setattr("infogoal_jax.report.video.episode_video", accept)
     monkeypatch.setattr("infogoal_jax.report.video.drawn_video", accept)
 
 
