@@ -1,5 +1,5 @@
-"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped), check, import, export,
-download, embed."""
+"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped), check, import, download,
+embed."""
 
 import contextlib
 import os
@@ -180,26 +180,6 @@ def import_images(
     return 0
 
 
-def export_minari(path: Positional[str], out: str) -> int:
-    """Write an image dataset's trajectories for Minari (needs the extra `minari`).
-
-    Args:
-        path: The image dataset, an npz.
-        out: Folder to write, FOLDER/NAME-v0; must not exist yet.
-    """
-    from infogoal_jax.bridges.minari import to_minari
-    from infogoal_jax.data import frames
-
-    dataset = frames.load(path)
-    with progress_bar("writing the episodes") as bar:
-        folder = to_minari(dataset, out, bar)
-    print(
-        f"{folder}: {dataset.terminal.sum()} episodes, {len(dataset.frame)} steps; "
-        f"read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}"
-    )
-    return 0
-
-
 def import_minari(name: Positional[str], out: str) -> int:
     """Make an npz of recorded episodes of a dataset of Minari (needs the extra `minari`).
 
@@ -266,11 +246,10 @@ def embed(
 
 
 DATA = Group(
-    "Check, import, export, build and download datasets.",
+    "Check, import, build and download datasets.",
     {
         "check": check,
         "import": import_images,
-        "export-minari": export_minari,
         "import-minari": import_minari,
         "build": BUILD,
         "download": Group("Download what others published.", {"cifar10": cifar10}),
