@@ -17,7 +17,7 @@ from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.keys import fold
-from infogoal_jax.learners.learner import GoalCode, Learner, View
+from infogoal_jax.learners.learner import GoalCode, GoalEncoding, Learner, View
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.checked_parts import checked_part
@@ -155,6 +155,12 @@ def training_view(setup: Setup, augmented: bool) -> View | None:
     return view if parts.config.training_corruption or augment else None
 
 
+def goal_encoding(setup: Setup, params: dict, view_key: jax.Array | None) -> GoalEncoding:
+    """How an update encodes goals with these parameters, their inputs varied by draws from the key."""
+    view = training_view(setup, augmented=True)
+    return GoalEncoding(setup.parts.learner, params["goal"], setup.env.goals, setup.config.batch_size, view, view_key)
+
+
 # Purposes for which keys are folded from the seed's key, so that a draw depends on nothing but seed, purpose and epoch.
 INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 
@@ -162,6 +168,17 @@ INITIAL, COLLECT, UPDATE, CORRUPT = range(4)
 def numbered(key: jax.Array, purpose: int, number: jax.Array) -> jax.Array:
     """A seed's key for a purpose and a number, such as that of the epoch; neither is batched."""
     return fold(key, purpose, number)
+
+
+class Networks(NamedTuple):
+    """The networks of one update."""
+
+    params: dict
+    """Those that are trained."""
+    target_params: dict
+    """Those of the target networks."""
+    view_key: jax.Array | None
+    """Of how the update varies goal inputs."""
 
 
 @flax.struct.dataclass

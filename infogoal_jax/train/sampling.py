@@ -10,9 +10,12 @@ from infogoal_jax import replay
 from infogoal_jax.goals import is_goal, same, select, with_placeholders
 from infogoal_jax.keys import draw_chance
 from infogoal_jax.pairs import GoalPairs
-from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
+from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
+from infogoal_jax.train.apart import sample_apart, sample_pairs_by_distance
+from infogoal_jax.train.costs import costs_of, learns_from_costs
 from infogoal_jax.train.experience import Experience, usable_goals
+from infogoal_jax.train.many_goals import draw_goals
 from infogoal_jax.train.parts import Setup, spec_of
 
 CHOICES_AT_ONCE = 10  # A matrix of 512 candidates by 512 for each, 1 MiB.
@@ -83,16 +86,17 @@ def sample(setup: Setup, experience: Experience, key: jax.Array) -> Sample:
     ends = env.reached if env.ends_at_goal else None
     drawn = with_rewards(setup, replay.transitions_at(buffer, row, step, num_steps, goal, ends))
     if learns_from_costs(relabelling):
-        drawn = with_costs(setup, experience, jax.random.fold_in(key, 6), drawn, row, step)
+        costs_key = jax.random.fold_in(key, 6)
+        drawn = drawn.replace(**costs_of(setup, experience, costs_key, drawn.transitions, row, step))
     spec, goals_key = parts.learner.sample_spec, jax.random.fold_in(key, 3)
     if spec.num_pairs:
         drawn = drawn.replace(pairs=sample_pairs(setup, experience, pair_key))
     if spec.num_goals:
         drawn = drawn.replace(goals=draw_goals_to_learn(setup, experience, goals_key, spec.num_goals))
     if spec_of(parts) is not None:
-        known, goals_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
-        goals = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], goals_key)
-        drawn = drawn.replace(all_goals=goals, goal_share=shares(known if goals is None else known[goals]))
+        known, many_key = goals_to_learn(setup, experience), jax.random.fold_in(key, 5)
+        goals, share = draw_goals(spec_of(parts), known, drawn.achieved, buffer.goal[row, step], many_key)
+        drawn = drawn.replace(all_goals=goals, goal_share=share)
     if spec.first_seen:
         ahead = jnp.arange(num_steps, dtype=jnp.int32)[None]
         led_to = jnp.minimum(step[:, None] + 1 + ahead, buffer.valid.shape[1])
@@ -179,100 +183,6 @@ def sample_pairs(setup: Setup, experience: Experience, key: jax.Array) -> GoalPa
     return GoalPairs(anchor, positive, contrast, with_placeholders(negative), positive_weight, negative_weight, other)
 
 
-def sample_pairs_by_distance(setup: Setup, experience: Experience, key: jax.Array) -> GoalPairs:
-    """Goal pairs as `sample_pairs`, of which the learner's radius says whether they are similar (the authors' code). A
-    goal is paired with itself where 16 candidates for its positive were rejected."""
-    spec, goals = setup.parts.learner.sample_spec, setup.env.goals
-    mask = goals.listed_mask & goals.usable_mask(setup.config.known_goals) if spec.listed else experience.known.mask
-    known, keys = goal_pairs.KnownGoals(mask), jax.random.split(key, 4)
-    anchor = known.draw(keys[0], (spec.num_pairs,))
-    positive, found = goal_pairs.sample_negatives(keys[1], ~experience.dissimilarity, mask, anchor)
-    weight = jnp.broadcast_to(known.any(), anchor.shape).astype(jnp.float32)
-    shape = (spec.num_pairs, spec.num_negatives)
-    contrast = jnp.broadcast_to(anchor[:, None], shape) if spec.anchored else known.draw(keys[2], shape)
-    negative, negative_weight = goal_pairs.sample_negatives(keys[3], experience.dissimilarity, mask, contrast)
-    return GoalPairs(anchor, jnp.where(found > 0, positive, anchor), contrast, negative, weight, negative_weight)
-
-
-def sample_apart(
-    setup: Setup, experience: Experience, key: jax.Array, place: tuple[jax.Array, jax.Array], contrast: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Draw for each goal of a continuous space one from the buffer that is dissimilar to it (line 20), by rejection.
-
-    place: row and step, int32 [B, 1] or [B, K], where the goals contrast [B, K, D] were achieved. Returns goals [B, K,
-    D] and weights float32 [B, K], 0 where every candidate was rejected.
-    """
-    parts, _, env = setup
-    goals, spec = experience.known.goals, parts.learner.sample_spec
-    place_key, goal_key = jax.random.split(key)
-    tried = (*contrast.shape[:-1], goal_pairs.REJECTION_TRIES)
-    there = replay.draw(place_key, experience.achieved_count, tried, goals.shape[1])
-    candidates = goal_pairs.choose_goal(goal_key, goals[there])
-    if spec.dissimilar_by == "cells":
-        dissimilar = experience.dissimilarity[env.goals.cell_of(contrast)[..., None], env.goals.cell_of(candidates)]
-    elif spec.dissimilar_by == "classifier":
-        every = jnp.broadcast_to(contrast[..., None, :], candidates.shape)
-        seen = env.goals.inputs_of(every), env.goals.inputs_of(with_placeholders(candidates))
-        dissimilar = ~parts.learner.similar(experience.goal_params, *seen)
-    else:
-        dissimilar = achieved_apart(setup, experience, place, there, contrast, candidates)
-    accepted = dissimilar & is_goal(candidates) & (experience.achieved_count[-1] > 0)
-    first = accepted.argmax(-1)[..., None]
-    negative = jnp.take_along_axis(candidates, first[..., None], axis=-2)[..., 0, :]
-    return negative, accepted.any(-1).astype(jnp.float32)
-
-
-def achieved_apart(
-    setup: Setup,
-    experience: Experience,
-    place: tuple[jax.Array, jax.Array],
-    there: tuple[jax.Array, jax.Array],
-    contrast: jax.Array,
-    candidates: jax.Array,
-) -> jax.Array:
-    """Whether goals [B, K, D] and their candidates [B, K, tries, D], achieved at these rows and steps, were not
-    achieved within the window in one trajectory, and none achieves the other: bool [B, K, tries]."""
-    env, window = setup.env, setup.parts.learner.sample_spec.window
-    buffer, tried = experience.buffer, candidates.shape[:-1]
-    here = tuple(jnp.broadcast_to(index[..., None], tried) for index in place)
-    record, other = (jax.tree.map(lambda leaf, at=at: leaf[at], buffer.record) for at in (here, there))
-    episode = experience.episode
-    apart = (here[0] != there[0]) | (episode[here] != episode[there]) | (jnp.abs(here[1] - there[1]) > window)
-    one_achieves_other = env.reached(other, contrast[..., None, :]) | env.reached(record, candidates)
-    return apart & ~one_achieves_other
-
-
-def draw_goals(
-    spec: AllGoalsSpec, known: jax.Array, achieved: jax.Array, desired: jax.Array, key: jax.Array
-) -> jax.Array | None:
-    """The goals int32 [num_goals] that an update learns from: a share of those achieved in the batch, a share of those
-    that were desired, else any known one. None: all goals of the task.
-
-    known: bool [N]; achieved: int32 [B, n, K], padded with -1; desired: int32 [B].
-    """
-    if not 0 < spec.num_goals < known.shape[0]:
-        return None
-    goal_key, which_key, any_key = jax.random.split(key, 3)
-    num_achieved = round(spec.achieved_share * spec.num_goals)
-    num_desired = min(round(spec.desired_share * spec.num_goals), spec.num_goals - num_achieved)
-    of_transition = goal_pairs.choose_goal(goal_key, achieved.reshape(achieved.shape[0], -1))
-    found = of_transition[jax.random.randint(which_key, (num_achieved,), 0, achieved.shape[0], jnp.int32)]
-    wanted = desired[jax.random.randint(jax.random.fold_in(key, 3), (num_desired,), 0, len(desired), jnp.int32)]
-    anything = goal_pairs.choose_from_mask(any_key, known, (spec.num_goals,))
-    found = jnp.where(found >= 0, found, anything[:num_achieved])
-    return jnp.concatenate([found, wanted, anything[num_achieved + num_desired :]])
-
-
-def shares(known: jax.Array) -> jax.Array:
-    """The share of each goal in a mean over the known ones, float32 [G]: known bool [G].
-
-    Drawn with the goals, not in the loss: there XLA sums it again for every tile of the values on a GPU, which took a
-    fifth of an update of the cube.
-    """
-    count = jnp.maximum(known.sum(dtype=jnp.int32), 1)
-    return known.astype(jnp.float32) / count.astype(jnp.float32)
-
-
 def with_relabelled_goals(
     setup: Setup, experience: Experience, key: jax.Array, row: jax.Array, step: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -294,33 +204,6 @@ def with_rewards(setup: Setup, transitions: Transitions) -> Sample:
     """The transitions with their rewards (Eq. 5: 1 for reaching the goal) and with what was achieved."""
     external = setup.env.reached(transitions.records, transitions.goal[:, None]).astype(jnp.float32)
     return Sample(transitions, external, usable_goals(setup, transitions.records), pairs=None)
-
-
-def learns_from_costs(relabelling: Relabelling | None) -> bool:
-    """Whether rewards are costs, and the actor has goals of its own."""
-    return relabelling is not None and relabelling.costs is not None
-
-
-def with_costs(
-    setup: Setup, experience: Experience, key: jax.Array, drawn: Sample, row: jax.Array, step: jax.Array
-) -> Sample:
-    """The transitions of one step with costs: -1, and nothing once the goal is achieved before the step. An episode
-    that fails costs for ever. And with the actor's goals."""
-    buffer = experience.buffer
-    before = jax.tree.map(lambda leaf: leaf[row, step], buffer.record)
-    at_goal = setup.env.reached(before, drawn.transitions.goal)
-    failed = jnp.zeros_like(at_goal) if buffer.failed is None else buffer.failed[row, step]
-    cost = jnp.where(failed, 1.0 / (1.0 - setup.hyper.discount), 1.0)
-    goal, way = setup.parts.relabelling.costs(key, experience.relabelling, row, step, buffer.goal[row, step])
-    waypoints = None
-    if way is not None:
-        waypoints = way.low_goal, way.goal, jax.tree.map(lambda leaf: leaf[row, way.step], buffer.observation)
-    return drawn.replace(
-        transitions=drawn.transitions.replace(terminated=at_goal | failed),
-        external=jnp.where(at_goal, 0.0, -cost)[:, None],
-        actor_goal=goal,
-        waypoints=waypoints,
-    )
 
 
 def draws_at_once(relabelling: Relabelling | None, count: int) -> int:

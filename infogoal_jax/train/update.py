@@ -1,7 +1,7 @@
 """One gradient update (Algorithm 1, lines 21 and 22): encode a sample, add the losses, step, then the targets."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import flax.struct
 import jax
@@ -9,26 +9,16 @@ import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
 
-from infogoal_jax.agents.agent import ActorGoals, AgentBatch, AllGoals, Waypoints
-from infogoal_jax.agents.value_heads import returns_of_all
+from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.exploration.explorer import Moves
 from infogoal_jax.learners.learner import Encode, GoalEncoding, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
+from infogoal_jax.train.costs import learns_from_costs, with_actor_goals
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.parts import Setup, TrainState, code_seen, encode_states, spec_of, training_view
-from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, learns_from_costs, sample
-
-
-class Networks(NamedTuple):
-    """The networks of one update."""
-
-    params: dict
-    """Those that are trained."""
-    target_params: dict
-    """Those of the target networks."""
-    view_key: jax.Array | None
-    """Of how the update varies goal inputs."""
+from infogoal_jax.train.many_goals import under_all_goals
+from infogoal_jax.train.parts import Networks, Setup, TrainState, code_seen, encode_states, goal_encoding, spec_of
+from infogoal_jax.train.sampling import RelabelledBatch, Sample, draws_at_once, sample
 
 
 def returns(
@@ -65,12 +55,6 @@ def discounted(step_reward: jax.Array, batch: Transitions | RelabelledBatch, hyp
 def discount_after(batch: Transitions | RelabelledBatch, hyper) -> jax.Array:
     """Discount of what follows each transition, float32 [B]: 0 after termination."""
     return hyper.discount ** batch.mask.sum(1) * (~batch.terminated).astype(jnp.float32)
-
-
-def goal_encoding(setup: Setup, params: dict, view_key: jax.Array | None) -> GoalEncoding:
-    """How an update encodes goals with these parameters, their inputs varied by draws from the key."""
-    view = training_view(setup, augmented=True)
-    return GoalEncoding(setup.parts.learner, params["goal"], setup.env.goals, setup.config.batch_size, view, view_key)
 
 
 def agent_batch(
@@ -118,55 +102,6 @@ def agent_batch(
         next_action_mask=env.action_mask(batch.next_observation),
         largest_value=None if env.ends_at_goal else 1.0 / (1.0 - hyper.discount),
         **first,
-    )
-
-
-def with_actor_goals(setup: Setup, networks: Networks, drawn: Sample, batch: AgentBatch, key: jax.Array) -> AgentBatch:
-    """The transitions with the actor's goals as codes, and with what lies on the way to them, without gradient."""
-    parts, params = setup.parts, jax.lax.stop_gradient(networks.params)
-    encode = GoalEncoding(parts.learner, params["goal"], setup.env.goals, setup.config.batch_size).of_any()
-    here, last = jax.lax.stop_gradient((batch.features, batch.next_features))
-
-    def code_in(number, features, goal):
-        code = conditioned(parts.learner, params["goal"], encode(goal), features)
-        return code_seen(parts, code, jax.random.fold_in(key, number))
-
-    goal = drawn.actor_goal
-    batch = batch.replace(actor=ActorGoals(code_in(0, here, goal), code_in(1, last, goal)))
-    if drawn.waypoints is None:
-        return batch
-    low_goal, on_the_way, observation = drawn.waypoints
-    there = encode_states(setup, params, setup.config.batch_size)(observation)
-    return batch.replace(
-        waypoints=Waypoints(
-            low_code=code_in(2, here, low_goal),
-            next_low_code=code_in(3, last, low_goal),
-            code=code_in(4, here, on_the_way),
-            features=there,
-            code_there=code_in(5, there, goal),
-        )
-    )
-
-
-def under_all_goals(setup: Setup, networks: Networks, drawn: Sample, key: jax.Array) -> AllGoals:
-    """The transitions under the goals [G] of the sample, or under all goals of the task, of which unknown ones have no
-    share. key: of the noise of codes."""
-    parts, hyper, env = setup
-    params, target_params, view_key = networks
-    batch, goals = drawn.transitions, drawn.all_goals
-    goals = jnp.arange(env.goals.num_goals, dtype=jnp.int32) if goals is None else goals
-    records = jax.tree.map(lambda leaf: leaf[:, :, None], batch.records)
-    reward, discount = returns_of_all(env.reached(records, goals), batch.mask, hyper.discount)
-    code, target_code = (goal_encoding(setup, given, view_key).of_any()(goals) for given in (params, target_params))
-    if parts.config.stop_encoder_gradient:
-        code = jax.lax.stop_gradient(code)
-    keys = jax.random.split(key)
-    return AllGoals(
-        share=drawn.goal_share,
-        code=code_seen(parts, code, keys[0]),
-        target_code=code_seen(parts, target_code, keys[1]),
-        reward=reward,
-        discount=discount,
     )
 
 
@@ -257,9 +192,15 @@ def update(
         table = encode if encoding.has_table and encoding.view is None else None
         codes = agent_batch(setup, networks, batch, reward, code_key, table)
         if spec_of(parts) is not None:
-            codes = codes.replace(all_goals=under_all_goals(setup, networks, drawn, jax.random.fold_in(key, 5)))
+            codes = codes.replace(
+                all_goals=under_all_goals(
+                    setup, networks, batch, drawn.all_goals, drawn.goal_share, jax.random.fold_in(key, 5)
+                )
+            )
         if drawn.actor_goal is not None:
-            codes = with_actor_goals(setup, networks, drawn, codes, jax.random.fold_in(key, 6))
+            codes = with_actor_goals(
+                setup, networks, codes, drawn.actor_goal, drawn.waypoints, jax.random.fold_in(key, 6)
+            )
         seen = LearnerBatch(
             encode,
             env.goals.inputs_of,

@@ -17,10 +17,10 @@ from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.learners.infogoal import InfoGoalState
 from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.train.experience import Experience
-from infogoal_jax.train.parts import Setup
+from infogoal_jax.train.parts import Networks, Setup
 from infogoal_jax.train.rollout import collect
 from infogoal_jax.train.sampling import with_rewards
-from infogoal_jax.train.update import Networks, agent_batch, returns
+from infogoal_jax.train.update import agent_batch, returns
 
 K = hand_made_points.LONG_INTERVAL
 """Steps between decisions here: an episode of 12 steps ends within an interval, at the goal or when time is up."""

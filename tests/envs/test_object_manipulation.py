@@ -19,7 +19,8 @@ from infogoal_jax.envs.target_states import Cells, JointSpace
 from infogoal_jax.errors import UserError
 from infogoal_jax.loading import traits_seen
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.update import Networks, agent_batch
+from infogoal_jax.train.parts import Networks
+from infogoal_jax.train.update import agent_batch
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from infogoal_jax.relabelling.all_goals import AllGoalsConfig
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import experience_of
-from infogoal_jax.train.sampling import Sample, draw_goals, shares
-from infogoal_jax.train.update import Networks, under_all_goals
+from infogoal_jax.train.many_goals import draw_goals, shares, under_all_goals
+from infogoal_jax.train.parts import Networks
 
 TRAIN, TEST = np.arange(hand_made.ROOMS), np.arange(hand_made.ROOMS) + hand_made.ROOMS
 
@@ -97,7 +97,7 @@ def test_drawn_goals_are_known_and_shares_were_achieved_and_desired_in_the_batch
 
     def drawn(achieved, *spec):
         spec = AllGoalsSpec(*spec, mean_code=False)
-        goals = jax.jit(lambda *given: draw_goals(spec, *given))(known, achieved, desired, jax.random.key(0))
+        goals, _ = jax.jit(lambda *given: draw_goals(spec, *given))(known, achieved, desired, jax.random.key(0))
         return None if goals is None else np.asarray(goals)
 
     goals = drawn(achieved, 80, 0.5, 0.25)
@@ -134,8 +134,12 @@ def test_rewards_are_those_of_each_goal_alone(begun, goals):
     )
     known = jnp.ones(env.goals.num_goals, bool).at[0].set(False)
     share, key = shares(known if goals is None else known[goals]), jax.random.key(1)
-    drawn = Sample(batch, external=None, achieved=None, pairs=None, all_goals=goals, goal_share=share)
-    found = jax.jit(lambda drawn: under_all_goals(train.setup(), Networks(params, params, key), drawn, key))(drawn)
+
+    @jax.jit
+    def found_of(batch):
+        return under_all_goals(train.setup(), Networks(params, params, key), batch, goals, share, key)
+
+    found = found_of(batch)
     for place, goal in enumerate(range(8) if goals is None else goals.tolist()):
         reached = np.asarray(env.in_view[arrived, goal])
         np.testing.assert_array_equal(found.reward[:, place], reached)
