@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from infogoal_jax.report.runs import load_run
     from infogoal_jax.report.sweeps import SweepResult, sweep
     from infogoal_jax.runner.compilation import compiled, compiler_options, jit, use_compilation_cache
+    from infogoal_jax.train.episodes import rollout
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult
-    from infogoal_jax.train.rollout import rollout
 
 __version__ = "0.2.0.dev0"
 """The only place of the version: pyproject.toml reads it. Without `.dev0` once CHANGELOG.md gives it a date."""
@@ -53,7 +53,7 @@ MODULES = {
     "load_run": "report.runs",
     "sweep": "report.sweeps",
     "SweepResult": "report.sweeps",
-    "rollout": "train.rollout",
+    "rollout": "train.episodes",
     "GoalView": "train.evaluation",
     "Scores": "train.evaluation",
     "evaluate": "train.evaluation",

@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from infogoal_jax.envs.object_manipulation import ObjectManipulation
-from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.report.statistics import mean_interval, paired_difference
 from infogoal_jax.runs import disk
 from infogoal_jax.train.evaluation import corrupted_images, has_image_goals

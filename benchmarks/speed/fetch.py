@@ -25,7 +25,7 @@ import jax.numpy as jnp
 from infogoal_jax import compiled, envs, make_train, presets, replay
 from infogoal_jax.envs.fetch.environment import Fetch
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
-from infogoal_jax.learners.learner import encode_all
+from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.report.statistics import describe_machine
 from infogoal_jax.train.experience import experience_of
 from infogoal_jax.train.rollout import collect

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from infogoal_jax.field_types import Size, Weight
 from infogoal_jax.goals import same
 from infogoal_jax.learners import none
+from infogoal_jax.learners.encoding import encode_each
 from infogoal_jax.learners.goal_encoder import (
     GoalEncoderConfig,
     check_window,
@@ -21,7 +22,7 @@ from infogoal_jax.learners.goal_encoder import (
     log_score,
     weighted_mean,
 )
-from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec, encode_each
+from infogoal_jax.learners.learner import Learner, LearnerBatch, SampleSpec
 
 
 @dataclasses.dataclass(frozen=True)

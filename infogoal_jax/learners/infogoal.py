@@ -8,7 +8,6 @@ the codes. beta grows as long as the code tells similar from dissimilar goals (E
 import dataclasses
 from typing import Annotated, Literal
 
-import flax.linen as nn
 import flax.struct
 import jax
 import jax.numpy as jnp
@@ -19,6 +18,7 @@ from infogoal_jax.field_types import Positive, Size
 from infogoal_jax.goals import is_goal, same, with_placeholders
 from infogoal_jax.hyperparameters import Number, Search
 from infogoal_jax.learners import goal_encoder
+from infogoal_jax.learners.encoding import encode_each
 from infogoal_jax.learners.goal_encoder import (
     GoalEncoderConfig,
     check_window,
@@ -26,16 +26,8 @@ from infogoal_jax.learners.goal_encoder import (
     kl_to_standard_normal,
     weighted_mean,
 )
-from infogoal_jax.learners.learner import (
-    DissimilarBy,
-    Encode,
-    GoalCode,
-    Learner,
-    LearnerBatch,
-    SampleSpec,
-    Visited,
-    encode_each,
-)
+from infogoal_jax.learners.learner import DissimilarBy, Encode, GoalCode, Learner, LearnerBatch, SampleSpec, Visited
+from infogoal_jax.learners.similarity import SimilarityClassifier, classifier_loss, similar_by
 
 SIGN_STEP = 1e-5  # The authors' step, for the sign rule and for the ramp of a fixed beta.
 SCALE_RATE = 0.01  # Rate of the running mean that normalises the intrinsic reward.
@@ -138,31 +130,18 @@ def next_beta(config: InfoGoalConfig, beta: jax.Array, accuracy: jax.Array, thre
     return jnp.clip(beta, hyper.beta_floor, 1.0)
 
 
-class SimilarityClassifier(nn.Module):
-    """Two inputs of goals [..., *input] to the logit [...] that the goals are similar; symmetric in both."""
-
-    hidden: tuple[int, ...]
-    size: int
-
-    @nn.compact
-    def __call__(self, first, second):
-        embed = networks.GoalLayers(self.hidden, self.size)
-        first, second = embed(first), embed(second)
-        together = jnp.concatenate([jnp.abs(first - second), first * second], axis=-1)
-        return networks.MLP(self.hidden[-1:], 1)(together)[..., 0]
-
-
 def make(config: InfoGoalConfig) -> Learner:
     """The InfoGoal learner for this configuration."""
-    by_classifier = config.dissimilar_by == "classifier"
     encoder = networks.GaussianEncoder(config.hidden, config.latent_size, config.standardise_images)
-    classifier = SimilarityClassifier(config.hidden, config.latent_size) if by_classifier else None
+    classifier = None
+    if config.dissimilar_by == "classifier":
+        classifier = SimilarityClassifier(config.hidden, config.latent_size)
 
     def init(key, example, hyper):
         params = {"encoder": encoder.init(key, example.goal_inputs[:1])}
         if config.score == "bilinear":
             params["score"] = jnp.eye(config.latent_size, dtype=jnp.float32)
-        if by_classifier:
+        if classifier is not None:
             params["classifier"] = classifier.init(jax.random.fold_in(key, 1), *[example.goal_inputs[:1]] * 2)
         start = 0.0 if config.beta_rule == "fixed" else hyper.beta_start
         return params, InfoGoalState(beta=jnp.asarray(start, jnp.float32), scale=jnp.ones((), jnp.float32))
@@ -213,25 +192,10 @@ def make(config: InfoGoalConfig) -> Learner:
             threshold = metrics["mean_code_accuracy"] - hyper.beta_margin
         state = state.replace(beta=next_beta(config, state.beta, accuracy, threshold, hyper))
         total = infomax + jax.lax.stop_gradient(metrics["beta"]) * infomin
-        if by_classifier:
-            metrics["classifier_loss"] = classifier_loss(params, batch)
+        if classifier is not None:
+            metrics["classifier_loss"] = classifier_loss(classifier, params, batch)
             total += metrics["classifier_loss"]
         return total, metrics, state
-
-    def similar_logit(params, first, second):
-        return classifier.apply(params["classifier"], first, second)
-
-    def classifier_loss(params, batch: LearnerBatch):
-        """Cross entropy of telling positives from any achieved goals, each beside its anchor."""
-        pairs = batch.pairs
-        anchor, positive, other = (batch.inputs_of(goal) for goal in (pairs.anchor, pairs.positive, pairs.other))
-        losses = jax.nn.softplus(-similar_logit(params, anchor, positive))
-        losses += jax.nn.softplus(similar_logit(params, anchor, other))
-        return weighted_mean(losses, pairs.positive_weight)
-
-    def similar(params, first, second):
-        """More often achieved within the window than by chance."""
-        return similar_logit(params, first, second) > 0
 
     def intrinsic_reward(state, encode: Encode, visited: Visited):
         """Eq. 16 with a minus sign: minus the distance from the mean code of the desired goal to that of the nearest
@@ -256,4 +220,4 @@ def make(config: InfoGoalConfig) -> Learner:
         radius=None if config.positives == "trajectory" else config.radius,
         listed=config.positives == "listed",
     )
-    return Learner(init, encode, loss, sample_spec, intrinsic_reward, similar=similar if by_classifier else None)
+    return Learner(init, encode, loss, sample_spec, intrinsic_reward, similar=similar_by(classifier))

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from infogoal_jax.goals import GoalSet
-from infogoal_jax.learners.learner import GoalCode, GoalEncoding, InputSpec, Visited
+from infogoal_jax.learners.encoding import GoalEncoding
+from infogoal_jax.learners.learner import GoalCode, InputSpec, Visited
 from infogoal_jax.report.canvas import NOTHING, USE_MARKERS, USE_TITLES, Subject, in_words, new_figure, room_colour
 from infogoal_jax.runner.compilation import jit
 from infogoal_jax.train.evaluation import EVALUATION_SEED, clean_view, draw_starts, run_side_by_side

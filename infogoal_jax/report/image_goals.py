@@ -22,6 +22,7 @@ from infogoal_jax.report.codes_and_walks import code_legend, draw_codes, princip
 from infogoal_jax.report.trajectory_figures import drawing_of, has_poses, poses_on_the_way
 from infogoal_jax.report.video import LAST_PICTURE, write_video
 from infogoal_jax.runner.compilation import jit
+from infogoal_jax.train.episodes import Episodes
 from infogoal_jax.train.evaluation import (
     EVALUATION_SEED,
     corrupted_images,
@@ -30,7 +31,7 @@ from infogoal_jax.train.evaluation import (
     has_image_goals,
     run_side_by_side,
 )
-from infogoal_jax.train.rollout import Episodes, Policy
+from infogoal_jax.train.rollout import Policy
 
 PICTURES_A_FRAME = 8
 """How often each frame of a walk is shown: about three steps a second."""

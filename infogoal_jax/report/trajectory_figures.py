@@ -17,7 +17,7 @@ from matplotlib.patches import Circle
 from infogoal_jax.envs.fetch.environment import DISTANCE_THRESHOLD
 from infogoal_jax.envs.object_manipulation import REACHED, ObjectManipulation
 from infogoal_jax.report.canvas import FAILURE, SUCCESS, Subject, in_words, new_figure, room_colour, white_mark
-from infogoal_jax.train.rollout import Episodes
+from infogoal_jax.train.episodes import Episodes
 
 IMAGES = 7
 """Of an episode, start and end included."""

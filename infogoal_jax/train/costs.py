@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from infogoal_jax.agents.agent import ActorGoals, AgentBatch, Waypoints
-from infogoal_jax.learners.learner import GoalEncoding, conditioned
+from infogoal_jax.learners.encoding import GoalEncoding
+from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.experience import Experience

@@ -18,8 +18,9 @@ from infogoal_jax.goals import GoalSpace, corrupt, draw_backgrounds
 from infogoal_jax.keys import from_seed
 from infogoal_jax.shapes import with_rank
 from infogoal_jax.train.contracts import check_is_environment, check_shown, check_starts, checked_policy
+from infogoal_jax.train.episodes import Episodes, run_episodes
 from infogoal_jax.train.parts import Setup
-from infogoal_jax.train.rollout import Episodes, Policy, run_episodes, trained_policy
+from infogoal_jax.train.rollout import Policy, trained_policy
 
 # Of the start states and of the noise in evaluation; the same for every run, so that runs can be compared.
 EVALUATION_SEED = 20_240_000

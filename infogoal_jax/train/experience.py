@@ -9,12 +9,13 @@ import jax.numpy as jnp
 
 from infogoal_jax import pairs, replay
 from infogoal_jax.goals import is_goal, no_goals_like, select
-from infogoal_jax.learners.learner import GoalCode, NewSteps, conditioned, encode_all
-from infogoal_jax.relabelling.her import occurrences
-from infogoal_jax.relabelling.relabelling import Achievements, Context
+from infogoal_jax.learners.encoding import encode_all
+from infogoal_jax.learners.learner import GoalCode, NewSteps
+from infogoal_jax.relabelling.relabelling import Achievements
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.parts import COLLECT, CORRUPT, Setup, TrainState, encode_states, numbered
 from infogoal_jax.train.rollout import collect, training_policy
+from infogoal_jax.train.tables import first_seen, relabelling_context
 
 
 @flax.struct.dataclass
@@ -167,48 +168,3 @@ def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[E
         episode=None if env.goals.finite else buffer.episode(),
         first_seen=first_seen(goals, buffer, env.goals.num_goals) if parts.learner.sample_spec.first_seen else None,
     ), state
-
-
-def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
-    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
-    padded with -1."""
-    seen = occurrences(goals, rows, num_goals)
-    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
-    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))
-
-
-def relabelling_context(
-    setup: Setup,
-    state: TrainState,
-    number: jax.Array,
-    rows: Trajectories,
-    written: jax.Array,
-    achievements: Achievements,
-    codes: GoalCode | None,
-) -> Context:
-    """What a relabelling may look at before the updates of this epoch. codes: of all goals, or None where they are
-    few."""
-    parts, hyper, env = setup
-    learner, agent = parts.learner, parts.agent
-
-    def goal_codes():
-        return (encode_all(learner, state.params["goal"], env.goals) if codes is None else codes).mean
-
-    def value(observation, goal):
-        features = encode_states(setup, state.params, goal.shape[0])(observation)
-        code = conditioned(
-            learner, state.params["goal"], learner.encode(state.params["goal"], env.goals.inputs_of(goal)), features
-        )
-        return agent.value(state.params["agent"], features, code.mean, env.action_mask(observation))
-
-    return Context(
-        rows=rows,
-        written=written,
-        achievements=achievements,
-        goal_positions=env.goal_positions,
-        goal_codes=goal_codes,
-        value=value,
-        reached=env.reached,
-        discount=hyper.discount,
-        updates=number * parts.config.updates_per_epoch,
-    )

@@ -17,7 +17,8 @@ from infogoal_jax.errors import require
 from infogoal_jax.exploration.explorer import Explorer
 from infogoal_jax.goals import corrupt, draw_backgrounds
 from infogoal_jax.keys import fold
-from infogoal_jax.learners.learner import GoalCode, GoalEncoding, Learner, View
+from infogoal_jax.learners.encoding import GoalEncoding, View
+from infogoal_jax.learners.learner import GoalCode, Learner
 from infogoal_jax.relabelling.relabelling import AllGoalsSpec, Relabelling
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.checked_parts import checked_part

@@ -11,7 +11,8 @@ from jax.flatten_util import ravel_pytree
 
 from infogoal_jax.agents.agent import AgentBatch
 from infogoal_jax.exploration.explorer import Moves
-from infogoal_jax.learners.learner import Encode, GoalEncoding, LearnerBatch, Steps, Visited, conditioned
+from infogoal_jax.learners.encoding import GoalEncoding
+from infogoal_jax.learners.learner import Encode, LearnerBatch, Steps, Visited, conditioned
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.replay import Transitions
 from infogoal_jax.train.costs import learns_from_costs, with_actor_goals

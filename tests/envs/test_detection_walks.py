@@ -17,9 +17,9 @@ from infogoal_jax.data import splits
 from infogoal_jax.envs import object_search
 from infogoal_jax.envs.embodied_qa import EmbodiedQAConfig, lay_out
 from infogoal_jax.errors import UserError
+from infogoal_jax.train.episodes import rollout
 from infogoal_jax.train.evaluation import draw_starts, evaluate, group_means, random_policy
 from infogoal_jax.train.experience import experience_of
-from infogoal_jax.train.rollout import rollout
 from infogoal_jax.train.sampling import sample
 
 

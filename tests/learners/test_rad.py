@@ -14,7 +14,7 @@ from infogoal_jax import learners, make_train
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import NoHyperparameters
 from infogoal_jax.learners import none, rad
-from infogoal_jax.learners.learner import GoalEncoding
+from infogoal_jax.learners.encoding import GoalEncoding
 from infogoal_jax.registry import Entry
 from infogoal_jax.train.parts import Setup, training_view
 

@@ -23,7 +23,8 @@ from infogoal_jax.envs.fetch.image_goals import lay_out
 from infogoal_jax.envs.fetch.tasks import TASKS, FetchConfig
 from infogoal_jax.errors import UserError
 from infogoal_jax.goals import corrupt
-from infogoal_jax.learners.learner import GoalCode, GoalEncoding, encode_all
+from infogoal_jax.learners.encoding import GoalEncoding, encode_all
+from infogoal_jax.learners.learner import GoalCode
 from infogoal_jax.runs.low_level import shipped
 from infogoal_jax.train.parts import Setup, training_view
 
