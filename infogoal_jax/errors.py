@@ -6,6 +6,8 @@ import shlex
 import shutil
 import sys
 import textwrap
+from collections.abc import Iterable
+from typing import Any
 
 LONGEST = 200
 """Characters of a value in an error."""
@@ -19,6 +21,15 @@ def require(condition: bool, field: str, value: object, remedy: str) -> None:
     """Raise `UserError` naming the field, its value and the remedy, unless the condition holds."""
     if not condition:
         raise UserError(f"{field} = {shown(value)}: {remedy}")
+
+
+def require_known(field: str, name: Any, known: Iterable[str], words: str, more: str = "") -> None:
+    """Raise `UserError` for a name that is not among the known ones: these words, the nearest one, all of them, and
+    more."""
+    names = list(known)
+    if not isinstance(name, str) or name not in names:  # The nearest is looked for then alone: it takes a while.
+        remedy = "; ".join(filter(None, (f"Known: {', '.join(names)}", more)))
+        raise UserError(f"{field} = {shown(name)}: {words}.{nearest(str(name), names)} {remedy}")
 
 
 def shown(value: object) -> str:

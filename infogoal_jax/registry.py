@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from infogoal_jax.checked_dict import CheckedDict
-from infogoal_jax.errors import UserError, a, nearest, shown
+from infogoal_jax.errors import UserError, a, require_known, shown
 from infogoal_jax.hyperparameters import NoHyperparameters, check_declared
 
 NAME = r"[^\W_][\w.-]*"
@@ -86,10 +86,7 @@ class Registry(CheckedDict):
         """The part of this name, or a `UserError` with the nearest one."""
         if not isinstance(name, str):
             raise UserError(f"{self.kind} = {name!r}: give the name of {a(self.kind)}. Known: {', '.join(self)}")
-        if name not in self:
-            raise UserError(
-                f"{self.kind} = {name!r}: no such {self.kind}.{nearest(name, list(self))} Known: {', '.join(self)}"
-            )
+        require_known(self.kind, name, self, f"no such {self.kind}")
         return self[name]
 
     def name_of(self, config: Any) -> str:

@@ -27,7 +27,7 @@ import numpy as np
 
 from infogoal_jax import checks
 from infogoal_jax.envs.goal_task import Episode, GoalTask
-from infogoal_jax.errors import UserError, nearest, require, shown
+from infogoal_jax.errors import UserError, nearest, require, require_known, shown
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goals import EVALUATED_GOALS, GoalBox
 from infogoal_jax.keys import from_seed
@@ -304,8 +304,7 @@ def from_jaxgcrl(name: str, **arguments: Any) -> AdaptedTask:
 def jaxgcrl_environment(name: str) -> tuple[type, dict[str, Any]]:
     """The class of an environment of JaxGCRL, by its name there, and the arguments that make it. Raises `UserError` as
     `import_jaxgcrl`, and for a name that it does not have."""
-    known = isinstance(name, str) and name in JAXGCRL
-    require(known, "name", name, f"no such environment.{nearest(str(name), [*JAXGCRL])} Known: {', '.join(JAXGCRL)}")
+    require_known("name", name, JAXGCRL, "no such environment")
     module, kind, given = JAXGCRL[name]
     made = getattr(import_jaxgcrl(f"jaxgcrl.envs.{module}"), kind)
     if name.startswith("arm_"):  # It looks for its models from the folder that one is in.

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from infogoal_jax import agents, envs, exploration, learners, relabelling
 from infogoal_jax.config import Hyperparameters, StateEncoderConfig, TrainConfig
 from infogoal_jax.envs import named
-from infogoal_jax.errors import UserError, nearest, require, shown
+from infogoal_jax.errors import UserError, nearest, require, require_known, shown
 from infogoal_jax.field_types import checked
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.presets import registry
@@ -56,9 +56,7 @@ def method_named(name: str) -> Method:
         remedy = f"is a learner alone; give {whole}, or --learner {name} with another relabelling"
         require(not whole, "method", name, remedy)
         return Method(name)  # One that was registered after this module was imported, too.
-    require(
-        name in METHODS, "method", name, f"no such method.{nearest(name, list(METHODS))} Known: {', '.join(METHODS)}"
-    )
+    require_known("method", name, METHODS, "no such method")
     return METHODS[name]
 
 
@@ -67,9 +65,9 @@ def preset_of(task: str) -> Preset:
     known = ", ".join(registry)  # Tasks that can be trained, as the help lists them.
     require(isinstance(task, str), "task", task, f"give the name of a task. Known: {known}")
     take_library(task)
-    found = task in registry or task in envs.registry
-    remedy = f"Known: {known}; one of your own is registered first: --import FILE, or presets.register"
-    require(found, "task", task, f"no such task.{nearest(task, list(registry))} {remedy}")
+    if task not in envs.registry:
+        own = "one of your own is registered first: --import FILE, or presets.register"
+        require_known("task", task, registry, "no such task", own)
     envs.registry.entry(task)
     require(
         task in registry,

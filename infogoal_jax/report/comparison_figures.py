@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infogoal_jax import checks, presets
-from infogoal_jax.errors import nearest, require
+from infogoal_jax.errors import require, require_known
 from infogoal_jax.loading import load_environment
 from infogoal_jax.report.canvas import (
     ANY,
@@ -118,8 +118,7 @@ def check_metric(metric: str, compared: list[Compared]) -> None:
         for name, values in table.values.items()
         if values.ndim == 2
     }
-    known = sorted(columns)
-    require(metric in columns, "metric", metric, f"no run has it.{nearest(metric, known)} Known: {', '.join(known)}")
+    require_known("metric", metric, sorted(columns), "no run has it")
 
 
 def check_same_task(runs: list[Run]) -> None:

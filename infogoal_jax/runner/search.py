@@ -22,7 +22,7 @@ from jax.interpreters import partial_eval
 
 from infogoal_jax import agents, envs, presets
 from infogoal_jax.config import Hyperparameters, TrainConfig
-from infogoal_jax.errors import nearest, require, typed
+from infogoal_jax.errors import require, require_known, typed
 from infogoal_jax.hyperparameters import Search, search_space, values_of
 from infogoal_jax.learners.learner import has_reward
 from infogoal_jax.loading import check_combination, make_train
@@ -83,9 +83,7 @@ def same_budget(config: TrainConfig) -> TrainConfig:
 def check_fields(fields: Sequence[str], space: dict[str, Search]) -> None:
     """Raise `UserError` for a field that the space does not have, or one given twice."""
     for field in fields:
-        require(
-            field in space, "fields", field, f"is not searched.{nearest(field, list(space))} Known: {', '.join(space)}"
-        )
+        require_known("fields", field, space, "is not searched")
     require(len(set(fields)) == len(fields), "fields", tuple(fields), "give each once")
 
 

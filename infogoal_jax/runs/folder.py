@@ -24,7 +24,7 @@ import jax
 from infogoal_jax import files
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.data import archives
-from infogoal_jax.errors import UserError, nearest, require, typed
+from infogoal_jax.errors import UserError, require, require_known, typed
 from infogoal_jax.files import has_no_locks, open_lock, try_lock
 from infogoal_jax.runs import checkpoint, configuration, disk, tables
 from infogoal_jax.runs.configuration import to_dict
@@ -249,8 +249,7 @@ def find_run(run: str | Path) -> Path:
     path = Path(run).expanduser()
     name = path.as_posix()
     if name.startswith(PREFIX) and not path.exists():
-        known = shipped()
-        require(name in known, "run", name, f"no such policy.{nearest(name, known)} Known: {', '.join(known)}")
+        require_known("run", name, shipped(), "no such policy")
         path = SHIPPED / f"{name.removeprefix(PREFIX)}{SUFFIX}"
     return unpacked(path) if path.suffix == SUFFIX and path.is_file() else path
 

@@ -76,6 +76,7 @@ def test_equal_representations_have_a_finite_gradient():
     assert np.isfinite(jax.grad(lambda one: crl.energy("norm", one, one))(jnp.ones(3))).all()
 
 
+@pytest.mark.long
 def test_learns_where_to_go_on_a_line():
     """From goals that were reached alone."""
     agent = agent_of(1, hidden=(32, 32), size=16)

@@ -5,7 +5,6 @@ import dataclasses
 import functools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import vector_agents
@@ -208,16 +207,8 @@ def test_images_are_not_seen_as_they_are(field, changes):
         make_train(config, manipulation())
 
 
-QUICK = "gcivl"
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        QUICK,
-        *(pytest.param(name, marks=pytest.mark.long) for name in NAMES if name not in (QUICK, "hiql", "offline_crl")),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("hiql", "offline_crl")])
 def test_learns_where_to_go_on_a_line(name):
     """From random walks, for goals that are reached later and for any."""
     agent, entry = agent_of(name, 1, **({"hidden": (32, 32)} | ({"size": 32} if name == "qrl" else {})))

@@ -258,6 +258,7 @@ TINY = (
 )
 
 
+@pytest.mark.long
 def test_train_evaluate_and_report_from_the_command_line(tiny_house, tmp_path, capsys):
     """A small house, two seeds: everything a run promises is there, and the run can be resumed."""
     flags = f"--method none --env.dataset {tiny_house} {TINY}"

@@ -14,6 +14,7 @@ from infogoal_jax.cli import main as command
 from infogoal_jax.cli.main import main
 from infogoal_jax.cli.training import with_synonyms
 from infogoal_jax.errors import UserError
+from infogoal_jax.runs import tables
 
 TASK = """
 import dataclasses
@@ -78,8 +79,21 @@ def refused(words, capsys):
 
 
 def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, capsys):
-    assert main("train my_rooms --method none --import my_task.py --out run --no-figures".split()) == 0
-    description = json.loads((my_task.parent / "run" / "config.json").read_text())
+    """Everything a run promises is there, and it goes on."""
+    words = "train my_rooms --method none --import my_task.py --out run"
+    assert main(f"{words} --seeds 2 --tensorboard".split()) == 0
+    assert "success rate" in capsys.readouterr().out
+    run = my_task.parent / "run"
+    written = [f"{table}{end}" for table in tables.TABLES for end in (".csv", ".jsonl")]
+    for name in ("config.json", "timing.json", "checkpoint", "policy", "figures/learning_curves.png", *written):
+        assert (run / name).stat().st_size > 0, name
+    assert list(run.glob("events.out.tfevents*"))
+    line = refused(words.split(), capsys)  # The folder holds a run.
+    assert "--resume run" in line
+    assert main("train --resume run --import my_task.py --num-epochs 3 --no-figures".split()) == 0
+    rows = (run / "evaluations.jsonl").read_text().splitlines()
+    assert [json.loads(row)["epoch"] for row in rows] == [1, 1, 2, 2, 3, 3]
+    description = json.loads((run / "config.json").read_text())
     assert description["imports"] == {"my_task.py": imports.checksums()["my_task.py"]}
     forget()
     ran = my_task.parent / "ran"
@@ -90,6 +104,8 @@ def test_a_task_of_a_file_trains_and_its_run_says_which_file_it_needs(my_task, c
     assert not ran.exists()  # Nothing runs because a folder names it or holds it.
     assert main("evaluate run --starts 1 --import=my_task.py".split()) == 0
     assert "test" in capsys.readouterr().out
+    line = refused("evaluate run --corruption 0.4 --import my_task.py".split(), capsys)
+    assert "goals of my_rooms are not images" in line
     assert main("video run --out episode.gif --height 40 --episodes 2".split()) == 0  # By the task's own `draw`.
     assert "episode.gif: 2 episodes; the goal is reached in" in capsys.readouterr().out
     with Image.open("episode.gif") as video:

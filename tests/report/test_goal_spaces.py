@@ -75,6 +75,7 @@ def test_a_number_of_any_length_is_a_goal_of_a_list_or_none(word):
     assert len(str(error.value)) < 500 and "\n" not in str(error.value)
 
 
+@pytest.mark.long
 def test_typed_goals_are_evaluated_as_the_public_function_does(folder, maze, capsys):
     """A row for each goal with its use, and the numbers of every seed in a file."""
     words = [("0.5", "0.5"), ("2.5", "0.4")]

@@ -4,7 +4,7 @@ environments)."""
 import dataclasses
 from typing import Literal
 
-from infogoal_jax.errors import UserError, nearest, require
+from infogoal_jax.errors import require, require_known
 from infogoal_jax.field_types import Share, Size
 
 # Joints in the order of fetch.xml: shoulder pan and lift, upper arm roll, elbow flex, forearm roll, wrist flex and
@@ -181,8 +181,7 @@ TASKS = {
 
 def find(name: str) -> Task:
     """The Fetch task of this name, or a `UserError` with the nearest one."""
-    if name not in TASKS:
-        raise UserError(f"task = {name!r}: no such Fetch task.{nearest(name, list(TASKS))} Known: {', '.join(TASKS)}")
+    require_known("task", name, TASKS, "no such Fetch task")
     return TASKS[name]
 
 
