@@ -347,13 +347,11 @@ def test_devices_that_are_not_there_are_named_with_the_extra(platforms):
     assert len(done.stderr.splitlines()) == 1 and ("infogoal-jax[cuda]" in done.stderr) == (platforms == "cuda")
 
 
-BACKENDS = ["inline", "module://nowhere", "no_such", "tkagg", "qtagg"]
+BACKENDS = ["module://matplotlib_inline.backend_inline", "inline", "module://nowhere", "no_such", "tkagg", "qtagg"]
 
 
-@pytest.mark.parametrize(
-    "backend",
-    ["module://matplotlib_inline.backend_inline", *(pytest.param(name, marks=pytest.mark.long) for name in BACKENDS)],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_figures_are_drawn_whatever_backend_is_set(backend, tmp_path):
     """By a script; the command sets its own."""
     code = "from infogoal_jax.report import canvas\nfrom pathlib import Path\nimport os\n"

@@ -192,7 +192,8 @@ envs.load = refuse
 envs.registry.update({name: entry._replace(make=refuse) for name, entry in envs.registry.items()})
 assert main(["methods"]) == 0
 from jax._src import xla_bridge
-assert not xla_bridge._backends and "mujoco" not in sys.modules
+assert not xla_bridge._backends
+assert not {"mujoco", "djitellopy", "av", "ultralytics", "infogoal_drone.mission"} & {*sys.modules}
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     for name in (*presets.METHODS, *presets.TASKS, *agents.registry):

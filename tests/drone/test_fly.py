@@ -45,6 +45,7 @@ def fly(drone, folder, policy, *more, **settings):
     return process.returncode, output, records.read(folder / "flight" / records.NAME), truth
 
 
+@pytest.mark.long
 def test_it_finds_the_object_lands_and_leaves_a_recording(drone, tmp_path):
     """The alarm clock of the generated shelf is wholly in view from the second or third place to the right."""
     policy = faults.write_policy(tmp_path / "policy.npz", objects=["alarm clock"])

@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from infogoal_jax import envs, presets
+from infogoal_jax.cli import choice
 from infogoal_jax.cli.choice import with_environment
 from infogoal_jax.cli.main import main
 from infogoal_jax.envs import named
@@ -92,8 +93,14 @@ def test_what_brax_has_is_what_is_told():
     task = named.make_brax(dataclasses.replace(config, id="reacher", episode_length=7))
     assert task.goals.shape == (2,) and task.radius == 0.02 and task.episode_length == 7
     assert task.shown == (0, 1, 2, 3, 6, 7) and task.source == "reacher of brax, simulated"
-    own = named.make_brax(dataclasses.replace(config, id="reacher", goal=(4, 5), achieved=(0, 1), radius=0.3))
-    assert own.shown == (0, 1, 2, 3, 6, 7, 8, 9, 10) and own.radius == 0.3
+    own = dataclasses.replace(config, id="reacher", goal=(4, 5), achieved=(0, 1), radius=0.3)
+    told = named.arguments_of("brax", own, named.BRAX["reacher"])
+    assert (told["goal"], told["achieved"], told["hidden"], told["radius"]) == ([4, 5], [0, 1], [], 0.3)
+
+
+def test_the_command_line_knows_each_library():
+    """Help names them without importing what jax needs."""
+    assert choice.LIBRARIES == tuple(named.LIBRARIES) == FAMILIES
 
 
 @pytest.mark.long

@@ -73,6 +73,7 @@ def rooms_for_houses(monkeypatch):
     monkeypatch.setattr(batches, "build_data", lambda run: None)
 
 
+@pytest.mark.long
 def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_for_houses, tmp_path, monkeypatch):
     """After no update: what training does has tests of its own."""
 

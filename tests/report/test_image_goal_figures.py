@@ -31,7 +31,7 @@ from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.report.summary import evaluate_run, print_run
 from infogoal_jax.report.video import can_draw, drawn_video, write_video
 from infogoal_jax.runner import training
-from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view, random_policy
+from infogoal_jax.train.evaluation import EVALUATION_SEED, corrupted_view
 from infogoal_jax.train.parts import Setup
 
 IMAGE_GOAL_FIGURES = EVERY_TASKS_FIGURES | {"goal_images", "codes_and_trajectories"}
@@ -199,7 +199,8 @@ def test_a_video_holds_the_frames_in_order(ending, tmp_path):
     assert np.allclose([frame.mean() for frame in found], [0, 40, 80, 120, 160], atol=4)
 
 
-@pytest.mark.parametrize("ending", ["mp4", pytest.param("gif", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
 def test_a_full_disk_is_an_error_and_the_old_video_stays(ending, tmp_path):
     """The encoder itself says nothing of it. A limit on file sizes, in a process of its own, is the disk that
     refuses."""
@@ -259,15 +260,6 @@ def test_an_old_video_survives_a_new_one_that_fails(tmp_path):
     assert path.read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
-def test_an_episode_becomes_a_video_at_its_own_speed(tmp_path):
-    env = envs.load("fetch_reach", CONFIG)
-    reached = drawn_video(env, random_policy(env), tmp_path / "episode.mp4", episodes=2, seed=0, height=SIZE[0])
-    assert reached == [False, False]
-    capture = cv2.VideoCapture(str(tmp_path / "episode.mp4"))
-    assert capture.get(cv2.CAP_PROP_FPS) == 25
-    assert len(read(tmp_path / "episode.mp4")) == 2 * (4 + 25)
-
-
 def test_a_run_whose_goals_are_positions_becomes_a_video(tmp_path):
     """The scene with the goal in it; an episode has reached its goal where its last state has."""
     env = envs.load("fetch_reach_positions", dataclasses.replace(CONFIG, goals="positions", episode_length=2))
@@ -282,12 +274,20 @@ def test_a_run_whose_goals_are_positions_becomes_a_video(tmp_path):
     )
     shown = read(tmp_path / "episode.mp4")
     assert len(reached) == 2 and len(shown) == 2 * (3 + 25) and shown[0].shape == (96, 128, 3)
+    assert cv2.VideoCapture(str(tmp_path / "episode.mp4")).get(cv2.CAP_PROP_FPS) == 25  # Its own speed.
     assert not np.array_equal(shown[0], shown[3])  # The arm moves.
 
 
 def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
     assert main(["video", "fetch_reech", "--out", str(tmp_path / "a.mp4")]) == 2
     assert "fetch_reach" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_a_random_policy_becomes_a_video_by_the_command(tmp_path, capsys):
+    path = str(tmp_path / "random.gif")
+    assert main(["video", "fetch_reach", "--out", path, "--height", "48"]) == 0
+    assert "1 episode of a random policy; the goal is reached at the end of" in capsys.readouterr().out
 
 
 @pytest.mark.long

@@ -92,7 +92,7 @@ def test_killed_at_a_random_moment_it_ends_with_the_same_bits(tmp_path):
     kill_and_resume(tmp_path, first, time.monotonic() - started, kills=1)
 
 
-@pytest.mark.parametrize("looks_large", [False, True])
+@pytest.mark.parametrize("looks_large", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_large_checkpoints_take_a_tenth_of_the_time_at_most(looks_large, uninterrupted, env, tmp_path, monkeypatch):
     """Where writing takes two seconds and a chunk none, there are checkpoints after the last chunk, where the clock
     stops a run, and after the first one, unless its size tells how long it will take. It ends with the same bits."""

@@ -120,6 +120,7 @@ def test_negatives_by_a_classifier_are_those_that_it_does_not_call_similar():
     assert np.isin(np.asarray(drawn.other), walks()).all() and drawn.other.shape == (4000, 1)
 
 
+@pytest.mark.long
 def test_the_classifier_learns_from_pairs_which_goals_are_similar():
     learner = infogoal.make(
         infogoal.InfoGoalConfig(window=WINDOW, num_pairs=128, hidden=(32, 32), dissimilar_by="classifier")

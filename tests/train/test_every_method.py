@@ -2,8 +2,8 @@
 under DQN, image goals under HRAC, recorded flights under CQL. And every recorded (task, method) of the presets still
 gives the numbers that it gave when the record was made: nothing is learned differently.
 
-Programs take minutes to compile: they run among the long tests. The others trace them, all on the house and one under
-HRAC.
+Programs take minutes to compile: they run among the long tests. The others trace them, of each kind of method on the
+house and one under HRAC.
 
 The record holds two short epochs of each. To see whether a change of the code leaves every bit as it was, on one
 machine:
@@ -113,10 +113,15 @@ def traced(task: str, method: str, in_64_bits: bool = False):
 
 
 TRACED = [*(("object_search", method) for method in presets.METHODS), ("fetch_reach", "infogoal")]
+OF_EACH_KIND = ("infogoal", "gcb", "cher", "sse_db", "leo")
+"""Pairs, codes that depend on states, candidates that are compared, an explorer, all goals at once."""
 IN_64_BITS = [("object_search", "infogoal")]
 
 
-@pytest.mark.parametrize(("task", "method"), TRACED)
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [pytest.param(*pair, marks=[] if pair[1] in OF_EACH_KIND else [pytest.mark.long]) for pair in TRACED],
+)
 def test_goes_through_an_epoch_and_an_evaluation(task, method):
     """Traced, not run: shapes agree from the first draw to the evaluation after an epoch, and the method's own loss has
     its metrics. Seeds are beside each other where the programs run, among the long tests."""

@@ -303,7 +303,8 @@ def test_the_package_s_parts_keep_the_contract(monkeypatch, learner, relabelled)
     trace(make_train(hand_made.config(learner, updates_per_epoch=1, relabelling=config), ENV))
 
 
-@pytest.mark.parametrize("task", ["two_rooms", pytest.param("walled_square", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("task", ["two_rooms", "walled_square"])
 def test_a_documented_task_is_the_same_whatever_jax_is_set_to(task):
     """Traced, with the types that it has without: the task of the page, and that of the notebook."""
     if task == "two_rooms":
