@@ -9,27 +9,19 @@ from infogoal_jax.errors import UserError, counted, require
 
 
 def export(run: Positional[str], out: str, seed: int | None = None, stablehlo: str = "") -> int:
-    """Write the policy of a run as one file that runs with NumPy alone, or its parameters for orbax.
+    """Write the policy of a run as one file that runs with NumPy alone.
 
     Args:
         run: Folder of the run, a packed run, or shipped/NAME.
-        out: File to write, which ends in .npz; or a folder for a checkpoint of orbax, which ends in .orbax.
+        out: File to write, which ends in .npz.
         seed: Seed of the run whose policy it is; none: its first.
         stablehlo: File to write the same as StableHLO for `jax.export.deserialize`; empty: none. Needs flatbuffers.
     """
     from infogoal_jax.report.export import export as write
-    from infogoal_jax.report.export import export_orbax
     from infogoal_jax.report.runs import load_run
     from infogoal_jax.runs import disk
 
-    require(Path(out).suffix in (".npz", ".orbax"), "out", out, "let it end in .npz, or in .orbax")
-    if Path(out).suffix == ".orbax":
-        require(not stablehlo, "stablehlo", stablehlo, "goes together with an npz; let --out end in .npz")
-        trained = load_run(run)
-        export_orbax(trained.params(seed), Path(out))
-        of = f"parameters of seed {trained.seed_of(seed)}"
-        print(f"{out}: {of}; orbax.checkpoint.StandardCheckpointer().restore reads them")
-        return 0
+    require(Path(out).suffix == ".npz", "out", out, "let it end in .npz")
     require(may_be_replaced(Path(out)), "out", out, "is there already and is no exported policy; give a new file")
     disk.check_out(Path(out))
     if stablehlo:

@@ -1,15 +1,10 @@
-"""Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO; or
-its parameters as a checkpoint of orbax.
+"""Write the policy of a run as one file that runs with NumPy alone (`infogoal_jax.policy_file`), and as StableHLO.
 
 The policy is traced once and its operations are written down as they are, so that every learner and every agent can be
 exported, those of a user too; of HRAC both levels together.
 """
 
 import json
-import os
-import pickle
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 
-from infogoal_jax import files, policy_file, presets
+from infogoal_jax import policy_file, presets
 from infogoal_jax.agents.agent import Exploration
 from infogoal_jax.envs.target_states import SubgoalEnv
-from infogoal_jax.errors import LONGEST, UserError, require
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.learners.learner import conditioned
 from infogoal_jax.report.runs import Run
 from infogoal_jax.runs import disk
-from infogoal_jax.stopping import temporary
 from infogoal_jax.train.parts import tests_on_means
 from infogoal_jax.train.program import Train
 
-WRITE_BY_ORBAX = """
-import os, pickle, sys
-try:
-    import orbax.checkpoint
-    with orbax.checkpoint.StandardCheckpointer() as checkpointer:
-        checkpointer.save(sys.argv[1], pickle.load(sys.stdin.buffer))
-except BaseException as error:
-    print(" ".join(str(error).split()) or type(error).__name__, flush=True)
-    os._exit(1)  # Threads of it may wait for ever.
-"""
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr"}
 """Primitives that hold a program of their own, and the name of the setting that it is."""
 
@@ -94,38 +78,6 @@ def export_params(
     if stablehlo is not None:
         write_stablehlo(stablehlo, function, examples)
     return policy_file.ExportedPolicy(out)
-
-
-def export_orbax(params: Any, out: Path) -> None:
-    """Write parameters as a checkpoint that orbax reads: `orbax.checkpoint.StandardCheckpointer().restore(folder)`, on
-    any devices. Raises `UserError` where something stands there already, and if the disk refuses.
-
-    Orbax writes in a process of its own, into a folder that becomes `out` when all is there: on a disk that refuses,
-    its threads print tracebacks and leave files behind.
-    """
-    require(not os.path.lexists(out), "out", str(out), "is there already; give a new folder")
-    disk.make_folder(out.parent)
-    partial = files.beside(out.absolute())
-    with temporary(partial):
-        try:
-            partial.mkdir()
-            writer = subprocess.run(
-                [sys.executable, "-P", "-c", WRITE_BY_ORBAX, str(partial / "checkpoint")],
-                input=pickle.dumps(jax.device_get(params)),  # From us to us.
-                capture_output=True,
-                env=os.environ | {"JAX_PLATFORMS": "cpu"},
-                check=False,
-            )
-            if writer.returncode == 0:
-                (partial / "checkpoint").rename(out)
-        except OSError as error:
-            raise disk.disk_error(out, error) from error
-    if writer.returncode:
-        said = writer.stdout.decode(errors="replace").strip()
-        raise UserError(
-            f"{out}: could not be written by orbax ({said[-LONGEST:] or 'it was killed'}): free some space, or choose "
-            "another folder. Nothing is left of it"
-        )
 
 
 def write_stablehlo(path: Path, function, examples) -> None:

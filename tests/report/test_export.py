@@ -231,43 +231,6 @@ def test_a_seed_that_is_not_there_is_refused(shelf, tmp_path):
     assert run.seed_of() == 0 and dataclasses.replace(run, seeds=[5, 6]).seed_of() == 5
 
 
-def test_orbax_reads_the_parameters(shelf, tmp_path):
-    """As its users do, with nothing of this package."""
-    orbax = pytest.importorskip("orbax.checkpoint")
-    export.export_orbax(shelf.params, tmp_path / "seed.orbax")
-    with orbax.StandardCheckpointer() as checkpointer:
-        restored = checkpointer.restore(tmp_path / "seed.orbax")
-    plain = jax.tree_util.tree_flatten_with_path(shelf.params)[0]
-    assert len(plain) == len(jax.tree.leaves(restored)) > 5
-    for (path, value), found in zip(plain, jax.tree.leaves(restored), strict=True):
-        np.testing.assert_array_equal(found, value, err_msg=str(path))
-    with pytest.raises(UserError, match="is there already"):
-        export.export_orbax(shelf.params, tmp_path / "seed.orbax")
-
-
-@pytest.mark.long
-def test_orbax_on_a_disk_that_refuses_leaves_nothing(tmp_path):
-    """With a limit on file sizes as the disk; a limit cannot be taken back, so it is that of another process."""
-    pytest.importorskip("orbax.checkpoint")
-    code = f"""
-import resource, signal
-from pathlib import Path
-import numpy as np
-from infogoal_jax.errors import UserError
-from infogoal_jax.report import export
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
-try:
-    export.export_orbax({{"weight": np.random.normal(size=(300, 300))}}, Path({str(tmp_path / "seed.orbax")!r}))
-except UserError as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "seed.orbax: could not be written by orbax (" in done.stdout and "File too large" in done.stdout
-    assert len(done.stdout.splitlines()) == 1 and not list(tmp_path.iterdir())
-
-
 def test_stablehlo_gives_the_same(shelf, exported, tmp_path):
     pytest.importorskip("flatbuffers", reason="JAX writes StableHLO by flatbuffers, which is not installed")
     export.export_params(*shelf, tmp_path / "policy.npz", {}, tmp_path / "policy.stablehlo")
