@@ -80,11 +80,11 @@ def test_all_goals_at_once_are_learned_from_by_products_alone():
 @pytest.mark.parametrize(
     ("name", "method"),
     [
-        ("td3", "infogoal"),
+        pytest.param("td3", "infogoal", marks=pytest.mark.long),
         ("td3", "all_goals"),
         ("sac", "her"),
         ("crl", "her"),
-        ("gcivl", "none"),
+        pytest.param("gcivl", "none", marks=pytest.mark.long),
         ("gciql", "infogoal"),
         ("qrl", "none"),
         ("hiql", "none"),
