@@ -300,7 +300,7 @@ SQUARES = np.zeros((2, 2), np.uint8)
 """Two goals of the maze, as one of `ARRAYS` has them."""
 ROOMS = gymnasium.TaskGymnasium(ENV)
 WALK = {"actions": np.zeros((3, 2)), "last": np.arange(3) == 2, "achieved_goals": np.zeros((3, 2))}
-WALK |= {"observations": np.zeros((3, *MAZE.observe(MAZE.reset(KEY)).shape))}
+WALK |= {"observations": np.zeros((3, *jax.eval_shape(lambda: MAZE.observe(MAZE.reset(KEY))).shape))}
 REWARDED = ("achieved_goal", "desired_goal")
 FIELDS = {"inputs": np.zeros((3, 4), np.float32), "regions": [0, 0, 0], "uses": [0, 0, 2], "names": ("a", "b", "c")}
 CALLS = {

@@ -1,5 +1,6 @@
 """Recorded episodes in OGBench's layouts: what is read is what was recorded, and everything wrong is said at once."""
 
+import functools
 import io
 import zipfile
 from types import SimpleNamespace
@@ -264,12 +265,17 @@ def test_what_cannot_be_read_of_minari_is_one_line(make_observations, actions, s
     assert said in str(refused.value)
 
 
-MAZE = envs.load("point_maze")
+@functools.cache
+def maze():
+    """Loaded by those that need it: dozens of small programs."""
+    return envs.load("point_maze")
+
+
 SIDE = np.random.default_rng(0).uniform(-1, 1, (12, 2)).astype(np.float32)
 
 
 def test_rows_hold_every_step_of_every_episode_once_and_none_across_two():
-    task = with_recordings(MAZE, of_arrays(recorded(observations=SIDE, actions=SIDE)))
+    task = with_recordings(maze(), of_arrays(recorded(observations=SIDE, actions=SIDE)))
     rows = jax.device_get(task.recorded)
     assert rows.valid.sum() == sum(LENGTHS) and rows.truncated.sum() == len(LENGTHS)
     row, step = np.nonzero(rows.valid)
@@ -288,7 +294,7 @@ def test_rows_hold_every_step_of_every_episode_once_and_none_across_two():
 
 def test_goals_of_a_goal_env_are_taken_as_they_are():
     goals = {"achieved_goals": SIDE, "desired_goals": SIDE + 1}
-    rows = with_recordings(MAZE, of_arrays(recorded(observations=SIDE, actions=SIDE, **goals))).recorded
+    rows = with_recordings(maze(), of_arrays(recorded(observations=SIDE, actions=SIDE, **goals))).recorded
     assert np.array_equal(rows.record, rows.observation)
     assert np.allclose(np.asarray(rows.goal)[rows.valid], np.asarray(rows.observation)[:, :-1][rows.valid] + 1)
 
@@ -304,7 +310,7 @@ def test_goals_of_a_goal_env_are_taken_as_they_are():
 )
 def test_recordings_of_another_task_are_refused(changes, said):
     with pytest.raises(UserError) as refused:
-        with_recordings(MAZE, of_arrays(recorded(**({"observations": SIDE, "actions": SIDE} | changes))))
+        with_recordings(maze(), of_arrays(recorded(**({"observations": SIDE, "actions": SIDE} | changes))))
     assert said in str(refused.value)
 
 
@@ -314,8 +320,8 @@ def test_what_is_collected_can_be_recorded_and_learned_from(tmp_path):
     def wander(observation, goal, key):
         return jax.random.uniform(key, (observation.shape[0], 2), jnp.float32, -1.0, 1.0)
 
-    states = jax.jit(jax.vmap(MAZE.reset))(jax.random.split(jax.random.key(0), 3))
-    rows = jax.jit(lambda states, key: collect(MAZE, states, wander, key, 150)[1])(states, jax.random.key(1))
+    states = jax.jit(jax.vmap(maze().reset))(jax.random.split(jax.random.key(0), 3))
+    rows = jax.jit(lambda states, key: collect(maze(), states, wander, key, 150)[1])(states, jax.random.key(1))
     made = episodes_of(rows)
     save(tmp_path / "walks.npz", made)
     task = envs.load("point_maze", envs.plane.PlaneConfig(dataset=str(tmp_path / "walks.npz")))

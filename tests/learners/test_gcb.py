@@ -105,9 +105,15 @@ def test_gradients_are_finite_where_codes_are_equal():
     assert np.isfinite(jax.jit(jax.grad(loss))(equal)).all()
 
 
-INPUTS = jax.random.normal(jax.random.key(0), (2, 16))
-FEATURES = jax.nn.relu(jax.random.normal(jax.random.key(1), (6, 8)))
-GOAL_FEATURES = jax.nn.relu(jax.random.normal(jax.random.key(5), (2, 8)))
+@jax.jit
+def inputs():
+    """Of goals, and features of states and of goals."""
+    shapes = {0: (2, 16), 1: (6, 8), 5: (2, 8)}
+    drawn = [jax.random.normal(jax.random.key(seed), shape) for seed, shape in shapes.items()]
+    return drawn[0], jax.nn.relu(drawn[1]), jax.nn.relu(drawn[2])
+
+
+INPUTS, FEATURES, GOAL_FEATURES = inputs()
 FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END = range(6)
 DISCOUNT = 0.9
 STATES = np.array([FIRST, TWIN, BETTER, ELSEWHERE, WORSE_END, BETTER_END, FIRST, WORSE_END])

@@ -14,11 +14,16 @@ from infogoal_jax import networks
 from infogoal_jax.learners import dgrl, vae
 from infogoal_jax.loading import make_train
 
-VECTORS = jax.random.normal(jax.random.key(10), (8, 16)) / 4.0  # Of length 1, about, as sentence embeddings are.
-# 16 x 16, of squares.
-IMAGES = jnp.kron(jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256), jnp.ones((1, 4, 4, 1), int)).astype(
-    jnp.uint8
-)
+
+@jax.jit
+def inputs():
+    """Vectors of length 1, about, as sentence embeddings are; and images of squares, 16 x 16."""
+    squares = jax.random.randint(jax.random.key(11), (6, 4, 4, 3), 0, 256)
+    images = jnp.kron(squares, jnp.ones((1, 4, 4, 1), int)).astype(jnp.uint8)
+    return jax.random.normal(jax.random.key(10), (8, 16)) / 4.0, images
+
+
+VECTORS, IMAGES = inputs()
 DISCRETE = dgrl.DGRLConfig(factors=4, codes=16, **SMALL)
 
 
