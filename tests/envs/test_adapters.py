@@ -57,7 +57,7 @@ ARGUMENTS = {"goal": "goal", "achieved": "place", "hidden": "way", "radius": 0.2
 
 
 @functools.cache
-def line():
+def line_task():
     """The task, made by those that need it: dozens of small programs."""
     return envs.from_brax(Line(), **ARGUMENTS)
 
@@ -74,12 +74,12 @@ def stay(observation, goal, key):
 
 
 def test_it_keeps_the_contract():
-    check_contract(line())
-    assert not line().discrete and line().goals.shape == (1,) and line().can_fail
+    check_contract(line_task())
+    assert not line_task().discrete and line_task().goals.shape == (1,) and line_task().can_fail
 
 
 def test_every_episode_has_a_goal_and_a_start_of_its_own_where_their_wrapper_caches_both():
-    rows = walk(line(), stay, 4 * (EPISODE + 1))
+    rows = walk(line_task(), stay, 4 * (EPISODE + 1))
     first = np.asarray(jnp.arange(rows.valid.shape[1]) % (EPISODE + 1) == 0)
     goals, places = np.asarray(rows.goal)[:, first, 0], np.asarray(rows.record)[:, :-1, 0][:, first]
     assert np.unique(goals).size == goals.size == np.unique(places).size == 16
@@ -92,12 +92,12 @@ def test_every_episode_has_a_goal_and_a_start_of_its_own_where_their_wrapper_cac
 
 
 def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leaves():
-    state = line().reset(KEYS[1])
+    state = line_task().reset(KEYS[1])
     place = state.world.pipeline_state
-    seen = line().observe(state)  # Of goal, pair, place, way.
+    seen = line_task().observe(state)  # Of goal, pair, place, way.
     assert np.allclose(seen, [place[0], place[0] ** 2, place[0]]) and seen.dtype == jnp.float32
     assert np.array_equal(state.goal, state.world.info["goal"])
-    told = [line().observe(line().reset_to(KEYS[1], jnp.array([goal]))) for goal in (-1.0, 1.0)]
+    told = [line_task().observe(line_task().reset_to(KEYS[1], jnp.array([goal]))) for goal in (-1.0, 1.0)]
     assert np.array_equal(*told)
 
 
@@ -111,9 +111,9 @@ def test_the_agent_sees_what_is_left_of_the_observation_in_the_order_of_its_leav
 )
 def test_places_keys_and_functions_read_the_same(reading):
     task = envs.from_brax(Line(), **(ARGUMENTS | reading))
-    one, other = (each.reset(KEYS[2]) for each in (task, line()))
-    assert np.array_equal(task.observe(one), line().observe(other)) and np.array_equal(one.goal, other.goal)
-    assert np.array_equal(task.achieved(one), line().achieved(other))
+    one, other = (each.reset(KEYS[2]) for each in (task, line_task()))
+    assert np.array_equal(task.observe(one), line_task().observe(other)) and np.array_equal(one.goal, other.goal)
+    assert np.array_equal(task.achieved(one), line_task().achieved(other))
 
 
 def test_ends_of_an_episode_are_told_apart():
@@ -121,11 +121,11 @@ def test_ends_of_an_episode_are_told_apart():
     too."""
 
     def run(goal, push, steps):
-        state = line().reset_to(KEYS[3], jnp.array([goal]))
+        state = line_task().reset_to(KEYS[3], jnp.array([goal]))
         state = state.replace(world=state.world.replace(pipeline_state=jnp.zeros(1)))
         for _ in range(steps):
-            state = line().step(state, jnp.array([push]))
-        return [bool(each) for each in (state.terminated, state.truncated, line().failed(state))]
+            state = line_task().step(state, jnp.array([push]))
+        return [bool(each) for each in (state.terminated, state.truncated, line_task().failed(state))]
 
     assert run(1.0, 1.0, 1) == [True, False, False]
     assert run(1.0, 0.0, EPISODE - 1) == [False, False, False]
@@ -136,12 +136,12 @@ def test_ends_of_an_episode_are_told_apart():
 
 def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
     """Under goals of hindsight too; after a truncation values go on."""
-    pushed = walk(line(), lambda *given: jnp.ones((4, 1), jnp.float32), EPISODE)
-    waiting = walk(line(), stay, EPISODE)
+    pushed = walk(line_task(), lambda *given: jnp.ones((4, 1), jnp.float32), EPISODE)
+    waiting = walk(line_task(), stay, EPISODE)
     assert pushed.failed.any() and not waiting.failed.any() and waiting.truncated.any()
     for rows in (pushed, waiting):
         row, step = np.nonzero(np.asarray(rows.truncated))
-        for goal, reached in ((None, None), (jnp.full((len(row), 1), 9.0), line().reached)):
+        for goal, reached in ((None, None), (jnp.full((len(row), 1), 9.0), line_task().reached)):
             judged = functools.partial(
                 replay.transitions_at, row=row, first=step, num_steps=1, goal=goal, reached=reached
             )
@@ -150,8 +150,8 @@ def test_nothing_is_worth_anything_after_a_failure_whatever_the_goal():
 
 
 def test_goals_are_the_environments_own_uniform_or_some_held_out():
-    own = np.asarray(line().goals.evaluated)
-    assert line().goals.groups == ("train",) and np.abs(own).max() < 2.0 < float(line().goals.high[0]) < 2.5
+    own = np.asarray(line_task().goals.evaluated)
+    assert line_task().goals.groups == ("train",) and np.abs(own).max() < 2.0 < float(line_task().goals.high[0]) < 2.5
     wide = envs.from_brax(Line(), low=[-3.0], high=[3.0], num_evaluated=200, **ARGUMENTS)
     assert np.abs(np.asarray(wide.goals.evaluated)).max() > 2.5
     apart = envs.from_brax(Line(), held_out=lambda goal: goal[0] > 0, **ARGUMENTS)
@@ -233,7 +233,7 @@ SIZES = {"num_epochs": 2, "epochs_per_evaluation": 2, "updates_per_epoch": 2, "n
 @pytest.fixture
 def line():
     """The name of the task, registered."""
-    presets.register("line", line())
+    presets.register("line", line_task())
     yield "line"
     for registry in (envs.registry, presets.registry):
         del registry["line"]
@@ -241,9 +241,9 @@ def line():
 
 def test_a_registered_task_is_configured_by_its_name(line):
     config = presets.load(line, "her")
-    assert config.env.episode_length == EPISODE and config.env.radius == line().radius
+    assert config.env.episode_length == EPISODE and config.env.radius == line_task().radius
     longer = envs.load(line, dataclasses.replace(config.env, episode_length=9))
-    assert longer.episode_length == 9 and longer.env is line().env
+    assert longer.episode_length == 9 and longer.env is line_task().env
     with pytest.raises(UserError, match="agent = 'dqn'"):
         make_train(presets.load(line, "her", agent=DQNConfig(num_steps=1)))
 
@@ -251,16 +251,16 @@ def test_a_registered_task_is_configured_by_its_name(line):
 @pytest.mark.parametrize("name", ["__dict__", "__name__", "_line", "a/b"])
 def test_a_name_of_pythons_own_registers_nothing(name):
     with pytest.raises(UserError, match="give a name of letters"):
-        presets.register(name, line())
+        presets.register(name, line_task())
     assert name not in envs.registry and name not in presets.registry
 
 
 @pytest.mark.parametrize("changes", [{"radius": math.nan}, {"episode_length": 2**40}, {"episode_length": 2.5}])
 def test_a_task_out_of_range_or_with_a_wrong_preset_registers_nothing(changes):
     with pytest.raises(UserError, match=f"env.{next(iter(changes))} = "):
-        presets.register("line", line().replace(**changes))
+        presets.register("line", line_task().replace(**changes))
     with pytest.raises(UserError, match="preset of line: training"):
-        presets.register("line", line(), presets.Preset("td3", 5, {}, {}, {}, {}, ""))
+        presets.register("line", line_task(), presets.Preset("td3", 5, {}, {}, {}, {}, ""))
     assert "line" not in envs.registry and "line" not in presets.registry
 
 

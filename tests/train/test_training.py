@@ -24,7 +24,7 @@ def heard() -> list:
 
 @pytest.fixture(scope="module")
 def train(heard):
-    config = hand_made.config("none", rollout_steps=20, updates_per_epoch=5)
+    config = hand_made.config(rollout_steps=20, updates_per_epoch=5)
     inside = []
 
     def hear(epoch, metrics):
