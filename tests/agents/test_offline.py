@@ -188,7 +188,7 @@ def test_states_and_goals_are_seen_as_they_are():
         assert not jax.tree.leaves((params.params["state"], params.params["goal"]))
         seen = params.params["agent"]["actor"]["params"]["Dense_0"]["kernel"]
         assert seen.shape == (env.goals.shape[0] + jax.eval_shape(lambda: env.observe(env.reset(KEY))).shape[0], 512)
-    state, goal = jnp.ones((1, 2)), env.goals.evaluated[:1]
+    state, goal = np.ones((1, 2), np.float32), env.goals.evaluated[:1]
     setup = train.setup()
     assert (encode_states(setup, {"state": {}}, 1)(state) == state).all()
     assert (train.parts.learner.encode({}, env.goals.inputs_of(goal)).mean == env.goals.inputs_of(goal)).all()
