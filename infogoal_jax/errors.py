@@ -3,9 +3,6 @@ worded with."""
 
 import re
 import shlex
-import shutil
-import sys
-import textwrap
 from collections.abc import Iterable
 from typing import Any
 
@@ -68,11 +65,3 @@ def nearest(name: str, known: list[str]) -> str:
 
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.4) if name else []
     return f" Did you mean {close[0]!r}?" if close else ""
-
-
-def at_words(line: str) -> str:
-    """The line as it is; for errors on a terminal that is narrower, broken between words."""
-    if sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty():
-        return line
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)

@@ -10,10 +10,9 @@ import shutil
 import signal
 import stat
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
-
-from infogoal_jax.errors import at_words
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
 """What asks to stop: Ctrl-C, the system or a scheduler, a closed terminal, a scheduler before its limit of time."""
@@ -154,3 +153,11 @@ def remove_temporaries() -> None:
     """Delete all that `temporary` guards, for a process that ends at once."""
     for path in list(temporaries):
         remove(path)
+
+
+def at_words(line: str) -> str:
+    """The line as it is; for errors on a terminal that is narrower, broken between words."""
+    if sys.stderr is None or sys.stderr.closed or not sys.stderr.isatty():
+        return line
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)

@@ -20,9 +20,9 @@ from infogoal_jax.cli.mistakes import parsed
 from infogoal_jax.cli.runs import compare, evaluate, pack, report, video
 from infogoal_jax.cli.training import methods, pretrain, train
 from infogoal_jax.cli.tuning import final, tune
-from infogoal_jax.errors import UserError, at_words, require
+from infogoal_jax.errors import UserError, require
 from infogoal_jax.imports import import_installed, load, take_imports
-from infogoal_jax.stopping import NOTHING, STATUS
+from infogoal_jax.stopping import NOTHING, STATUS, at_words
 
 HELP = """Goal-conditioned reinforcement learning with InfoGoal, in JAX. Begin with `infogoal train object_search`;
 `infogoal COMMAND --help` shows a command's flags, and `infogoal --version` the version. With `--import my_task.py`
