@@ -474,22 +474,34 @@ CLEAN_READ = "object_search+read"
 """Where settings that were chosen again are run."""
 CLEAN_PAIRS = tuple(tuple(f"{method}@clean" for method in pair) for pair in PAIRS)
 
+FLOOR = "0.40"
+"""Success on validation goals below which a method has no row there."""
+
 
 def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
     """A row for each method whose settings were chosen again: floats of the preset and those chosen, success on
-    validation goals in the final, and on test goals of houses that no choice has seen, each at its own best noise."""
-    fields = ("learning_rate", "discount", "target_rate", "learner_weight", "intrinsic_weight", "learner.beta")
-    rows = []
+    validation goals in the final, and on test goals of houses that no choice has seen, each at its own best noise.
+    Methods on the floor with both are named below."""
+    fields = (("learning_rate",), ("discount",), ("target_rate",), ("learner_weight", "learner.beta"))
+    fields += (("intrinsic_weight",),)
+    rows, low = [], {}
     for method, title in METHODS.items():
         final = searches.get(f"{tuning.CLEAN}/object_search/{method}/final")
         if final is None:
             continue
         today, again = tuning.trial_of(final, 0), tuning.drawn_best(final)
         values = [
-            f"{today['values'][field]:g} → {again['values'][field]:g}" if field in again["values"] else ""
-            for field in fields
+            "".join(
+                f"{today['values'][field]:.3g}→{again['values'][field]:.3g}"
+                for field in column
+                if field in again["values"]
+            )
+            for column in fields
         ]
         validation = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (today, again)]
+        if max(validation) < FLOOR:
+            low[title] = max(validation)
+            continue
         test = ["", ""]
         if numbers.has(CLEAN_READ, f"{method}@clean"):
             found = [
@@ -497,9 +509,10 @@ def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
                 for task, name in (("object_search", method), (CLEAN_READ, f"{method}@clean"))
             ]
             test = [f"{np.mean(list(each.values())):.2f}" for each in found]
-        rows.append([title, *values, " → ".join(validation), " → ".join(test) if any(test) else ""])
-    names = ("learning rate", "discount", "target rate", "learner weight", "intrinsic weight", "beta")
-    return markdown_lines(["method", *names, "validation goals", "test goals"], rows)
+        rows.append([title, *values, "→".join(validation), "→".join(test) if any(test) else ""])
+    names = ("learning rate", "discount", "target rate", "its loss, or beta", "intrinsic reward")
+    below = f"{', '.join(low)}: at most {max(low.values())} of validation goals with either." if low else ""
+    return f"{markdown_lines(['method', *names, 'validation', 'test'], rows)}\n\n{below}".rstrip()
 
 
 def carries_on_fetch(numbers: Numbers) -> str:

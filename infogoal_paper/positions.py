@@ -23,7 +23,7 @@ import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import markdown_lines, tight
 from infogoal_paper.trial_numbers import Row
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -113,7 +113,7 @@ def solved(rows: list[Row]) -> list[str]:
     return [
         TITLES[rows[0]["task"]],
         f"{rows[0]['agent'].upper()}{NAMES[rows[0]['learner']]}",
-        mean_interval([float(own[-1]["success"]) for own in seeds]).show(2),
+        tight(mean_interval([float(own[-1]["success"]) for own in seeds])),
         f"{int(seeds[0][-1]['env_steps']) / 1e6:.2f}",
         f"{there} ({len(reached)} of {len(seeds)} seeds)" if 0 < len(reached) < len(seeds) else there,
         seconds_until(seeds),
@@ -184,7 +184,7 @@ def transferred(rows: list[dict[str, Any]]) -> list[str]:
     """The line of one task: success within an episode of policies of several seeds, here and in the reference."""
     ours, reference = ([row["reached"][where]["mean"] for row in rows] for where in ("ours", "reference"))
     differences = ([row[when]["difference"] for row in rows] for when in ("reached", "at_end"))
-    intervals = (mean_interval(values).show(3) for values in (ours, reference, *differences))
+    intervals = (tight(mean_interval(values), 3) for values in (ours, reference, *differences))
     physics = "faithful" if rows[0]["faithful"] else "fast"
     return [TITLES[rows[0]["task"]], physics, f"{len(rows)} x {rows[0]['episodes']}", *intervals]
 

@@ -253,7 +253,7 @@ def made_on(task: str, found: dict[str, Search]) -> str:
     devices = " and ".join(dict.fromkeys(search["device"] for search in found.values()))
     return (
         f"- {TITLES[task]}: {one['goals']} goals, {one['epochs'][-1]} epochs, {len(one['trials'])} trials, seeds "
-        f"{one['seeds'][0]} to {one['seeds'][-1]}; {devices}."
+        f"{one['seeds'][0]}-{one['seeds'][-1]}; {devices.removesuffix(' 80GB HBM3')}."
     )
 
 

@@ -31,6 +31,7 @@ RUN = {
     "speed/update_bytes.py": ["--tasks object_search fetch_reach --seeds 2 --largest 3"],
     "speed/offline.py": ["--batch 8 --seeds 2 --updates 2 --epochs 1"],
     "speed/before_and_after.py": [f"{ROOT} --rounds 1 --epochs 2 --repeats 1"],
+    "speed/update_rates.py": [f"{ROOT} --programs object_search/infogoal/1/2 --turns 2"],
     "speed/success.py": ["run after object_search infogoal --seeds 2 --out {tmp}"],
     "speed/dataset_loading.py": ["--scenes 2 --image-width 32"],
     "speed/fetch.py": ["--tasks fetch_reach --batch 2", "--tasks fetch_reach --images --seeds 1 --updates 2"],

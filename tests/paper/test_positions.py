@@ -32,8 +32,8 @@ def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
     positions.take([tmp_path / "first"])
     positions.take([tmp_path / "second", tmp_path / "other"])
     *_, sac, td3 = positions.tables()["success"].splitlines()
-    assert sac == "| Push | SAC | 0.90 ± 1.27 | 0.20 | 0.10 to 0.10 (1 of 2 seeds) |  | H200 |"
-    assert td3 == "| Push | TD3 | 0.90 ± 0.00 | 0.20 | 0.10 to 0.20 |  | H200 |"
+    assert sac == "| Push | SAC | 0.90±1.27 | 0.20 | 0.10 to 0.10 (1 of 2 seeds) |  | H200 |"
+    assert td3 == "| Push | TD3 | 0.90±0.00 | 0.20 | 0.10 to 0.20 |  | H200 |"
 
 
 def test_seconds_are_those_of_the_log(tmp_path, monkeypatch):
@@ -66,5 +66,5 @@ def test_policies_are_shown_beside_the_reference(tmp_path, monkeypatch):
     for _ in range(2):
         positions.take_transfers(sorted(tmp_path.glob("push-*.json")))
     line = positions.tables()["transfer"].splitlines()[-1]
-    assert line.startswith("| Push | fast | 2 x 500 | 0.900 ± ")
-    assert line.endswith("| 0.900 ± 0.000 | 0.000 ± 1.271 | 0.000 ± 1.271 |")
+    assert line.startswith("| Push | fast | 2 x 500 | 0.900±")
+    assert line.endswith("| 0.900±0.000 | 0.000±1.271 | 0.000±1.271 |")
