@@ -23,7 +23,6 @@ from infogoal_paper.table_formats import markdown_lines
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
 SUCCESS = 0.5
 """The success that seconds are counted to."""
-SIDES = ("ours", "theirs")
 
 
 @dataclasses.dataclass
@@ -37,11 +36,11 @@ class Outcome:
     seed: int
     """The first of those that ran side by side."""
     steps: list[float]
-    """Environment steps of a seed at each evaluation."""
+    """Environment steps of a seed at each evaluation, JaxGCRL's prefill included, which is not in the seconds."""
     seconds: list[float]
     """Seconds of training of the seeds that ran side by side, at each evaluation."""
     success: list[list[float]]
-    """Of each seed at each evaluation."""
+    """Of each seed at each evaluation; of their mean where the seeds are not known apart."""
     side_by_side: int
     """Seeds that shared the seconds."""
     updates: int
@@ -55,7 +54,9 @@ class Outcome:
 
     def steps_per_second(self) -> float:
         """Environment steps of all seeds a second of training, updates included."""
-        return self.side_by_side * self.steps[-1] / self.seconds[-1]
+        round_steps = np.diff(self.steps) if len(self.steps) > 1 else self.steps
+        round_seconds = np.diff(self.seconds) if len(self.steps) > 1 else self.seconds
+        return self.side_by_side * float(np.sum(round_steps) / np.sum(round_seconds))
 
     def updates_per_second(self) -> float:
         """Updates of all seeds a second of training, environment steps included."""
@@ -92,31 +93,31 @@ def timed_alone(outcome: Outcome, alone: list[Outcome]) -> Outcome:
 
 
 def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
-    """A row for each side of a task and agent, and one for what ours does for theirs."""
+    """A row for each side of a task and agent; behind the speeds of ours stands how many times theirs they are."""
     lines = []
     ordered = sorted(outcomes, key=lambda each: (*each.program(), each.seed))
     for (task, agent), both in groupby(ordered, key=lambda each: each.program()[:2]):
         sides = {side: timed_alone(joined(list(own)), alone) for side, own in groupby(both, key=lambda each: each.side)}
-        reached = min(each.steps[-1] for each in sides.values())
-        speeds = {}
+        reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
-            speeds[side] = (outcome.steps_per_second(), outcome.updates_per_second(), 1 / outcome.seconds_to_success())
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
-            equal = np.abs(steps - reached).argmin()
-            speed, updates, inverse = speeds[side]
-            success = [mean_interval(curves[:, place]).show(2) for place in (-1, equal)]
-            half = "never" if np.isnan(inverse) else f"{1 / inverse:.0f}"
-            numbers = [f"{speed:,.0f}", f"{updates:,.0f}", half, f"{outcome.compiling:.0f}"]
-            lines.append([task, agent, side, str(len(curves)), f"{steps[-1] / 1e6:.2f}", *success, *numbers])
-        if len(sides) == 2:
-            ratios = [a / b for a, b in zip(*(speeds[side] for side in SIDES), strict=True)]
-            shown = ["" if np.isnan(ratio) else f"{ratio:.1f}x" for ratio in ratios]
-            lines.append([task, agent, "ours / theirs", "", "", "", "", *shown, ""])
+            success = [mean_interval(curves[:, place]).show(2) for place in (-1, np.abs(steps - reached).argmin())]
+            speeds = [
+                f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side == "ours" else "")
+                for own, other in (
+                    (outcome.steps_per_second(), theirs and theirs.steps_per_second()),
+                    (outcome.updates_per_second(), theirs and theirs.updates_per_second()),
+                )
+            ]
+            seconds = outcome.seconds_to_success()
+            half = "never" if np.isnan(seconds) else f"{seconds:.1f}"
+            seeds = max(len(curves), outcome.side_by_side)
+            lines.append([f"{task}, {agent}", side, str(seeds), f"{steps[-1] / 1e6:.2f}", *success, *speeds, half])
     return lines
 
 
-HEAD = ["task", "agent", "program", "seeds", "million steps", "success at the end", "at equal steps"]
-HEAD += ["steps/s", "updates/s", f"s to {SUCCESS} (a seed)", "compiling (s)"]
+HEAD = ["task", "program", "seeds", "million steps", "success", "at equal steps"]
+HEAD += ["steps/s", "updates/s", f"s to {SUCCESS} (a seed)"]
 
 
 def load(paths: Iterable[Path]) -> list[Outcome]:
