@@ -9,18 +9,12 @@ import signal
 import tempfile
 from pathlib import Path
 
-import jax
-import made_up_results
 import numpy as np
 import pytest
-from hand_made_frames import TINY_HOUSE
 
-from infogoal_jax import presets
 from infogoal_jax.__main__ import GARBAGE
-from infogoal_jax.data import goal_images
-from infogoal_jax.envs.fetch.tasks import FetchConfig
-from infogoal_jax.runner import sweep, training
-from infogoal_jax.stand_ins import house
+
+# The process that hands out the tests imports this module too: what it does not need is imported where it is used.
 
 MEMORY_MAPS = Path("/proc/self/maps")
 MANY_MAPS = 30_000
@@ -101,6 +95,10 @@ def pytest_configure(config):
         if os.environ.get(KEPT):
             link_kept(Path(os.environ[KEPT]).absolute(), programs)
         os.environ.update(ON_DISK | {"XDG_CACHE_HOME": str(folder), "JAX_COMPILATION_CACHE_DIR": str(programs)})
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
+        return  # It hands out the tests, and runs none.
+    import jax
+
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     for name, value in ON_DISK.items():
         jax.config.update(name.lower(), value if name.endswith("XLA_CACHES") else int(value))
@@ -136,15 +134,21 @@ def as_from_a_terminal():
 def few_programs():
     """Forget compiled programs between files when they are many; what is needed again is compiled again."""
     yield
+    import jax
+
     if MEMORY_MAPS.exists() and MEMORY_MAPS.read_bytes().count(b"\n") > MANY_MAPS:
         jax.clear_caches()
         gc.collect()
 
 
 @pytest.fixture(scope="session")
-def reach_run(tmp_path_factory) -> training.RunResult:
+def reach_run(tmp_path_factory):
     """Two seeds of FetchReach with image goals, trained for two epochs on episodes of 10 steps: nothing is learned,
-    everything is there."""
+    everything is there. A `training.RunResult`."""
+    from infogoal_jax import presets
+    from infogoal_jax.envs.fetch.tasks import FetchConfig
+    from infogoal_jax.runner import training
+
     config = presets.load(
         "fetch_reach",
         env=FetchConfig(goals="images", episode_length=10),
@@ -163,6 +167,10 @@ def reach_run(tmp_path_factory) -> training.RunResult:
 @pytest.fixture(scope="session")
 def tiny_house(tmp_path_factory) -> Path:
     """Folder of a tiny synthetic house: 64 x 36 pixels, nodes 1.2 m apart. Nobody changes it."""
+    from hand_made_frames import TINY_HOUSE
+
+    from infogoal_jax.stand_ins import house
+
     root = tmp_path_factory.mktemp("tiny_house")
     house.build_house(root, seed=3, **TINY_HOUSE)
     return root
@@ -175,8 +183,11 @@ def annotations(tiny_house) -> dict[str, dict]:
 
 
 @pytest.fixture(scope="module")
-def banks() -> dict[str, goal_images.GoalImages]:
-    """The shipped banks of goal images."""
+def banks():
+    """The shipped banks of goal images, `GoalImages` by the name of the task."""
+    from infogoal_jax import presets
+    from infogoal_jax.data import goal_images
+
     return {name: goal_images.load(goal_images.shipped(name), name) for name in presets.FETCH_TASKS}
 
 
@@ -194,6 +205,8 @@ def differing_pixels():
 @pytest.fixture(scope="session")
 def results():
     """Made-up numbers of every run, of three seeds; nobody changes them."""
+    import made_up_results
+
     return made_up_results.results(seeds=3)
 
 
@@ -201,6 +214,8 @@ def results():
 def evaluations(monkeypatch) -> list[int]:
     """The number of each evaluation as it comes. The third one that this test makes seems to take so long that the
     clock, where there is one, leaves no time for another."""
+    from infogoal_jax.runner import sweep
+
     advance, count = sweep.advance, []
 
     def slow(members):
