@@ -161,7 +161,7 @@ def test_packages_register_tasks_by_an_entry_point(monkeypatch, capsys):
 
 def test_a_wrong_name_of_a_task_lists_what_the_help_lists(capsys):
     line = refused(["train", "objct_search"], capsys)
-    assert "'object_search'" in line and line.endswith(f"Known: {', '.join(presets.registry)}")
+    assert "'object_search'" in line and f"Known: {', '.join(presets.registry)}; one of your own" in line
 
 
 def test_flags_of_other_libraries_say_what_they_come_to(capsys):
