@@ -1,5 +1,8 @@
 """Ctrl-C, TERM, HUP and USR1: asked once, a command stops where nothing is lost; asked twice, it stops at once.
 
+One request may come as several signals: `timeout` sends TERM to the command and to its group, and a shell passes on
+what its group got already. What follows within `ECHO` seconds is the same request.
+
 A process that stops at once, as a killed one, leaves files that are whole: they are written beside and renamed. What
 was being written beside goes with `temporary`.
 """
@@ -11,6 +14,7 @@ import signal
 import stat
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,6 +22,8 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
 """What asks to stop: Ctrl-C, the system or a scheduler, a closed terminal, a scheduler before its limit of time."""
 STATUS = 130
 """Exit status of a command that was stopped."""
+ECHO = 0.5
+"""Seconds after a signal within which another one asks for nothing new."""
 NOTHING = "no file is half written"
 temporaries: set[Path] = set()
 """Files and folders that are there while something is done, and must not stay."""
@@ -36,11 +42,15 @@ class StopRequest:
 
     def __init__(self, at_once: Callable[["StopRequest"], None]):
         self.advice, self.finishing, self.requested, self.at_once = NOTHING, "", False, at_once
+        self.last = -float("inf")
 
     def __call__(self, number: int, frame) -> None:
         """Handle a signal."""
         if number == getattr(signal, "SIGHUP", None):
             forget_terminal()
+        before, self.last = self.last, time.monotonic()
+        if self.last - before < ECHO:
+            return
         if self.requested or not self.finishing:
             self.requested = True
             self.at_once(self)

@@ -219,6 +219,18 @@ def test_a_loop_finishes_its_chunk_first(number):
     assert status == 130 and printed == "files are whole\n" and "Stopping after this chunk, with a checkpoint" in errors
 
 
+def test_a_signal_that_comes_twice_is_one_request():
+    """`timeout` sends TERM to the command and to the command's group; the second must not cut off the checkpoint."""
+    wait = f"{IN_A_LOOP}; time.sleep({stopping.ECHO})"
+    process = started(COMMAND.format(finishing="this chunk, with a checkpoint", wait=wait))
+    process.send_signal(signal.SIGTERM)
+    assert process.stderr.readline() + process.stderr.readline() == (
+        "\nStopping after this chunk, with a checkpoint. Press Ctrl-C again to stop at once.\n"
+    )
+    process.send_signal(signal.SIGTERM)
+    assert ended(process) == (130, "files are whole\n", "")
+
+
 def test_no_signal_ends_a_flight_before_the_landing():
     """Not even the second one: signals are noted, and the flight lands."""
     wait = """
@@ -231,7 +243,7 @@ def test_no_signal_ends_a_flight_before_the_landing():
     process = started(COMMAND.format(finishing="", wait=wait))
     assert process.stdout.readline() == "in the air\n"
     process.send_signal(signal.SIGINT)
-    time.sleep(0.2)
+    time.sleep(stopping.ECHO + 0.1)
     process.send_signal(signal.SIGTERM)
     status, printed, _ = ended(process)
     assert (status, printed) == (130, "landed\nfiles are whole\n")
@@ -243,6 +255,7 @@ def test_a_second_signal_stops_at_once():
     assert process.stderr.readline() + process.stderr.readline() == (
         "\nStopping after this chunk. Press Ctrl-C again to stop at once.\n"
     )
+    time.sleep(stopping.ECHO + 0.1)
     process.send_signal(signal.SIGTERM)
     status, printed, errors = ended(process)
     assert status == 130 and printed == "" and "go on with: infogoal train --resume RUN" in errors
@@ -297,6 +310,8 @@ def test_from_python_the_first_is_noted_and_the_second_raises(capfd):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(Stopped, match="nothing yet"):
             stop.check()
+        signal.raise_signal(signal.SIGTERM)  # The same request, passed on.
+        time.sleep(stopping.ECHO + 0.1)
         with pytest.raises(Stopped, match="nothing yet"):
             signal.raise_signal(signal.SIGTERM)
     assert "as soon as this step is done" in capfd.readouterr().err and not stopping.watching

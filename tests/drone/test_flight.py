@@ -13,6 +13,7 @@ from infogoal_drone.flight import Flight
 from infogoal_drone.link import Answer
 from infogoal_drone.records import NAME, Log, events_of, read
 from infogoal_drone.vision import Detection, Picture
+from infogoal_jax import stopping
 from infogoal_jax.errors import UserError
 
 SPEED = 200.0
@@ -150,8 +151,9 @@ def test_what_cannot_run_is_found_on_the_ground(tmp_path, where):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_signals_land(tmp_path, name):
+def test_signals_land(tmp_path, monkeypatch, name):
     """The second and the third, while it lands, end nothing; and the old handlers are back after it."""
+    monkeypatch.setattr(stopping, "ECHO", 0.0)
     before = signal.getsignal(signal.SIGINT)
 
     def interrupt():
