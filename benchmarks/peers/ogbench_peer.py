@@ -77,20 +77,11 @@ class Sizes:
     """Updates between two looks at the clock, an epoch of ours."""
     timed: int = 1000
     """Updates of a seed whose speed is measured."""
-    ours: dict[str, Any] = dataclasses.field(default_factory=dict)
-    theirs: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """What else is changed of a configuration."""
+    batch_size: int = 1024
+    hidden: tuple[int, ...] = (512, 512, 512)
 
 
-TOY = Sizes(
-    updates=8,
-    evaluations=2,
-    episodes=1,
-    chunk=2,
-    timed=2,
-    ours={"batch_size": 8},
-    theirs={"batch_size": 8, "actor_hidden_dims": (16, 16), "value_hidden_dims": (16, 16)},
-)
+TOY = Sizes(updates=8, evaluations=2, episodes=1, chunk=2, timed=2, batch_size=8, hidden=(16, 16))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,6 +121,8 @@ class Outcome:
     """[seeds][evaluations][tasks]"""
     held_out: list[int]
     """Tasks whose goals' cells were out of training."""
+    sizes: str = ""
+    """Batch and layers, where they are not OGBench's."""
 
 
 # OGBench's environment.
@@ -348,8 +341,14 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     flags, task = flags_of(words.impls, words.dataset, job.agent), our_task(words.data, words.dataset, words.held_out)
     presets.register("ogbench_recorded", task, presets.OGBENCH)
     method, floats, fields = LEARNERS[job.learner]
-    changes = {"updates_per_epoch": sizes.chunk, "known_goals": "held_out" if words.held_out else "visited"}
-    config = presets.load("ogbench_recorded", method, agent=AGENTS[job.agent], **(changes | sizes.ours))
+    config = presets.load(
+        "ogbench_recorded",
+        method,
+        agent=AGENTS[job.agent],
+        updates_per_epoch=sizes.chunk,
+        batch_size=sizes.batch_size,
+        known_goals="held_out" if words.held_out else "visited",
+    )
     goals = {OF_GOALS[name]: value for name, value in flags.items() if name in OF_GOALS}
     if job.agent == "qrl":  # Where states and goals are one space, a state's distance to itself is 0 by its form.
         goals |= {"current_share": 0.0}
@@ -359,7 +358,7 @@ def ours(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
         hyper=with_values(config.hyper, floats),
         learner=dataclasses.replace(config.learner, **fields),
         relabelling=dataclasses.replace(config.relabelling, **goals),
-        agent=dataclasses.replace(config.agent, **({"hidden": (16, 16)} if words.toy else {})),
+        agent=dataclasses.replace(config.agent, hidden=sizes.hidden),
     )
     train = make_train(config, task)
     keys = jax.vmap(jax.random.key)(jnp.asarray(job.seeds, jnp.uint32))
@@ -402,7 +401,8 @@ def theirs(job: Job, words: argparse.Namespace, sizes: Sizes) -> Program:
     use_compilation_cache()
     agents, datasets = importlib.import_module("agents"), importlib.import_module("utils.datasets")
     config = importlib.import_module(f"agents.{job.agent}").get_config()
-    config.update(flags_of(words.impls, words.dataset, job.agent) | sizes.theirs)
+    layers = dict.fromkeys(("actor_hidden_dims", "value_hidden_dims"), sizes.hidden)
+    config.update(flags_of(words.impls, words.dataset, job.agent) | {"batch_size": sizes.batch_size} | layers)
     arrays = load_dataset(str(words.data), compact_dataset=True)
     dataset = getattr(datasets, config["dataset_class"])(datasets.Dataset.create(**arrays), config)
     (seed,) = job.seeds
@@ -484,9 +484,11 @@ def run(job: Job, number: int, words: argparse.Namespace, sizes: Sizes, meeting:
         updates=[],
         success=[[] for _ in job.seeds],
         held_out=words.held_out,
+        sizes="" if sizes.hidden == (512, 512, 512) else f"batch {sizes.batch_size}, layers {sizes.hidden}",
     )
-    if not job.train:
+    if rate is not None:
         append(words.out, outcome)
+    if not job.train:
         return
     environments = None
     for mark in [sizes.updates * (place + 1) // sizes.evaluations for place in range(sizes.evaluations)]:
@@ -584,7 +586,7 @@ def print_table(outcomes: list[Outcome], held: tuple[int, ...]) -> None:
                 out = np.isin(np.arange(success.shape[1]) + 1, held)
                 parts = [mean_interval(success[:, which].mean(-1)).show() for which in (out, ~out)]
                 print(f"| {agent} | {learner} | {parts[0]} | {parts[1]} |")
-    about = sorted({f"{each.data}; {each.machine}" for each in outcomes})
+    about = sorted({"; ".join(filter(None, (each.data, each.sizes, each.machine))) for each in outcomes})
     print("\nSeeds in brackets. " + ". ".join(about) + ".\n")
 
 
@@ -595,7 +597,7 @@ def jobs_of(words: argparse.Namespace) -> Iterator[Job]:
         for learner in words.learners:
             for agent in words.agents:
                 yield Job("ours", agent, learner, seeds)
-                if learner == "none" and words.seeds > 1:
+                if learner == "none" and words.seeds > 1 and "theirs" in words.sides:
                     yield Job("ours", agent, learner, (0,), train=False)
     if "theirs" in words.sides:
         for seed in seeds:
@@ -627,6 +629,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--updates", type=int, default=50_000)
     parser.add_argument("--evaluations", type=int, default=3)
+    parser.add_argument("--tries", type=int, default=20, help="episodes of each task in an evaluation")
+    parser.add_argument("--batch-size", type=int, default=1024)
+    parser.add_argument("--hidden", type=int, nargs="+", default=[512, 512, 512])
     parser.add_argument("--side-by-side", type=int, default=1)
     parser.add_argument("--budget", type=float, default=float("inf"))
     parser.add_argument("--toy", action="store_true")
@@ -647,7 +652,8 @@ def main() -> None:
     missing = [f"--{name}" for name in ("data", "impls", "out") if getattr(words, name) is None]
     if missing:
         parser.error(f"{', '.join(missing)}: give the file of the data, the folder impls of OGBench, and the results")
-    sizes = TOY if words.toy else Sizes(words.updates, words.evaluations)
+    own = {"episodes": words.tries, "batch_size": words.batch_size, "hidden": tuple(words.hidden)}
+    sizes = TOY if words.toy else Sizes(words.updates, words.evaluations, **own)
     deadline = min(time.time() + words.budget, time.time() + 1e7)
     found = read([words.out])
     jobs = [job for job in jobs_of(words) if not is_done(job, found, sizes, words.held_out)]
