@@ -18,7 +18,7 @@ import numpy as np
 
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_paper import trial_numbers
-from infogoal_paper.table_formats import markdown_lines
+from infogoal_paper.table_formats import markdown_lines, tight
 
 NUMBERS = Path(__file__).parents[1] / "docs" / "results" / "jaxgcrl.json.gz"
 SUCCESS = 0.5
@@ -101,7 +101,7 @@ def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
         reached, theirs = min(each.steps[-1] for each in sides.values()), sides.get("theirs")
         for side, outcome in sides.items():
             curves, steps = np.array(outcome.success), np.array(outcome.steps)
-            success = [mean_interval(curves[:, place]).show(2) for place in (-1, np.abs(steps - reached).argmin())]
+            success = [tight(mean_interval(curves[:, place])) for place in (-1, np.abs(steps - reached).argmin())]
             speeds = [
                 f"{own:,.0f}" + (f" ({own / other:.1f}x)" if other and side == "ours" else "")
                 for own, other in (
@@ -112,11 +112,11 @@ def rows(outcomes: Iterable[Outcome], alone: list[Outcome]) -> list[list[str]]:
             seconds = outcome.seconds_to_success()
             half = "never" if np.isnan(seconds) else f"{seconds:.1f}"
             seeds = max(len(curves), outcome.side_by_side)
-            lines.append([f"{task}, {agent}", side, str(seeds), f"{steps[-1] / 1e6:.2f}", *success, *speeds, half])
+            lines.append([f"{task}, {agent}", f"{side}, {seeds}", f"{steps[-1] / 1e6:.2f}", *success, *speeds, half])
     return lines
 
 
-HEAD = ["task", "program", "seeds", "million steps", "success", "at equal steps"]
+HEAD = ["task", "program, seeds", "million steps", "success", "at equal steps"]
 HEAD += ["steps/s", "updates/s", f"s to {SUCCESS} (a seed)"]
 
 

@@ -117,7 +117,6 @@ def solved(rows: list[Row]) -> list[str]:
         f"{int(seeds[0][-1]['env_steps']) / 1e6:.2f}",
         f"{there} ({len(reached)} of {len(seeds)} seeds)" if 0 < len(reached) < len(seeds) else there,
         seconds_until(seeds),
-        rows[0]["machine"].removeprefix("1 x NVIDIA ").split()[0].rstrip(","),
     ]
 
 
@@ -142,7 +141,6 @@ def peer(rows: list[Row], ours: list[Row]) -> list[str]:
     return [
         TITLES[f"{rows[0]['task']}_positions"],
         str(len(seeds)),
-        "GPU" if "cuda" in rows[0]["machine"] else "CPU",
         f"{rate:.0f}",
         f"{reached[0]:.0f} to {reached[-1]:.0f}" if reached else "never",
         f"{np.mean([float(row['success_rate']) for row in last]):.2f} after {float(last[0]['wall_seconds']):.0f} s",
@@ -152,12 +150,13 @@ def peer(rows: list[Row], ours: list[Row]) -> list[str]:
 
 
 def tables() -> dict[str, str]:
-    """The tables on the page, by name; none without numbers."""
+    """The tables on the page, by name, of SAC alone; none without numbers."""
     order = list(TITLES)
     rows = sorted(read(), key=lambda row: (order.index(row["task"]), row["agent"] != "sac", row["learner"] != "none"))
-    lines = [solved(list(own)) for _, own in groupby(rows, key=lambda row: tuple(row[name] for name in KEY))]
+    shown = (row for row in rows if row["agent"] == "sac")
+    lines = [solved(list(own)) for _, own in groupby(shown, key=lambda row: tuple(row[name] for name in KEY))]
     head = ["task", "agent", "success at the end", "million steps in all", f"until {ENOUGH}"]
-    head += ["seconds to " + ", ".join(map(str, SOON)), "GPU"]
+    head += ["seconds to " + ", ".join(map(str, SOON))]
     found = {"success": markdown_lines(head, lines)} if rows else {}
     if transfers := sorted(read_transfers(), key=lambda row: (order.index(row["task"]), row["faithful"])):
         found["transfer"] = markdown_lines(
@@ -169,7 +168,7 @@ def tables() -> dict[str, str]:
         )
     if peers := sorted(read_peers(), key=lambda row: order.index(f"{row['task']}_positions")):
         alone = [row for row in rows if (row["learner"], row["agent"]) == ("none", "sac")]
-        head = ["task", "seeds", "on", "steps/s", f"seconds to {ENOUGH}", "success at the end"]
+        head = ["task", "seeds", "steps/s", f"seconds to {ENOUGH}", "success at the end"]
         found["peer"] = markdown_lines(
             [*head, f"hours for {MANY:,} steps", f"ours, seconds to {ENOUGH}"],
             [

@@ -31,9 +31,9 @@ def test_runs_are_taken_in_place_of_their_like(tmp_path, monkeypatch):
     write_run(tmp_path / "other", "td3", {0: [0.9, 0.9], 1: [0.0, 0.9]})
     positions.take([tmp_path / "first"])
     positions.take([tmp_path / "second", tmp_path / "other"])
-    *_, sac, td3 = positions.tables()["success"].splitlines()
-    assert sac == "| Push | SAC | 0.90±1.27 | 0.20 | 0.10 to 0.10 (1 of 2 seeds) |  | H200 |"
-    assert td3 == "| Push | TD3 | 0.90±0.00 | 0.20 | 0.10 to 0.20 |  | H200 |"
+    _, _, sac = positions.tables()["success"].splitlines()
+    assert sac == "| Push | SAC | 0.90±1.27 | 0.20 | 0.10 to 0.10 (1 of 2 seeds) |  |"
+    assert {row["agent"] for row in positions.read()} == {"sac", "td3"}
 
 
 def test_seconds_are_those_of_the_log(tmp_path, monkeypatch):
@@ -44,14 +44,14 @@ def test_seconds_are_those_of_the_log(tmp_path, monkeypatch):
     write_run(tmp_path / "run", "sac", {0: [1.0, 1.0], 1: [0.7, 0.84]})
     (tmp_path / "run" / "log.txt").write_text("0.1 begin\n31.4 epoch 1/2  0:30  train 0.85\n40.6 epoch 2/2  0:39\n")
     positions.take([tmp_path / "run"])
-    assert positions.tables()["success"].splitlines()[-1].endswith(" | 41, never | H200 |")
+    assert positions.tables()["success"].splitlines()[-1].endswith(" | 41, never |")
     columns = "task,reference,seed,env_steps,cpu_seconds,success_rate,wall_seconds,reached_rate,machine"
     rows = "fetch_push,True,0,2000,30,0.1,40,0.1,on cuda\nfetch_push,True,0,3600,50,0.2,72,1,on cuda\n"
     (tmp_path / "numbers.csv").write_text(f"{columns}\n{rows}")
     for _ in range(2):
         positions.take_peers([tmp_path / "numbers.csv"])
     line = positions.tables()["peer"].splitlines()[-1]
-    assert line == "| Push | 1 | GPU | 50 | never | 0.20 after 72 s | 5.6 | 41 |"
+    assert line == "| Push | 1 | 50 | never | 0.20 after 72 s | 5.6 | 41 |"
 
 
 def test_policies_are_shown_beside_the_reference(tmp_path, monkeypatch):
