@@ -303,6 +303,13 @@ WALK = {"actions": np.zeros((3, 2)), "last": np.arange(3) == 2, "achieved_goals"
 WALK |= {"observations": np.zeros((3, *jax.eval_shape(lambda: MAZE.observe(MAZE.reset(KEY))).shape))}
 REWARDED = ("achieved_goal", "desired_goal")
 FIELDS = {"inputs": np.zeros((3, 4), np.float32), "regions": [0, 0, 0], "uses": [0, 0, 2], "names": ("a", "b", "c")}
+
+
+def is_path(value) -> bool:
+    """A path that is not empty."""
+    return isinstance(value, str | Path) and str(value) != "" and "\0" not in str(value)
+
+
 CALLS = {
     "rollout": Call(
         shapes_of(rollout),
@@ -490,6 +497,9 @@ CALLS = {
         {"task": lambda value: value is MAZE, "episodes": never, "seed": lambda value: whole(value, 0, 2**32 - 1)},
     ),
     "episodes_of": Call(minari.episodes_of, {"dataset": ""}, {"dataset": never}),
+    "to_minari": Call(
+        minari.to_minari, {"episodes": Episodes(**WALK), "out": "walks"}, {"episodes": never, "out": is_path}
+    ),
     "presets.method_named": Call(presets.method_named, {"name": "her"}, {"name": never}),
     "presets.name_of": Call(presets.name_of, {"config": CONFIG}, {"config": lambda value: value is CONFIG}),
     "presets.default_hyperparameters": Call(
@@ -621,11 +631,6 @@ SURE += ["run", "sweep", "envs.from_brax", "envs.from_playground", "of_arrays", 
 SURE += ["with_recordings", "presets.method_named", "presets.name_of", "presets.default_hyperparameters"]
 SURE += ["step of a batch", "compute_reward of bits", "compute_reward of vectors", "compute_reward of Fetch"]
 """Functions that work as they are called here."""
-
-
-def is_path(value) -> bool:
-    """A path that is not empty."""
-    return isinstance(value, str | Path) and str(value) != "" and "\0" not in str(value)
 
 
 @st.composite

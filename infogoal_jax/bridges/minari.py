@@ -1,13 +1,21 @@
-"""Recorded episodes of Minari, for learning offline. Needs `pip install "minari[hdf5]" pillow`."""
+"""Recorded episodes of Minari, for learning offline, and ours for Minari. Needs `pip install "minari[hdf5]" pillow`."""
 
+import os
+import re
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from infogoal_jax import checks
+from infogoal_jax.data.archives import new_folder
 from infogoal_jax.data.episodes import Episodes, as_array
 from infogoal_jax.errors import UserError, require
 from infogoal_jax.goals import MOST_CHANNELS
+
+EPISODES_AT_ONCE = 256
+"""Minari opens its file again for each batch of episodes."""
 
 
 def import_minari() -> ModuleType:
@@ -76,3 +84,64 @@ def as_numbers(values: Any, field: str) -> np.ndarray:
     found = as_array(field, values)
     require(found.dtype.kind in "fiub" and found.ndim > 0, field, str(found.dtype), "give numbers for each step")
     return found
+
+
+def to_minari(episodes: Episodes, out: str | os.PathLike) -> Path:
+    """Write the episodes as the Minari dataset `out`, FOLDER/NAME-v0, which `episodes_of` reads back. With
+    MINARI_DATASETS_PATH=FOLDER `minari.load_dataset("NAME-v0")` finds it.
+
+    Observations are those of a `GoalEnv` where the goals are known. Rewards are 0, since episodes have none, and the
+    end of an episode is a truncation. Raises `UserError` if Minari is missing, `out` is there already, its name is none
+    of Minari's, or the disk refuses.
+    """
+    require(isinstance(episodes, Episodes), "episodes", type(episodes).__name__, "give Episodes of data/episodes.py")
+    out = Path(checks.path(out, "out"))
+    named = re.fullmatch(r"[\w-]+-v\d+", out.name) is not None
+    require(named, "out", str(out), "Minari wants names with a version, such as walks-v0")
+    require(not os.path.lexists(out), "out", str(out), "is there already; give a new folder")
+    library = import_minari()
+    with new_folder(out, "out") as beside:
+        write_episodes(library, episodes, beside / "data", out.name)
+    return out
+
+
+def write_episodes(library: ModuleType, episodes: Episodes, folder: Path, name: str) -> None:
+    """The episodes, a batch at a time, and what Minari wants to know of them."""
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    def space(values: np.ndarray) -> spaces.Box:
+        low, high = (0, 255) if values.dtype == np.uint8 else (-np.inf, np.inf)
+        return spaces.Box(low, high, values.shape[1:], values.dtype.type)
+
+    seen = {"observation": episodes.observations}
+    if episodes.achieved_goals is not None and episodes.desired_goals is not None:
+        seen |= {"achieved_goal": episodes.achieved_goals, "desired_goal": episodes.desired_goals}
+    of_goals = len(seen) > 1
+    described = spaces.Dict({key: space(values) for key, values in seen.items()})
+    actions = spaces.Box(-1.0, 1.0, episodes.actions.shape[1:], np.float32)
+    storage = MinariStorage.new(
+        folder, described if of_goals else described["observation"], actions, jpeg_encoding=False
+    )
+    ends = np.flatnonzero(episodes.last) + 1
+    starts = np.append(0, ends[:-1])
+    for first in range(0, len(ends), EPISODES_AT_ONCE):
+        batch = []
+        some = slice(first, first + EPISODES_AT_ONCE)
+        for start, end in zip(starts[some], ends[some], strict=True):
+            steps = end - start - 1
+            shown = {key: values[start:end] for key, values in seen.items()}
+            batch.append(
+                EpisodeBuffer(
+                    observations=shown if of_goals else shown["observation"],
+                    infos={},
+                    actions=np.clip(episodes.actions[start : end - 1], -1.0, 1.0),
+                    rewards=np.zeros(steps),
+                    terminations=np.zeros(steps, bool),
+                    truncations=np.arange(steps) == steps - 1,
+                )
+            )
+        storage.update_episodes(batch)
+    about = "Episodes of infogoal-jax; rewards are 0, since they record none."
+    storage.update_metadata({"dataset_id": name, "minari_version": library.__version__, "description": about})

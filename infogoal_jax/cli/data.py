@@ -204,6 +204,22 @@ def import_minari(name: Positional[str], out: str) -> int:
     return 0
 
 
+def export_minari(path: Positional[str], out: str) -> int:
+    """Write an npz of recorded episodes as a dataset of Minari (needs the extra `minari`).
+
+    Args:
+        path: The recorded episodes, an npz.
+        out: Folder to write, FOLDER/NAME-v0; must not exist yet.
+    """
+    from infogoal_jax.bridges import minari
+    from infogoal_jax.data.episodes import describe, load
+
+    episodes = load(path)
+    folder = minari.to_minari(episodes, out)
+    print(f"{folder}: {describe(episodes)}; read it with MINARI_DATASETS_PATH={shlex.quote(str(folder.parent))}")
+    return 0
+
+
 def cifar10(path: Positional[str] = "", url: str = "") -> int:
     """Download CIFAR-10, 170 MB, as background images (docs/reference/goal_inputs.md).
 
@@ -251,6 +267,7 @@ DATA = Group(
         "check": check,
         "import": import_images,
         "import-minari": import_minari,
+        "export-minari": export_minari,
         "build": BUILD,
         "download": Group("Download what others published.", {"cifar10": cifar10}),
         "embed": embed,

@@ -1,5 +1,7 @@
-"""Minari reads and records our tasks. Needs Minari; without it only its absence is tested."""
+"""Minari reads and records our tasks, and recorded episodes go there and back. Needs Minari; without it only its
+absence is tested, and what is refused before it is asked for."""
 
+import gc
 import importlib.util
 import sys
 
@@ -8,7 +10,9 @@ import jax
 import numpy as np
 import pytest
 
-from infogoal_jax.bridges.minari import import_minari
+from infogoal_jax.bridges.minari import episodes_of, import_minari, to_minari
+from infogoal_jax.cli.main import main
+from infogoal_jax.data.episodes import Episodes, save
 from infogoal_jax.errors import UserError
 
 needs_minari = pytest.mark.skipif(
@@ -25,6 +29,8 @@ def test_without_minari_the_message_says_what_to_install(missing, monkeypatch):
 
 
 @needs_minari
+@pytest.mark.filterwarnings("ignore::UserWarning:minari")  # A test has no author, address or registered environment.
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Of Minari's own folder.
 def test_minari_collects_a_task_whose_images_have_one_channel(tmp_path, monkeypatch):
     """Which it cannot keep as JPEG."""
     import gymnasium
@@ -45,3 +51,44 @@ def test_minari_collects_a_task_whose_images_have_one_channel(tmp_path, monkeypa
     kept = collector.create_dataset("rooms-v0", eval_env=None)
     assert seen[0].shape == (32, 32, 1)
     np.testing.assert_array_equal(next(iter(kept)).observations["observation"], np.stack(seen))
+    del collector
+    gc.collect()
+
+
+def made_up(seen: np.dtype, goals: bool) -> Episodes:
+    """Three episodes of 1, 2 and 4 steps."""
+    numbers = np.random.default_rng(0)
+    last = np.isin(np.arange(10), (1, 4, 9))
+    shape = (10, 4, 4, 3) if seen == np.uint8 else (10, 3)
+    observations = numbers.integers(0, 255, shape).astype(seen)
+    actions = np.where(last[:, None], 0, numbers.uniform(-1, 1, (10, 2)))
+    both = {name: numbers.normal(size=(10, 2)) for name in ("achieved_goals", "desired_goals")}
+    return Episodes(observations, actions, last, **(both if goals else {}))
+
+
+@needs_minari
+@pytest.mark.parametrize("seen", [np.float32, np.uint8])
+@pytest.mark.parametrize("goals", [True, False])
+def test_recorded_episodes_go_to_minari_and_back(tmp_path, monkeypatch, capsys, seen, goals):
+    import minari
+
+    episodes = made_up(seen, goals)
+    save(tmp_path / "walks.npz", episodes)
+    assert main(["data", "export-minari", str(tmp_path / "walks.npz"), "--out", str(tmp_path / "walks-v0")]) == 0
+    assert "3 episodes of 1 to 4 steps" in capsys.readouterr().out
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    back = episodes_of(minari.load_dataset("walks-v0"))
+    assert back.members().keys() == episodes.members().keys()
+    for name, values in episodes.members().items():
+        np.testing.assert_array_equal(back.members()[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("walks", "Minari wants names with a version"), ("here-v0", "is there already; give a new folder")],
+)
+def test_a_folder_that_cannot_be_minari_s_is_one_line_and_nothing_is_touched(tmp_path, name, said):
+    (tmp_path / "here-v0").mkdir()
+    with pytest.raises(UserError, match=said):
+        to_minari(made_up(np.float32, True), tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["here-v0"]
