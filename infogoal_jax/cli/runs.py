@@ -162,11 +162,11 @@ def video(
         raise UserError(
             f"corruption = {corruption}: a random policy looks at no goal; leave it out, or give the folder of a run"
         )
-    from infogoal_jax.envs.fetch.environment import make
+    from infogoal_jax import envs
     from infogoal_jax.envs.fetch.tasks import FetchConfig
     from infogoal_jax.train.evaluation import random_policy
 
-    env = make(subject, FetchConfig(ends_at_goal=False))
+    env = envs.load(f"{subject}_positions", FetchConfig(goals="positions", ends_at_goal=False))
     reached = drawn_video(env, random_policy(env), out, episodes, seed, height)
     print(f"{out}: {counted(episodes, 'episode')} of a random policy; the goal is reached at the end of {sum(reached)}")
     return 0

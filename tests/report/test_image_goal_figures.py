@@ -286,7 +286,7 @@ def test_the_command_says_what_it_cannot_draw(tmp_path, capsys):
 @pytest.mark.long
 def test_a_random_policy_becomes_a_video_by_the_command(tmp_path, capsys):
     path = str(tmp_path / "random.gif")
-    assert main(["video", "fetch_reach", "--out", path, "--height", "48"]) == 0
+    assert main(["video", "fetch_reach", "--out", path, "--height", "64"]) == 0
     assert "1 episode of a random policy; the goal is reached at the end of" in capsys.readouterr().out
 
 

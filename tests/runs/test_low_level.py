@@ -110,8 +110,6 @@ def test_what_cannot_be_pretrained_is_refused(capsys):
     assert "Known: fetch_reach, fetch_push, fetch_pick_and_place, object_manip" in capsys.readouterr().err
     assert main(["pretrain"]) == 2 and "Known: fetch_reach, fetch_push" in capsys.readouterr().err
     assert main(["pretrain", "--seeds", "3"]) == 2 and "'--seeds': flags come after" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as stopped:
-        main(["pretrain", "fetch_reach", "--task", "fetch_push"])
-    assert stopped.value.code == 2 and "--task" in capsys.readouterr().err
+    assert main(["pretrain", "fetch_reach", "--task", "fetch_push"]) == 2 and "--task" in capsys.readouterr().err
     assert main(["pretrain", "fetch_reach", "--method", "her", "--agent", "dqn"]) == 2
     assert "agent = 'dqn'" in capsys.readouterr().err
