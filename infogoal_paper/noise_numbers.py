@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from infogoal_jax import presets
 from infogoal_jax.errors import require
 from infogoal_jax.report import canvas
-from infogoal_jax.report.statistics import Interval, mean_interval
+from infogoal_jax.report.statistics import Interval, mean_interval, paired_difference
 from infogoal_jax.report.summary import LEAST_BETA
 from infogoal_paper import claims, trial_numbers, tuning
 from infogoal_paper.manifest import RELABELLED
@@ -512,7 +512,23 @@ def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
         rows.append([title, *values, "→".join(validation), "→".join(test) if any(test) else ""])
     names = ("learning rate", "discount", "target rate", "its loss, or beta", "intrinsic reward")
     below = f"{', '.join(low)}: at most {max(low.values())} of validation goals with either." if low else ""
-    return f"{markdown_lines(['method', *names, 'validation', 'test'], rows)}\n\n{below}".rstrip()
+    if not any(row[-1] for row in rows):
+        rows = [row[:-1] for row in rows]
+    said = "\n".join(filter(None, [below, *(validation_gain(pair, searches) for pair in PAIRS)]))
+    return f"{markdown_lines(['method', *names, 'validation', 'test'][: len(rows[0])], rows)}\n\n{said}".rstrip()
+
+
+def validation_gain(pair: tuple[str, str], searches: dict[str, tuning.Search]) -> str:
+    """The difference of two methods on validation goals of the finals of clean choices, seeds paired: as presets, and
+    with what was chosen; nothing where one was not searched."""
+    finals = [searches.get(f"{tuning.CLEAN}/object_search/{method}/final") for method in pair]
+    if None in finals:
+        return ""
+    today, again = (
+        signed(paired_difference(*(take(final)["success"][-1] for final in finals)))
+        for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best)
+    )
+    return f"{' - '.join(METHODS[method] for method in pair)}: presets {today}, chosen {again} of validation goals."
 
 
 def carries_on_fetch(numbers: Numbers) -> str:
