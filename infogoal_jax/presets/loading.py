@@ -275,6 +275,15 @@ def name_of(config: TrainConfig) -> str:
     return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"
 
 
+def run_title(config: TrainConfig) -> str:
+    """Task and method for people: `point_maze, none with her`. A relabelling that every method has on the task is no
+    part of a method's name, and is said here."""
+    names, name = names_of(config), name_of(config)
+    own = own_relabelling(config.task, names["agent"])
+    said = f" with {own}" if own == names["relabelling"] != "none" and own != name else ""
+    return f"{config.task}, {name}{said}"
+
+
 def words_of(value: Any) -> list[str]:
     """A value as the words that follow its flag."""
     return (

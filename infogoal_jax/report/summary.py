@@ -14,12 +14,13 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from infogoal_jax import learners, presets
+from infogoal_jax import learners
 from infogoal_jax.errors import counted, require
 from infogoal_jax.field_types import LARGEST_WHOLE
 from infogoal_jax.goal_uses import USES
 from infogoal_jax.goals import GoalSpace
 from infogoal_jax.loading import make_train
+from infogoal_jax.presets.loading import run_title
 from infogoal_jax.report.runs import Run, RunTable, diverged_seeds, load_run, read_params, table_of
 from infogoal_jax.report.statistics import mean_interval
 from infogoal_jax.runner import memory, training
@@ -149,7 +150,7 @@ def show(run: Run, diverged: dict[int, int], console: Console) -> None:
     evaluations, epochs = (table_of(run.folder, name, diverged) for name in ("evaluations", "epochs"))
     left, acted = len(evaluations.seeds), "collect/valid" in epochs.values  # Who learns offline collects nothing.
     last_epoch = int(evaluations.epochs[-1]) if len(evaluations.epochs) else 0
-    head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {last_epoch} of {run.config.num_epochs}"
+    head = f"{run_title(run.config)}: epoch {last_epoch} of {run.config.num_epochs}"
     if left and evaluations.values:
         last = evaluations.last()
         num_goals, num_starts = last["first_reached"].shape[1:]
@@ -346,7 +347,7 @@ def evaluate_run(
     protocol += corruption_in_words(scores, weight)
     if "near_test_goal/success_rate" in scores:
         protocol += "; near: test goals that count as reached from a training goal"
-    head = f"{run.config.task}, {presets.name_of(run.config)}: epoch {epoch} of {run.config.num_epochs}"
+    head = f"{run_title(run.config)}: epoch {epoch} of {run.config.num_epochs}"
     say(console, f"{head}\n{protocol}; {seeds_in_words(len(kept))}", style="bold")
     console.print(score_table(scores) if typed is None else goal_table(space, typed, scores))
     for sentence in diverged_in_words(diverged):

@@ -12,6 +12,7 @@ from infogoal_jax import presets
 from infogoal_jax.checks import whole
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
+from infogoal_jax.presets.loading import run_title
 from infogoal_jax.runner import training
 from infogoal_jax.runner.progress import progress_line
 
@@ -162,7 +163,7 @@ def make_listeners(
             show(paths)
 
     with ExitStack() as bar:
-        words = f"{config.task} {presets.name_of(config)} x {num_seeds}"
+        words = f"{run_title(config)} x {num_seeds}"
         line = bar.enter_context(progress_line(words, config.num_epochs))
 
         def advance(progress: training.Progress):

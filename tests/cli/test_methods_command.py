@@ -28,7 +28,7 @@ from infogoal_jax.loading import (
     traits_declared,
     traits_seen,
 )
-from infogoal_jax.presets.loading import train_flags
+from infogoal_jax.presets.loading import run_title, train_flags
 from infogoal_jax.registry import Entry
 from infogoal_jax.report import methods
 from infogoal_jax.runs.configuration import from_dict, to_dict
@@ -267,3 +267,18 @@ def test_runs_without_the_task_s_own_relabelling_say_so():
     """Two runs of embodied question answering that differ in it have different names."""
     assert presets.name_of(presets.load("embodied_qa", "none")) == "none"
     assert presets.name_of(presets.load("embodied_qa", "none", relabelling="none")) == "unrelabelled"
+
+
+@pytest.mark.parametrize(
+    ("task", "method", "said"),
+    [
+        ("point_maze", "her", "point_maze, none with her"),
+        ("point_maze", "infogoal", "point_maze, infogoal with her"),
+        ("object_search", "her", "object_search, her"),
+        ("object_search", "leo", "object_search, leo"),
+        ("object_search", "none", "object_search, none"),
+    ],
+)
+def test_a_run_s_title_names_the_relabelling(task, method, said):
+    """Also where every method of the task has it, and no method's name tells it."""
+    assert run_title(presets.load(task, method)) == said
