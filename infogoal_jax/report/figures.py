@@ -127,11 +127,11 @@ def progress(config: TrainConfig, evaluations: RunTable, env) -> tuple[np.ndarra
 
 
 def finish_progress_axis(axes: Axes, label: str, last: float) -> None:
-    """A horizontal axis for the progress of training, from nothing to `last`."""
+    """A horizontal axis for the progress of training, from nothing to `last`, or to 1 where there was none."""
     axes.set_xlabel(label)
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    axes.set_xlim(0, last * 1.02)
+    axes.set_xlim(0, max(last, 1) * 1.02)
 
 
 def finish_length_axis(axes: Axes, longest: int) -> None:
