@@ -23,7 +23,7 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1")
 STATUS = 130
 """Exit status of a command that was stopped."""
 ECHO = 0.5
-"""Seconds after a signal within which another one asks for nothing new."""
+"""Seconds after a signal that counted within which others ask for nothing new."""
 NOTHING = "no file is half written"
 temporaries: set[Path] = set()
 """Files and folders that are there while something is done, and must not stay."""
@@ -42,15 +42,16 @@ class StopRequest:
 
     def __init__(self, at_once: Callable[["StopRequest"], None]):
         self.advice, self.finishing, self.requested, self.at_once = NOTHING, "", False, at_once
-        self.last = -float("inf")
+        self.counted = -float("inf")
 
     def __call__(self, number: int, frame) -> None:
         """Handle a signal."""
         if number == getattr(signal, "SIGHUP", None):
             forget_terminal()
-        before, self.last = self.last, time.monotonic()
-        if self.last - before < ECHO:
+        now = time.monotonic()
+        if now - self.counted < ECHO:
             return
+        self.counted = now
         if self.requested or not self.finishing:
             self.requested = True
             self.at_once(self)

@@ -231,6 +231,17 @@ def test_a_signal_that_comes_twice_is_one_request():
     assert ended(process) == (130, "files are whole\n", "")
 
 
+def test_who_presses_again_and_again_is_heard(monkeypatch):
+    """However fast: what counts is the time since the first press, not since the last."""
+    stopped, clock = [], iter([0.0, 0.4, 0.8])
+    monkeypatch.setattr(stopping.time, "monotonic", lambda: next(clock))
+    request = stopping.StopRequest(stopped.append)
+    request.finishing = "this chunk"
+    for _ in range(3):
+        request(signal.SIGINT, None)
+    assert stopped == [request]
+
+
 def test_no_signal_ends_a_flight_before_the_landing():
     """Not even the second one: signals are noted, and the flight lands."""
     wait = """
