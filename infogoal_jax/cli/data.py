@@ -1,5 +1,5 @@
-"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped), check, import, download,
-embed."""
+"""`infogoal data ...`: build (the stand-ins for data that cannot be shipped), check, import, export,
+download, embed."""
 
 import contextlib
 import os
@@ -262,7 +262,7 @@ def embed(
 
 
 DATA = Group(
-    "Check, import, build and download datasets.",
+    "Check, import, export, build and download datasets.",
     {
         "check": check,
         "import": import_images,
