@@ -54,9 +54,10 @@ class Outcome:
 
     def steps_per_second(self) -> float:
         """Environment steps of all seeds a second of training, updates included."""
-        round_steps = np.diff(self.steps) if len(self.steps) > 1 else self.steps
-        round_seconds = np.diff(self.seconds) if len(self.steps) > 1 else self.seconds
-        return self.side_by_side * float(np.sum(round_steps) / np.sum(round_seconds))
+        steps, seconds = self.steps[-1], self.seconds[-1]
+        if len(self.steps) > 1:  # The first round may have a prefill, which is not in its seconds.
+            steps, seconds = steps - self.steps[0], seconds - self.seconds[0]
+        return self.side_by_side * steps / seconds
 
     def updates_per_second(self) -> float:
         """Updates of all seeds a second of training, environment steps included."""
