@@ -11,11 +11,12 @@ from infogoal_jax import pairs, replay
 from infogoal_jax.goals import is_goal, no_goals_like, select
 from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.learners.learner import GoalCode, NewSteps
+from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.parts import COLLECT, CORRUPT, Setup, TrainState, encode_states, numbered
+from infogoal_jax.train.relabelling_context import relabelling_context
 from infogoal_jax.train.rollout import collect, training_policy
-from infogoal_jax.train.tables import first_seen, relabelling_context
 
 
 @flax.struct.dataclass
@@ -168,3 +169,11 @@ def experience_of(setup: Setup, state: TrainState, number: jax.Array) -> tuple[E
         episode=None if env.goals.finite else buffer.episode(),
         first_seen=first_seen(goals, buffer, env.goals.num_goals) if parts.learner.sample_spec.first_seen else None,
     ), state
+
+
+def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
+    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
+    padded with -1."""
+    seen = occurrences(goals, rows, num_goals)
+    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
+    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))

@@ -12,8 +12,8 @@ from infogoal_jax.keys import draw_chance
 from infogoal_jax.pairs import GoalPairs
 from infogoal_jax.relabelling.relabelling import Relabelling
 from infogoal_jax.replay import Transitions
-from infogoal_jax.train.apart import sample_apart, sample_pairs_by_distance
 from infogoal_jax.train.costs import costs_of, learns_from_costs
+from infogoal_jax.train.dissimilar import sample_apart, sample_pairs_by_distance
 from infogoal_jax.train.experience import Experience, usable_goals
 from infogoal_jax.train.many_goals import draw_goals
 from infogoal_jax.train.parts import Setup, spec_of

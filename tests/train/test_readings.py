@@ -12,7 +12,7 @@ from infogoal_jax import make_train, pairs, presets
 from infogoal_jax.errors import UserError
 from infogoal_jax.hyperparameters import with_values
 from infogoal_jax.loading import load_environment
-from infogoal_jax.train.apart import sample_pairs_by_distance
+from infogoal_jax.train.dissimilar import sample_pairs_by_distance
 from infogoal_jax.train.experience import first_dissimilarity
 
 

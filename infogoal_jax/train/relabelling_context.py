@@ -1,11 +1,9 @@
-"""What relabellings, and learners that count what was seen first, are given of an epoch's rows."""
+"""What a relabelling may look at before the updates of an epoch."""
 
 import jax
-import jax.numpy as jnp
 
 from infogoal_jax.learners.encoding import encode_all
 from infogoal_jax.learners.learner import GoalCode, conditioned
-from infogoal_jax.relabelling.her import occurrences
 from infogoal_jax.relabelling.relabelling import Achievements, Context
 from infogoal_jax.replay import Trajectories
 from infogoal_jax.train.parts import Setup, TrainState, encode_states
@@ -46,11 +44,3 @@ def relabelling_context(
         discount=hyper.discount,
         updates=number * parts.config.updates_per_epoch,
     )
-
-
-def first_seen(goals: jax.Array, rows: Trajectories, num_goals: int) -> jax.Array:
-    """How many goals each step was the first of its episode to achieve, float32 [R, T + 1]. goals: int32 [R, T + 1, K],
-    padded with -1."""
-    seen = occurrences(goals, rows, num_goals)
-    row = jnp.arange(goals.shape[0], dtype=jnp.int32)[:, None]
-    return jnp.zeros(goals.shape[:2], jnp.float32).at[row, seen.step].add((seen.size > 0).astype(jnp.float32))
