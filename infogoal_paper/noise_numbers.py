@@ -224,10 +224,14 @@ PARTS = {
     "D": Part(
         6, tuple((task, method, (0,)) for task in FETCH_READ for method in OF_FETCH if method not in SOONEST_READ)
     ),
-    "E": Part(4, all_of(CUBE_READ)[2:5]),
+    "E": Part(4, (*all_of(CUBE_READ)[3:5], all_of(CUBE_READ)[2])),
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
     "G": Part(4, all_of(CUBE_READ)[5:]),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
+    **{
+        name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
+        for name, cube in {"I": 8, "J": 9}.items()
+    },
 }
 """What is to be run, in order, and by how many processes side by side."""
 
