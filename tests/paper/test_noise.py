@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import hand_made
 import pytest
@@ -99,6 +100,18 @@ def test_what_is_not_trained_to_its_end_leaves_no_rows(rooms_for_houses, tmp_pat
     with stop_on_signal() as stop:
         noise.run("object_search", "none", path, time.time() - 1, stop, (0,), toy=True)
     assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "seconds", "goes_on"), [(1, 50, True), (1, 60, False), (3, 80, True), (3, 90, False)]
+)
+def test_a_run_that_cannot_end_in_the_time_that_is_left_makes_room(evaluations, seconds, goes_on):
+    """A hundred seconds before the deadline, of four chunks."""
+    watch = object.__new__(noise.Watch)
+    watch.deadline = time.time() + 100
+    chunks = SimpleNamespace(num_evaluations=4)
+    sweep = SimpleNamespace(config=chunks, evaluations=evaluations, last_seconds=seconds)
+    assert watch.has_time(sweep) is goes_on
 
 
 def held_out(method: str, updates: int, data_set: str = "8") -> dict[str, str]:
