@@ -224,9 +224,9 @@ PARTS = {
     "D": Part(
         6, tuple((task, method, (0,)) for task in FETCH_READ for method in OF_FETCH if method not in SOONEST_READ)
     ),
-    "E": Part(4, (*all_of(CUBE_READ)[3:5], all_of(CUBE_READ)[2])),
+    "E": Part(4, all_of(CUBE_READ)[3:6]),
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
-    "G": Part(4, all_of(CUBE_READ)[5:]),
+    "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
     **{
         name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
