@@ -336,6 +336,15 @@ class Numbers:
             if row.get(kind) and not is_development(task, place[0])
         }
 
+    def on_shared_sets(
+        self, task: str, method: str, epsilon: float, code: str = "sampled", kind: str = "test"
+    ) -> list[float]:
+        """`success` on the data sets on which every method of the task was run, so that means can be compared."""
+        ran = [{place[0] for place in rows} for (own, *_), rows in self.values.items() if own == task]
+        shared = set.intersection(*ran)
+        found = self.success(task, method, epsilon, code, kind)
+        return [value for (data_set, _), value in found.items() if data_set in shared]
+
     def best(self, task: str, method: str) -> float:
         """The epsilon at which the method reaches the most validation goals, sampled codes."""
 
@@ -476,63 +485,50 @@ def difference_table(
 
 CLEAN_READ = "object_search+read"
 """Where settings that were chosen again are run."""
-CLEAN_PAIRS = tuple(tuple(f"{method}@clean" for method in pair) for pair in PAIRS)
-
 FLOOR = "0.40"
 """Success on validation goals below which a method has no row there."""
 
 
 def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
-    """A row for each method whose settings were chosen again: floats of the preset and those chosen, success on
+    """A row for each method whose settings were chosen again: success of the preset and of what was chosen, on
     validation goals in the final, and on test goals of houses that no choice has seen, each at its own best noise.
     Methods on the floor with both are named below."""
-    fields = (("learning_rate",), ("discount",), ("target_rate",), ("learner_weight", "learner.beta"))
-    fields += (("intrinsic_weight",),)
     rows, low = [], {}
     for method, title in METHODS.items():
         final = searches.get(f"{tuning.CLEAN}/object_search/{method}/final")
         if final is None:
             continue
-        today, again = tuning.trial_of(final, 0), tuning.drawn_best(final)
-        values = [
-            "".join(
-                f"{today['values'][field]:.3g}→{again['values'][field]:.3g}"
-                for field in column
-                if field in again["values"]
-            )
-            for column in fields
-        ]
-        validation = [f"{np.mean(trial['success'][-1]):.2f}" for trial in (today, again)]
+        both = tuning.trial_of(final, 0), tuning.drawn_best(final)
+        validation = [f"{np.mean(trial['success'][-1]):.2f}" for trial in both]
         if max(validation) < FLOOR:
             low[title] = max(validation)
             continue
-        test = ["", ""]
-        if numbers.has(CLEAN_READ, f"{method}@clean"):
-            found = [
-                numbers.success(task, name, numbers.best(task, name))
-                for task, name in (("object_search", method), (CLEAN_READ, f"{method}@clean"))
-            ]
-            test = [f"{np.mean(list(each.values())):.2f}" for each in found]
-        rows.append([title, *values, "→".join(validation), "→".join(test) if any(test) else ""])
-    names = ("learning rate", "discount", "target rate", "its loss, or beta", "intrinsic reward")
+        runs = ("object_search", method), (CLEAN_READ, f"{method}@clean")
+        test = [np.mean(numbers.on_shared_sets(*run, numbers.best(*run))) for run in runs if numbers.has(*run)]
+        rows.append([title, "→".join(validation), "→".join(f"{value:.2f}" for value in test)])
     below = f"{', '.join(low)}: at most {max(low.values())} of validation goals with either." if low else ""
-    if not any(row[-1] for row in rows):
-        rows = [row[:-1] for row in rows]
-    said = "\n".join(filter(None, [below, *(validation_gain(pair, searches) for pair in PAIRS)]))
-    return f"{markdown_lines(['method', *names, 'validation', 'test'][: len(rows[0])], rows)}\n\n{said}".rstrip()
+    return f"{markdown_lines(['method', 'validation', 'test'], rows)}\n\n{below}".rstrip()
 
 
-def validation_gain(pair: tuple[str, str], searches: dict[str, tuning.Search]) -> str:
-    """The difference of two methods on validation goals of the finals of clean choices, seeds paired: as presets, and
-    with what was chosen; nothing where one was not searched."""
-    finals = [searches.get(f"{tuning.CLEAN}/object_search/{method}/final") for method in pair]
-    if None in finals:
-        return ""
-    today, again = (
-        signed(paired_difference(*(take(final)["success"][-1] for final in finals)))
-        for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best)
-    )
-    return f"{' - '.join(METHODS[method] for method in pair)}: presets {today}, chosen {again} of validation goals."
+def clean_differences(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
+    """A row for each of `PAIRS` that was searched: the difference on validation goals in the finals, seeds paired, and
+    on test goals of unseen houses at `SAME` and at their own best, as presets and with what was chosen."""
+    rows = []
+    for pair in PAIRS:
+        finals = [searches.get(f"{tuning.CLEAN}/object_search/{method}/final") for method in pair]
+        again = tuple(f"{method}@clean" for method in pair)
+        if None in finals or not all(numbers.has(CLEAN_READ, method) for method in again):
+            continue
+        row = [" - ".join(METHODS[method].replace(" + ", "+") for method in pair)]
+        for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
+            row.append(signed(paired_difference(*(take(final)["success"][-1] for final in finals))))
+        for rule in (str(SAME), "best"):
+            row.append(signed(difference(numbers, "object_search", pair, "test", rule)))
+            row.append(signed(difference(numbers, CLEAN_READ, again, "test", rule)))
+        rows.append(row)
+    goals = ("validation", f"test, ε {SAME}", "test, own best")
+    heads = [f"{words}, {whose}" for words in goals for whose in ("presets", "chosen")]
+    return markdown_lines(["difference", *heads], rows)
 
 
 def carries_on_fetch(numbers: Numbers) -> str:
@@ -553,7 +549,7 @@ def three_of(numbers: Numbers, task: str, kind: str, method: str) -> str:
     if not numbers.has(task, method):
         return ""
     epsilons = 0.0, SAME, numbers.best(task, method)
-    values = [list(numbers.success(task, method, epsilon, kind=kind).values()) for epsilon in epsilons]
+    values = [numbers.on_shared_sets(task, method, epsilon, kind=kind) for epsilon in epsilons]
     return "/".join(f"{np.mean(each):.2f}" for each in values) if all(values) else ""
 
 
@@ -656,9 +652,7 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
     searches = tuning.load(tuning.NUMBERS)
     if any(name.startswith(tuning.CLEAN) for name in searches):
-        beside |= {"clean": clean_table(numbers, searches)}
-    if numbers.has(CLEAN_READ, CLEAN_PAIRS[0][0]):
-        beside |= {"clean_differences": difference_table(numbers, [CLEAN_READ], CLEAN_PAIRS)}
+        beside |= {"clean": clean_table(numbers, searches), "clean_differences": clean_differences(numbers, searches)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),
@@ -682,7 +676,7 @@ def figure(rows: Sequence[Row]) -> Figure:
             if not numbers.has(task, method):
                 continue
             for code, style in (("sampled", "-"), ("mean", "--")):
-                values = np.array([list(numbers.success(task, method, each, code).values()) for each in EPSILONS])
+                values = np.array([numbers.on_shared_sets(task, method, each, code) for each in EPSILONS])
                 interval = mean_interval(values.T)
                 label = METHODS[method] if code == "sampled" else ""
                 axes.plot(EPSILONS, interval.mean, color=colour, linestyle=style, label=label)

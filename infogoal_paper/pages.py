@@ -85,7 +85,7 @@ def readme_tables() -> dict[str, str]:
     column in bold. The first is of the study of noise at test, each method with its own best noise."""
     results, noise = numbers.load(RESULTS), noise_numbers.Numbers(noise_numbers.read())
     shown = [
-        [float(np.mean(list(noise.success(task, method, noise.best(task, method)).values()))) for task in TASKS]
+        [float(np.mean(noise.on_shared_sets(task, method, noise.best(task, method)))) for task in TASKS]
         for method in FEW
     ]
     compared = {task: all_goals.rows_of(results, task) for task in ("object_search", "object_manipulation")}
