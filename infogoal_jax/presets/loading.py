@@ -275,13 +275,19 @@ def name_of(config: TrainConfig) -> str:
     return "+".join(name for name in (names["learner"], relabelled, names["explorer"]) if name != "none") or "none"
 
 
-def run_title(config: TrainConfig) -> str:
-    """Task and method for people: `point_maze, none with her`. A relabelling that every method has on the task is no
-    part of a method's name, and is said here."""
-    names, name = names_of(config), name_of(config)
+def method_title(config: TrainConfig) -> str:
+    """The method for people: `none with her`. A relabelling that every method has on the task is no part of a method's
+    name, and is said here."""
+    name, names = name_of(config), names_of(config)
     own = own_relabelling(config.task, names["agent"])
     said = f" with {own}" if own == names["relabelling"] != "none" and own != name else ""
-    return f"{config.task}, {name}{said}"
+    return f"{name}{said}"
+
+
+def run_title(config: TrainConfig) -> str:
+    """Task and method for people: `point_maze, none with her`."""
+    method = method_title(config)
+    return f"{config.task}, {method}"
 
 
 def words_of(value: Any) -> list[str]:

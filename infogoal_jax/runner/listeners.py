@@ -8,13 +8,13 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from infogoal_jax import presets
 from infogoal_jax.checks import whole
 from infogoal_jax.config import TrainConfig
 from infogoal_jax.errors import UserError
-from infogoal_jax.presets.loading import run_title
+from infogoal_jax.presets.loading import method_title, run_title
 from infogoal_jax.runner import training
 from infogoal_jax.runner.progress import progress_line
+from infogoal_jax.runs.configuration import to_dict
 
 NOTHING_SENT = ("offline", "dryrun", "disabled")
 """Values of WANDB_MODE with which Weights & Biases needs no login."""
@@ -132,20 +132,22 @@ def make_listeners(
         sessions = {}
 
         def log(progress: training.Progress):
-            evaluated = {row["seed"]: row for row in progress.evaluations}
-            for row in progress.epochs[-num_seeds:]:
+            evaluated = {(row["seed"], row["epoch"]): row for row in progress.evaluations}
+            for row in progress.epochs:
                 seed = row["seed"]
                 if seed not in sessions:
                     sessions[seed] = weights_and_biases.init(
                         project=wandb,
                         group=folder.name,
                         name=f"{folder.name}-seed-{seed}",
-                        config={"task": config.task, "method": presets.name_of(config), "seed": seed},
+                        config=to_dict(config) | {"method": method_title(config), "seed": seed},
                         dir=str(folder.parent),
                         reinit="create_new",  # A run for each seed, all at the same time.
+                        settings=weights_and_biases.Settings(quiet=True),  # No page of numbers for each.
                     )
                     closing.append(sessions[seed].finish)
-                sessions[seed].log(seed_means([row | evaluated.get(seed, {})]), step=progress.epoch)
+                numbers = row | evaluated.get((seed, row["epoch"]), {})
+                sessions[seed].log(seed_means([numbers]), step=row["epoch"])
 
         def upload(paths: Sequence[Path]):
             """Of all seeds: they stand with the first."""

@@ -29,6 +29,7 @@ from rich.console import Console
 
 from infogoal_jax import make_train
 from infogoal_jax.errors import UserError
+from infogoal_jax.presets.loading import method_title
 from infogoal_jax.runner import memory, progress, training
 from infogoal_jax.runner.listeners import make_listeners
 from infogoal_jax.runner.training import Progress, run
@@ -293,8 +294,32 @@ def test_weights_and_biases_keeps_numbers_figures_and_the_video_offline(pictures
     for seed in (3, 4):
         (own,) = (log.read_bytes() for log in logs if f"mine-seed-{seed}".encode() in log.read_bytes())
         assert b"train_goal/success_rate" in own and own.count(b"mine") > own.count(b"mine-seed-")
+        assert b'"learning_rate"' in own  # The whole configuration, to filter by.
     kept = {path.suffix: path.read_bytes() for folder in folders for path in (folder / "files").glob("media/**/*.*")}
     assert kept == {picture.suffix: picture.read_bytes() for picture in pictures}
+
+
+def test_weights_and_biases_gets_every_epoch_of_a_chunk_at_its_step(tmp_path, monkeypatch):
+    wandb = pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    logged = []
+
+    def init(config, name, **_):
+        assert config["method"] == method_title(hand_made.config()) and config["hyper"]["learning_rate"] > 0
+        return types.SimpleNamespace(
+            log=lambda numbers, step: logged.append((config["seed"], step, sorted(numbers))),
+            finish=lambda: logged.append((config["seed"], "finished")),
+        )
+
+    monkeypatch.setattr(wandb, "init", init)
+    epochs = [{"seed": seed, "epoch": epoch, "loss": 1.0} for epoch in (1, 2) for seed in (0, 1)]
+    evaluations = [{"seed": seed, "epoch": 2, "success": 0.5} for seed in (0, 1)]
+    with make_listeners(tmp_path / "run", hand_made.config(), 2, wandb="project") as listeners:
+        for listen in listeners.progress:
+            listen(Progress(2, 2, 1.0, 1.0, 1000.0, 7.0, epochs, evaluations))
+    last = ["loss", "success"]
+    assert logged[:4] == [(0, 1, ["loss"]), (1, 1, ["loss"]), (0, 2, last), (1, 2, last)]
+    assert logged[4:] == [(0, "finished"), (1, "finished")]
 
 
 @pytest.mark.parametrize(
