@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from infogoal_jax.report.runs import load_run
     from infogoal_jax.report.sweeps import SweepResult, sweep
     from infogoal_jax.runner.compilation import compiled, compiler_options, jit, use_compilation_cache
+    from infogoal_jax.runner.listeners import print_success
     from infogoal_jax.train.episodes import rollout
     from infogoal_jax.train.evaluation import GoalView, Scores, evaluate
     from infogoal_jax.train.program import Train, TrainResult
@@ -35,6 +36,7 @@ __all__ = [
     "load_run",
     "make_train",
     "presets",
+    "print_success",
     "rollout",
     "sweep",
     "use_compilation_cache",
@@ -50,6 +52,7 @@ MODULES = {
     "Train": "train.program",
     "TrainResult": "train.program",
     "make_train": "loading",
+    "print_success": "runner.listeners",
     "load_run": "report.runs",
     "sweep": "report.sweeps",
     "SweepResult": "report.sweeps",

@@ -42,12 +42,13 @@ def print_success(num_epochs: int, num_seeds: int = 1) -> Callable[[Any, dict[st
     heard: dict[int, list[dict[str, float]]] = {}  # Of one epoch at a time: seeds advance together.
 
     def advance(epoch, metrics):
-        of_epoch = [*heard.get(int(epoch), []), {label: metrics[name] for name, label in SHOWN.items()}]
+        shown = {label: metrics[name] for name, label in SHOWN.items() if name in metrics}  # Some tasks test nothing.
+        of_epoch = [*heard.get(int(epoch), []), shown]
         heard.clear()
         if len(of_epoch) < num_seeds:
             heard[int(epoch)] = of_epoch
             return
-        numbers = [f"{label} {fmean(float(one[label]) for one in of_epoch):.2f}" for label in SHOWN.values()]
+        numbers = [f"{label} {fmean(float(one[label]) for one in of_epoch):.2f}" for label in shown]
         print("  ".join([f"epoch {int(epoch)}/{num_epochs}", *numbers]))
 
     return advance

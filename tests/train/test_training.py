@@ -245,7 +245,9 @@ def test_a_line_is_printed_for_all_seeds_of_an_evaluation(capsys):
     show = print_success(20, num_seeds=2)
     for epoch, success in ((10, 0.2), (10, 0.4), (20, 0.9), (10, 0.0), (10, 1.0)):  # The third was interrupted.
         show(np.int32(epoch), {"train_goal/success_rate": np.float32(success), "test_goal/success_rate": np.float32(0)})
-    assert capsys.readouterr().out == "epoch 10/20  train 0.30  test 0.00\nepoch 10/20  train 0.50  test 0.00\n"
+    print_success(20)(np.int32(5), {"train_goal/success_rate": np.float32(1)})  # A task that holds no goals out.
+    lines = ["epoch 10/20  train 0.30  test 0.00", "epoch 10/20  train 0.50  test 0.00", "epoch 5/20  train 1.00"]
+    assert capsys.readouterr().out.splitlines() == lines
 
 
 def test_a_callback_leaves_nothing_in_a_program_without_it():
