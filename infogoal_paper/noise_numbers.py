@@ -108,13 +108,16 @@ OF_FETCH = (
     *(f"infogoal{added}@{reading}" for added in ("", "+her") for reading in ABOUT_GOALS),
     *("her@desired", "none@desired", "her@corrupted", "infogoal+her@prefix", "infobot+her@prefix"),
 )
+OF_REACH = ("infogoal+her", "her", "infobot+her", "infogoal", "ghrl", "cher", "gcb+her", "cogoal")
+"""Methods whose floats are chosen again on FetchReach, in order."""
 READ = {
     "object_search+read": (
         *("infogoal@desired", "infogoal+her@desired", "her@desired", "none@desired"),
         *("infogoal+her@prefix", "infobot+her@prefix", "infogoal@floor"),
         *(f"{method}@clean" for method in METHODS),
     ),
-    **dict.fromkeys(("fetch_reach+read", "fetch_pick_and_place+read"), OF_FETCH),
+    "fetch_reach+read": (*OF_FETCH, *(f"{method}@clean" for method in OF_REACH)),
+    "fetch_pick_and_place+read": OF_FETCH,
     "object_manipulation+read": (
         *("infogoal@desired", "her@desired", "infogoal+her@desired", "none@desired", "infogoal+her@listed"),
         *("infogoal+her@prefix", "infogoal+her@updates_100", "her@updates_100"),
@@ -228,6 +231,7 @@ PARTS = {
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
     "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
+    "K": Part(6, tuple(run for run in all_of(FETCH_READ[0]) if run[1].endswith("@clean"))),
     **{
         name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
         for name, cube in {"I": 8, "J": 9}.items()
@@ -483,48 +487,67 @@ def difference_table(
     return markdown_lines(["test goals of", "difference", *rules], rows)
 
 
-CLEAN_READ = "object_search+read"
-"""Where settings that were chosen again are run."""
 FLOOR = "0.40"
-"""Success on validation goals below which a method has no row there."""
+"""Success on validation goals below which a method has no row in tables of clean choices."""
 
 
-def clean_table(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
-    """A row for each method whose settings were chosen again: success of the preset and of what was chosen, on
-    validation goals in the final, and on test goals of houses that no choice has seen, each at its own best noise.
-    Methods on the floor with both are named below."""
+def finals_of(task: str, searches: dict[str, tuning.Search]) -> dict[str, tuning.Search]:
+    """The finals of clean searches on a task by method."""
+    named = {method: f"{tuning.CLEAN}/{task}/{method}/final" for method in METHODS}
+    return {method: searches[name] for method, name in named.items() if name in searches}
+
+
+def again(task: str, method: str) -> tuple[str, str]:
+    """The task and method by whose names the rows of a clean choice go."""
+    return f"{task}+read", f"{method}@clean"
+
+
+def clean_table(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
+    """A row for each method whose settings were chosen again on a task: success of the preset and of what was chosen,
+    on validation goals in the final, and on test goals, each at its own best noise. Methods on the floor with both are
+    named below."""
     rows, low = [], {}
-    for method, title in METHODS.items():
-        final = searches.get(f"{tuning.CLEAN}/object_search/{method}/final")
-        if final is None:
-            continue
+    for method, final in finals_of(task, searches).items():
         both = tuning.trial_of(final, 0), tuning.drawn_best(final)
         validation = [f"{np.mean(trial['success'][-1]):.2f}" for trial in both]
         if max(validation) < FLOOR:
-            low[title] = max(validation)
+            low[METHODS[method]] = max(validation)
             continue
-        runs = ("object_search", method), (CLEAN_READ, f"{method}@clean")
-        test = [np.mean(numbers.on_shared_sets(*run, numbers.best(*run))) for run in runs if numbers.has(*run)]
-        rows.append([title, "→".join(validation), "→".join(f"{value:.2f}" for value in test)])
+        runs = [run for run in ((task, method), again(task, method)) if numbers.has(*run)]
+        cells = [
+            "→".join(f"{np.mean(found):.2f}" for run in runs if (found := reached_at_best(numbers, *run, kind)))
+            for kind in kinds_of(task)
+        ]
+        rows.append([METHODS[method], "→".join(validation), *cells])
     below = f"{', '.join(low)}: at most {max(low.values())} of validation goals with either." if low else ""
-    return f"{markdown_lines(['method', 'validation', 'test'], rows)}\n\n{below}".rstrip()
+    heads = [kind.replace("_", " ") for kind in kinds_of(task)]
+    return f"{markdown_lines(['method', 'validation', *heads], rows)}\n\n{below}".rstrip()
 
 
-def clean_differences(numbers: Numbers, searches: dict[str, tuning.Search]) -> str:
-    """A row for each of `PAIRS` that was searched: the difference on validation goals in the finals, seeds paired, and
-    on test goals of unseen houses at `SAME` and at their own best, as presets and with what was chosen."""
-    rows = []
+def kinds_of(task: str) -> tuple[str, ...]:
+    """The kinds of test goals that a task has."""
+    return ("test", "corrupted_test") if task in IMAGE_TASKS else ("test",)
+
+
+def reached_at_best(numbers: Numbers, task: str, method: str, kind: str) -> list[float]:
+    """Success of a method at its own best noise, on data sets that all methods have."""
+    return numbers.on_shared_sets(task, method, numbers.best(task, method), kind=kind)
+
+
+def clean_differences(numbers: Numbers, task: str, searches: dict[str, tuning.Search]) -> str:
+    """A row for each of `PAIRS` that was searched again on a task: the difference on validation goals in the finals,
+    seeds paired, and on test goals at `SAME` and at their own best, as presets and with what was chosen."""
+    rows, found = [], finals_of(task, searches)
     for pair in PAIRS:
-        finals = [searches.get(f"{tuning.CLEAN}/object_search/{method}/final") for method in pair]
-        again = tuple(f"{method}@clean" for method in pair)
-        if None in finals or not all(numbers.has(CLEAN_READ, method) for method in again):
+        chosen = [again(task, method) for method in pair]
+        if not (found.keys() >= set(pair) and all(numbers.has(*run) for run in chosen)):
             continue
         row = [" - ".join(METHODS[method].replace(" + ", "+") for method in pair)]
         for take in (lambda final: tuning.trial_of(final, 0), tuning.drawn_best):
-            row.append(signed(paired_difference(*(take(final)["success"][-1] for final in finals))))
+            row.append(signed(paired_difference(*(take(found[method])["success"][-1] for method in pair))))
         for rule in (str(SAME), "best"):
-            row.append(signed(difference(numbers, "object_search", pair, "test", rule)))
-            row.append(signed(difference(numbers, CLEAN_READ, again, "test", rule)))
+            row.append(signed(difference(numbers, task, pair, "test", rule)))
+            row.append(signed(difference(numbers, chosen[0][0], (chosen[0][1], chosen[1][1]), "test", rule)))
         rows.append(row)
     goals = ("validation", f"test, ε {SAME}", "test, own best")
     heads = [f"{words}, {whose}" for words in goals for whose in ("presets", "chosen")]
@@ -651,8 +674,10 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
         shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[1:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
     searches = tuning.load(tuning.NUMBERS)
-    if any(name.startswith(tuning.CLEAN) for name in searches):
-        beside |= {"clean": clean_table(numbers, searches), "clean_differences": clean_differences(numbers, searches)}
+    for task, ending in (("object_search", ""), ("fetch_reach", "_reach")):
+        if finals_of(task, searches):
+            shown = numbers, task, searches
+            beside |= {f"clean{ending}": clean_table(*shown), f"clean{ending}_differences": clean_differences(*shown)}
     return beside | {
         "differences": difference_table(numbers, list(TASKS), PAIRS),
         "first": first_table(numbers),

@@ -2,7 +2,7 @@
 is reported on.
 
     python -m infogoal_paper.tuning --out FOLDER [--tasks object_search fetch_reach] [--methods vae ...]
-    [--trials 16] [--seeds 2] [--final] [--clean]
+    [--trials 16] [--seeds 2] [--final] [--clean [--goal-images FOLDER]]
     python -m infogoal_paper.tuning --merge FOLDER
 
 Object search is tuned in another house (seed 100). Its training goals are those of every house; nine of the other
@@ -11,7 +11,8 @@ are tuned on dataset 100, Fetch on the validation goals of the shipped bank. FOL
 search (docs/research/tuning.md); what is there is not run again, so that searches may come from several machines and
 several processes. With --final the preset and the three best of each search run again with eight other seeds, into
 FOLDER/TASK/METHOD/final. --clean makes choices that no preset has a part in, into FOLDER/clean: settings are drawn
-alone, the preset runs but is not chosen, and all methods have the same noise at test. --merge puts what is finished in
+alone, the preset runs but is not chosen, and all methods have the same noise at test. Fetch is then tuned on a goal set
+of its own, which `infogoal reproduce goal-images FOLDER/100 --seed 100` draws. --merge puts what is finished in
 FOLDER into docs/results/tuning.jsonl.gz, a line a search; `pages.py tuning` then writes the tables of
 docs/research/tuning.md.
 """
@@ -30,9 +31,11 @@ import numpy as np
 
 from infogoal_jax import presets
 from infogoal_jax.data.splits import AUTHORS_SPLIT
+from infogoal_jax.errors import require
 from infogoal_jax.report.statistics import paired_difference
 from infogoal_jax.stand_ins.house import build_house
 from infogoal_paper import trial_numbers
+from infogoal_paper.manifest import FETCH
 from infogoal_paper.paper import LEARNERS, METHODS
 from infogoal_paper.scores import TITLES
 from infogoal_paper.table_formats import markdown_lines, tight
@@ -110,14 +113,26 @@ def flags(fields: dict[str, int]) -> list[str]:
     return [word for name, value in fields.items() for word in (f"--{name.replace('_', '-')}", str(value))]
 
 
-def search(task: str, method: str, trials: int, seeds: int, folder: Path, clean: bool = False) -> Path:
+def data_of(task: str, folder: Path, clean: bool, goal_images: Path | None) -> list[str]:
+    """The flags of the data that a task is tuned on; goal_images: folder of further goal sets of Fetch, for clean
+    choices."""
+    if task == "object_search":
+        return tuning_house(folder)
+    if clean and task in FETCH:
+        require(goal_images is not None, "goal_images", None, f"give the folder that holds goal set {SEED} of Fetch")
+        return ["--env.goal-images", str(goal_images / str(SEED) / f"{task}.npz")]
+    return flags(DATASETS.get(task, {}))
+
+
+def search(
+    task: str, method: str, trials: int, seeds: int, folder: Path, clean: bool = False, goal_images: Path | None = None
+) -> Path:
     """One search by the command line, into FOLDER/TASK/METHOD, a clean one into FOLDER/clean/TASK/METHOD. One that was
     stopped stays as it is: delete its folder to search again. Returns its folder."""
     out = folder / CLEAN / task / method if clean else folder / task / method
     if (out / "best.json").exists():
         return out
     learner, _, relabelling = method.partition("+")
-    data = tuning_house(folder) if task == "object_search" else flags(DATASETS.get(task, {}))
     command = [
         "tune",
         task,
@@ -129,7 +144,7 @@ def search(task: str, method: str, trials: int, seeds: int, folder: Path, clean:
         str(seeds),
         "--out",
         str(out),
-        *data,
+        *data_of(task, folder, clean, goal_images),
     ]
     if task in EPOCHS:
         epochs, between = map(str, EPOCHS[task])
@@ -272,6 +287,9 @@ def main():
     parser.add_argument(
         "--clean", action="store_true", help="choose from settings that are drawn, with the same noise at test for all"
     )
+    parser.add_argument(
+        "--goal-images", type=Path, metavar="FOLDER", help=f"holds goal set {SEED} of Fetch; for --clean"
+    )
     arguments = parser.parse_args()
     if arguments.merge is not None:
         print(f"{NUMBERS.name}: {', '.join(merge(arguments.merge, NUMBERS))}")
@@ -280,7 +298,8 @@ def main():
         parser.error("give --out or --merge")
     for task in arguments.tasks:
         for method in arguments.methods:
-            found = search(task, method, arguments.trials, arguments.seeds, arguments.out, arguments.clean)
+            numbers = arguments.trials, arguments.seeds
+            found = search(task, method, *numbers, arguments.out, arguments.clean, arguments.goal_images)
             if arguments.final:
                 final(found)
 
