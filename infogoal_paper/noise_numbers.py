@@ -340,21 +340,26 @@ class Numbers:
             if row.get(kind) and not is_development(task, place[0])
         }
 
+    def shared_sets(self, task: str) -> set[int]:
+        """The data sets on which every method of the task was run."""
+        ran = [{data_set for data_set, _ in rows} for (own, *_), rows in self.values.items() if own == task]
+        return set.intersection(*ran)
+
     def on_shared_sets(
         self, task: str, method: str, epsilon: float, code: str = "sampled", kind: str = "test"
     ) -> list[float]:
-        """`success` on the data sets on which every method of the task was run, so that means can be compared."""
-        ran = [{place[0] for place in rows} for (own, *_), rows in self.values.items() if own == task]
-        shared = set.intersection(*ran)
-        found = self.success(task, method, epsilon, code, kind)
+        """`success` on `shared_sets`, so that means can be compared."""
+        shared, found = self.shared_sets(task), self.success(task, method, epsilon, code, kind)
         return [value for (data_set, _), value in found.items() if data_set in shared]
 
     def best(self, task: str, method: str) -> float:
-        """The epsilon at which the method reaches the most validation goals, sampled codes."""
+        """The epsilon at which the method reaches the most validation goals of `shared_sets`, sampled codes."""
+        shared = self.shared_sets(task)
 
         def reached(epsilon: float) -> float:
-            rows = self.values[task, method, epsilon, "sampled"].values()
-            return float(np.mean([float(row["validation"]) for row in rows if row["validation"]]))
+            rows = self.values[task, method, epsilon, "sampled"].items()
+            found = [float(row["validation"]) for (own, _), row in rows if own in shared and row["validation"]]
+            return float(np.mean(found))
 
         return max(EPSILONS, key=lambda epsilon: (round(reached(epsilon), 6), -epsilon))
 
