@@ -2,7 +2,7 @@
 their means.
 
     python -m infogoal_paper.noise --list
-    python -m infogoal_paper.noise --out FOLDER [--part A | --tasks ... --methods ...] [--minutes M]
+    python -m infogoal_paper.noise --out FOLDER [--part A | --tasks ... --methods ...] [--minutes M] [--goal-images ...]
     python -m infogoal_paper.noise --merge FOLDER
 
 A method's preset is trained to its end, all seeds and data sets in one program; then the last parameters are evaluated
@@ -54,16 +54,17 @@ HURRY = 0.6
 GROUPS = ("train", "validation", "test")
 
 
-def run_of(task: str, method: str, data_set: int, toy: bool) -> Run:
-    """A method of `methods_of` on a data set, with its seeds."""
+def run_of(task: str, method: str, data_set: int, toy: bool, seeds: int = SEEDS) -> Run:
+    """A method of `methods_of` on a data set, with so many seeds, fewer if it is a toy."""
     name, *protocol = task.split("+")
     learner, *added = method.partition("@")[0].split("+")
     agent, known_goals = protocol if len(protocol) == 2 else (None, "visited")
     floats = noise_numbers.floats_of(task, method)
     lane = Lane(method, tuple(floats.items())) if floats else Lane(*PRESET)
-    seeds = tuple(range(2 if toy else SEEDS))
     relabelling = added[0] if added else None
-    return Run(name, learner, relabelling, None, data_set, lane, seeds, toy, agent, known_goals)
+    return Run(
+        name, learner, relabelling, None, data_set, lane, tuple(range(2 if toy else seeds)), toy, agent, known_goals
+    )
 
 
 def to_its_end(config: TrainConfig, run: Run, share: int = 1, epochs: int | None = None) -> TrainConfig:
@@ -76,14 +77,16 @@ def to_its_end(config: TrainConfig, run: Run, share: int = 1, epochs: int | None
     return dataclasses.replace(config, num_epochs=epochs, epochs_per_evaluation=epochs // CHUNKS)
 
 
-def batches_on(runs: list[Run], folder: Path, settings: dict[str, Any], share: int = 1) -> list[batches.Batch]:
+def batches_on(
+    runs: list[Run], folder: Path, settings: dict[str, Any], share: int = 1, goal_images: Path | None = None
+) -> list[batches.Batch]:
     """The batches of a method on data sets of a task, with these settings in place of its preset's, trained for a share
     of its updates. The house of the tuning has a batch of its own, as its goals are split differently; it is built in
-    FOLDER unless it is there."""
+    FOLDER unless it is there. goal_images: folder of further goal sets of Fetch."""
     settings = dict(settings)
     epochs = settings.pop("num_epochs", None)
     others = [run for run in runs if (run.task, run.goal_set) != ("object_search", tuning.SEED)]
-    found = batches.batches_of(others, None, most_lanes=64, settings=settings) if others else []
+    found = batches.batches_of(others, goal_images, most_lanes=64, settings=settings) if others else []
     for run in set(runs) - set(others):
         _, dataset, _, split = tuning.tuning_house(folder)
         config = with_values(
@@ -196,14 +199,22 @@ def rows_of(watch: Watch, epochs: int) -> Iterator[Row]:
                     yield row | {"machine": machine}
 
 
-def run(task: str, method: str, path: Path, deadline: float, stop: StopRequest, sets: tuple[int, ...], toy: bool):
+def run(
+    task: str,
+    method: str,
+    path: Path,
+    deadline: float,
+    stop: StopRequest,
+    runs: list[Run],
+    goal_images: Path | None = None,
+):
     """Train and evaluate a method on data sets of a task, and write its file."""
-    runs, rows = [run_of(task, method, number, toy) for number in sets], []
+    rows: list[Row] = []
     partial = path.with_suffix(".partial")
     settings = noise_numbers.settings_of(task, method)
-    if toy:
+    if runs[0].toy:
         settings.pop("updates_per_epoch", None)
-    for batch in batches_on(runs, path.parent, settings, HALF if task in BY_HALVES else 1):
+    for batch in batches_on(runs, path.parent, settings, HALF if task in BY_HALVES else 1, goal_images):
         training = batches.begin(batch)
         watch = Watch(task, method, training, deadline, rows, partial)
         train_sweep(training.sweep, watch, stop)
@@ -224,6 +235,8 @@ def main():
     parser.add_argument("--data-sets", nargs="*", type=int, help="numbers; left out: those of the study")
     parser.add_argument("--part", nargs="*", choices=PARTS, help="parts of the queue, in place of tasks and methods")
     parser.add_argument("--list", action="store_true", help="print the queue, what is missing of it, and stop")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="of each method and data set")
+    parser.add_argument("--goal-images", type=Path, metavar="FOLDER", help="further goal sets of Fetch, for part L")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")
     parser.add_argument("--toy", action="store_true", help="at a size at which nothing is learned")
     parser.add_argument("--merge", type=Path, metavar="FOLDER", help="put the rows of this folder into the numbers")
@@ -264,7 +277,8 @@ def main():
                 if path.exists() or begun + HURRY * took.get(plain, 0.0) >= deadline or stop.requested:
                     continue
                 try:
-                    run(task, method, path, deadline, stop, sets, arguments.toy)
+                    runs = [run_of(task, method, number, arguments.toy, arguments.seeds) for number in sets]
+                    run(task, method, path, deadline, stop, runs, arguments.goal_images)
                     took[plain] = time.time() - begun
                 except UserError as error:  # A part's own check refuses the task; the others go on.
                     print(f"{task} {method}: {error}", flush=True)

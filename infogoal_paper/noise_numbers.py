@@ -84,6 +84,10 @@ CARRYING = {
 """What is compared there."""
 HELD_OUT_FETCH = tuple(f"{task}+hrac+held_out" for task in ("fetch_reach", "fetch_pick_and_place"))
 """The same on Fetch, where no test goal is achieved in training."""
+UNSEEN_FETCH = "fetch_reach+unseen"
+"""FetchReach on goal sets that no choice has seen."""
+CONTENDERS = ("infogoal+her", "her", "infobot+her", "infogoal", "gcb+her", "ghrl", "cher")
+"""What is run there, in order: methods that are near the best on the shipped goals."""
 READINGS: dict[str, dict[str, Any]] = {
     "desired": {"desired_goals": "all"},
     "distance": {"learner.positives": "distance"},
@@ -135,6 +139,7 @@ DATA_SETS = (
     TASKS
     | {HELD_OUT: (8, 9, 10)}
     | dict.fromkeys(HELD_OUT_FETCH, (0,))
+    | {UNSEEN_FETCH: (7, 8, 9)}
     | {task: (7,) if task.startswith("object_man") else TASKS[task.partition("+")[0]] for task in READ}
 )
 """All that is run, with its data sets. The cube of seed 7 chose among the weights of `FLOATS`."""
@@ -144,6 +149,8 @@ def methods_of(task: str) -> dict[str, str]:
     """The methods that are run on a task, with their names in words."""
     if task in READ:
         return {method: in_words(method) for method in READ[task]}
+    if task == UNSEEN_FETCH:
+        return {method: METHODS[method] for method in CONTENDERS}
     if task in HELD_OUT_FETCH:
         return CARRYING
     return CARRYING if task == HELD_OUT else METHODS
@@ -231,6 +238,7 @@ PARTS = {
     "F": Part(1, ((HELD_OUT, "vae+all_goals", (10,)),)),
     "G": Part(4, (all_of(CUBE_READ)[2], *all_of(CUBE_READ)[6:])),
     "H": Part(15, tuple(run for run in all_of("object_search+read") if run[1].endswith("@clean"))),
+    "L": Part(4, all_of(UNSEEN_FETCH)),
     "K": Part(6, tuple(run for run in all_of(FETCH_READ[0]) if run[1].endswith("@clean"))),
     **{
         name: Part(2, tuple(("object_manipulation", method, (cube,)) for method in ("infogoal+her", "her")))
@@ -248,6 +256,7 @@ TITLES = {
     "fetch_pick_and_place": "FetchPickAndPlace",
     "object_manipulation": "cube",
     HELD_OUT: "cube, held out",
+    UNSEEN_FETCH: "FetchReach, unseen goal sets",
     HELD_OUT_FETCH[0]: "FetchReach, held out",
     HELD_OUT_FETCH[1]: "FetchPickAndPlace, held out",
 }
@@ -256,6 +265,8 @@ SAME = 0.1
 """The epsilon that tables show as the same for all."""
 PAIRS = (("infogoal", "her"), ("infogoal+her", "her"), ("infogoal+all_goals", "her"))
 """Methods whose difference is shown."""
+UNSEEN_PAIRS = (("infogoal+her", "her"), ("infogoal+her", "infobot+her"), ("infogoal", "her"))
+"""And on goal sets of FetchReach that no choice has seen."""
 CARRYING_PAIRS = (
     ("infogoal+all_goals", "infogoal+all_goals+beta_0"),
     ("infogoal+all_goals", "cogoal+all_goals"),
@@ -678,6 +689,8 @@ def tables(rows: Sequence[Row]) -> dict[str, str]:
     if ran & set(HELD_OUT_FETCH):
         shown = numbers, HELD_OUT_FETCH, CARRYING_PAIRS[1:3], ("each at its own best",)
         beside |= {"carries_fetch": carries_on_fetch(numbers), "carries_fetch_differences": difference_table(*shown)}
+    if UNSEEN_FETCH in ran:
+        beside |= {"unseen": difference_table(numbers, [UNSEEN_FETCH], UNSEEN_PAIRS)}
     searches = tuning.load(tuning.NUMBERS)
     for task, ending in (("object_search", ""), ("fetch_reach", "_reach")):
         if finals_of(task, searches):

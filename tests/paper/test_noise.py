@@ -73,6 +73,9 @@ def test_what_is_merged_replaces_rows_of_the_same_task_and_method_alone(tmp_path
     assert {each["method"]: each["test"] for each in noise_numbers.read()} == {"infogoal": "0.2", "her": "0.8"}
 
 
+ROOMS = noise.run_of("object_search", "none", 0, toy=True)
+
+
 @pytest.fixture
 def rooms_for_houses(monkeypatch):
     """The hand-made task, whose house need not be built, in place of object search."""
@@ -93,7 +96,7 @@ def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_
     monkeypatch.setattr(noise, "train_sweep", train_nothing)
     path = tmp_path / "object_search_none.csv"
     with stop_on_signal() as stop:
-        noise.run("object_search", "none", path, time.time() + 600, stop, (0,), toy=True)
+        noise.run("object_search", "none", path, time.time() + 600, stop, [ROOMS])
     rows = trial_numbers.read(path)
     found = {(each["seed"], float(each["epsilon"]), each["code"]): each["test"] for each in rows}
     assert set(found) == {
@@ -105,7 +108,7 @@ def test_a_method_is_evaluated_at_every_noise_on_both_codes_and_not_twice(rooms_
 def test_what_is_not_trained_to_its_end_leaves_no_rows(rooms_for_houses, tmp_path):
     path = tmp_path / "object_search_none.csv"
     with stop_on_signal() as stop:
-        noise.run("object_search", "none", path, time.time() - 1, stop, (0,), toy=True)
+        noise.run("object_search", "none", path, time.time() - 1, stop, [ROOMS])
     assert not path.exists()
 
 
