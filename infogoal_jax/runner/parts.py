@@ -24,7 +24,7 @@ import jax
 import numpy as np
 
 from infogoal_jax.config import TrainConfig
-from infogoal_jax.errors import UserError, require, shown
+from infogoal_jax.errors import UserError, nearest, require, shown
 from infogoal_jax.hyperparameters import values_of, with_values
 from infogoal_jax.runner import training
 from infogoal_jax.runner.executors import LOSSES, Outcome, Place, run_here
@@ -186,7 +186,9 @@ def check(config: TrainConfig, plan: Plan) -> None:
     known = values_of(config.hyper)
     for setting in plan.settings:
         for name in setting:
-            require(name in known, "sweep", name, f"no such float. Known: {', '.join(known)}")
+            require(
+                name in known, "sweep", name, f"no such float.{nearest(name, list(known))} Known: {', '.join(known)}"
+            )
         dataclasses.replace(config, hyper=with_values(config.hyper, setting))  # Its own check says what is allowed.
     require(len(set(plan.names)) == len(plan.names), "sweep", plan.settings, "give each setting once")
 

@@ -62,8 +62,8 @@ class ProgressLine:
         if self.name:
             self.times[self.name] = self.times.get(self.name, 0.0) + now - self.since
         self.name, self.since = name, now
+        self.epoch = self.first = epoch
         if name == "training":
-            self.epoch = self.first = epoch
             self.over.set()
             if self.times:
                 self.print(self.phases_in_words())
@@ -73,7 +73,7 @@ class ProgressLine:
 
     def compiling(self) -> None:
         """The program is compiled now."""
-        self.phase("compiling")
+        self.phase("compiling", self.epoch)
 
     def repeat(self) -> None:
         """Say that the program is still being compiled until it is not."""

@@ -356,6 +356,16 @@ SEARCHED = {
     "learning rate": "guides/sweeps.html",
     "gymnasium": "guides/bridges.html",
     "own learner": "guides/own_parts.html",
+    "custom learner": "guides/own_parts.html",
+    "custom agent": "guides/own_agent.html",
+    "hyperparameter tuning": "guides/tuning.html",
+    "learning rate sweep": "guides/sweeps.html",
+    "evaluate": "guides/results.html",
+    "save policy": "guides/policies.html",
+    "deploy": "guides/policies.html",
+    "pretrained": "guides/policies.html",
+    "getting started": "start/first_run.html",
+    "jupyter": "start/first_run.html",
     "HER": "reference/methods.html",
 }
 """What a stranger looks for, and the page that says how: the first that the search shows."""

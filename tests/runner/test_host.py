@@ -169,6 +169,8 @@ def test_a_terminal_of_few_letters_keeps_the_numbers_and_loses_the_bar():
 
 def test_a_run_that_goes_on_tells_the_time_left_by_its_own_epochs():
     line = progress.ProgressLine("", 8, Console(file=io.StringIO()))
+    line.phase("compiling", epoch=6)
+    assert "6/8  compiling" in line.of_width(80)  # It does not look like beginning anew.
     line.phase("training", epoch=6)
     line.since -= 10
     line.advance(7, "")

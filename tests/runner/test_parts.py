@@ -133,7 +133,7 @@ def test_from_python_with_a_table_and_a_figure(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["--sweep", "learning_rat=1e-4"], "sweep = 'learning_rat'"),
+        (["--sweep", "learning_rat=1e-4"], "sweep = 'learning_rat': no such float. Did you mean 'learning_rate'?"),
         (["--sweep", "learning_rate=fast"], "sweep = 'learning_rate=fast'"),
         (["--sweep", "learning_rate"], "FIELD=NUMBER"),
         (["--sweep", "learning_rate=1e-4,1e-4"], "give each setting once"),
